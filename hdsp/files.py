@@ -3,7 +3,7 @@
 import os
 import secrets
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hdsp.errors import InputError
@@ -11,7 +11,7 @@ from hdsp.errors import InputError
 
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
-    """Yields a temporary path beside ``path``; what is written there becomes ``path`` when the block ends without error.
+    """Yields a temporary path beside ``path``; what is written there becomes ``path`` when the block ends well.
 
     The folder is created if missing. A process that dies in between leaves ``path`` as it was.
 
@@ -29,10 +29,8 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
         raise InputError(f"cannot write {path}: {error.strerror or error}".splitlines()[0]) from error
     finally:
         # Only the writer's own leftover; after a success it no longer exists.
-        try:
+        with suppress(OSError):
             temporary.unlink(missing_ok=True)
-        except OSError:
-            pass
 
 
 def existing_file(path: str | os.PathLike, what: str) -> Path:

@@ -1,11 +1,12 @@
 """Height maps: crop in the robot frame, rotate, save and load.
 
-Convention: ``heights[ix, iy]``, axis 0 is x, axis 1 is y. Cell ``(ix, iy)`` covers ``origin + [ix, ix + 1) * resolution``
-(the same in y), its centre is at ``+ 0.5``. Heights are float32 metres, NaN is unknown.
+Convention: ``heights[ix, iy]``, axis 0 is x, axis 1 is y. Cell ``(ix, iy)`` covers
+``origin + [ix, ix + 1) * resolution`` (the same in y), its centre is at ``+ 0.5``. Heights are float32 metres, NaN is
+unknown.
 
-Convention (patches): cell ``(i, j)`` of a patch is the height at ``base + R(theta) * (i - c, j - c) * resolution``, where
-``c`` is half the number of patch cells: the x axis of the patch is the heading of the base, which stands at the centre of
-patch cell ``(c, c)``. Sampling takes the nearest cell; outside the map heights are NaN.
+Convention (patches): cell ``(i, j)`` of a patch is the height at ``base + R(theta) * (i - c, j - c) * resolution``,
+where ``c`` is half the number of patch cells: the x axis of the patch is the heading of the base, which stands at the
+centre of patch cell ``(c, c)``. Sampling takes the nearest cell; outside the map heights are NaN.
 """
 
 import functools
@@ -84,7 +85,7 @@ class HeightMap:
         try:
             fields = read(path)
         except KeyError as error:
-            raise InputError(f"height map {path}: no entry {error.args[0]!r}; need heights, origin, resolution") from None
+            raise InputError(f"height map {path}: no entry {error.args[0]!r}") from None
         except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(f"height map {path} cannot be read: {reason}") from error
@@ -128,7 +129,7 @@ class HeightMap:
         return _gather(self.heights, ix, iy)[()]
 
     def crop(self, pose, cells: int = PATCH_CELLS) -> "HeightMap":
-        """The square of ``cells`` x ``cells`` around a pose, in the robot frame (see the module's convention on patches).
+        """The square of ``cells`` x ``cells`` around a pose, in the robot frame (see the convention on patches above).
 
         At headings that are multiples of 90 degrees this is an exact permutation of cells.
 
@@ -170,7 +171,7 @@ class HeightMap:
             target = np.indices(shape) + 0.5 - np.reshape(shape, (2, 1, 1)) / 2
             source = np.tensordot(lattice.rotation(-angle), target, 1) + np.reshape(self.shape, (2, 1, 1)) / 2
             heights = _gather(self.heights, *np.floor(source + TIE))
-        origin = [middle - cells / 2 * self.resolution for middle, cells in zip(self.center, heights.shape, strict=True)]
+        origin = np.asarray(self.center) - np.asarray(heights.shape) / 2 * self.resolution
         return HeightMap(heights, tuple(origin), self.resolution)
 
     def _patch(self, heights: np.ndarray) -> "HeightMap":
