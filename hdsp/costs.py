@@ -1,0 +1,118 @@
+"""From a height map to what the terrain costs a robot: edges, unevenness, where a foot can stand.
+
+The model and its evidence: docs/cost-model.md. In short, with ``dH`` the height difference of a cell (largest difference
+to its eight neighbours):
+
+- unevenness ``S(c)``: sum of ``dH`` over the cells within a radius, weighted linearly down to zero at the radius;
+- a foot can stand (and roll) on a cell if no cell with ``dH`` over the drivable limit lies within its clearance;
+- foot cost ``C_F = 1 + 0.307 S`` and base cost ``C_B = 1`` merge into the state cost
+  ``C = 0.5 C_B + 0.1 (sum C_F + max C_F) = 1 + k (max S + sum S)`` (paper, Sec. V-A).
+
+Convention: arrays are indexed ``[ix, iy]``; heights in metres, NaN = unknown. Unknown cells bear no foot, and a foot keeps
+the same clearance from them as from an edge.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from hdsp.heightmap import HeightMap
+from hdsp.lattice import cells
+from hdsp.robot import Robot
+
+#: Raised whenever the same map, robot and task would get another cost; labels and pretrained models carry it.
+COST_MODEL_VERSION = 1
+
+
+class CostMaps(NamedTuple):
+    """Cost-relevant maps of a terrain, all [nx, ny].
+
+    Attributes:
+        height_difference: float32, m; 0 where unknown.
+        unevenness: float32, m; S of the module's docstring.
+        standable: bool; whether a foot can stand on (and roll over) the cell.
+    """
+
+    height_difference: np.ndarray
+    unevenness: np.ndarray
+    standable: np.ndarray
+
+    def foot_cost(self, robot: Robot) -> np.ndarray:
+        """Foot cost map C_F of the paper, float32 [nx, ny]; inf where a foot cannot stand."""
+        cost = 1 + 10 * robot.drive.unevenness_cost * self.unevenness
+        return np.where(self.standable, cost, np.inf).astype(np.float32)
+
+
+def cost_maps(terrain: HeightMap, robot: Robot) -> CostMaps:
+    """Compute the cost maps of a terrain for a robot."""
+    heights = terrain.heights
+    difference = _height_difference(heights)
+    unevenness = _unevenness(difference, _disc_weights(cells(robot.drive.unevenness_radius)))
+    blocked = np.isnan(heights) | (difference > np.float32(robot.drive.max_height_difference))
+    standable = ~_near(blocked, _disc(cells(robot.feet.clearance)))
+    return CostMaps(difference, unevenness, standable)
+
+
+def _disc(radius: float) -> np.ndarray:
+    """Offsets (dx, dy), int64 [n, 2], of the cells whose centres lie within ``radius`` cells."""
+    reach = math.floor(radius + 1e-9)
+    span = np.arange(-reach, reach + 1)
+    dx, dy = np.meshgrid(span, span, indexing="ij")
+    inside = np.hypot(dx, dy) <= radius + 1e-9
+    return np.stack([dx[inside], dy[inside]], axis=1)
+
+
+def _disc_weights(radius: float) -> np.ndarray:
+    """Rows (dx, dy, weight), float64 [n, 3], with the weight falling from 1 at the centre to 0 at ``radius`` cells."""
+    offsets = _disc(radius)
+    weight = 1 - np.hypot(offsets[:, 0], offsets[:, 1]) / radius
+    return np.column_stack([offsets, weight])[weight > 0]
+
+
+@njit(cache=True)
+def _height_difference(heights):
+    nx, ny = heights.shape
+    result = np.zeros((nx, ny), dtype=np.float32)
+    for x in range(nx):
+        for y in range(ny):
+            h = heights[x, y]
+            largest = np.float32(0)
+            for i in range(max(x - 1, 0), min(x + 2, nx)):
+                for j in range(max(y - 1, 0), min(y + 2, ny)):
+                    d = abs(heights[i, j] - h)
+                    if d > largest:  # false for NaN: unknown neighbours do not count
+                        largest = d
+            result[x, y] = largest
+    return result
+
+
+@njit(cache=True)
+def _unevenness(difference, weights):
+    # Most of a map is even, so each uneven cell spreads to its surroundings rather than each cell gathering from them.
+    nx, ny = difference.shape
+    total = np.zeros((nx, ny), dtype=np.float64)
+    for x in range(nx):
+        for y in range(ny):
+            d = np.float64(difference[x, y])
+            if d > 0:
+                for k in range(len(weights)):
+                    i, j = x + int(weights[k, 0]), y + int(weights[k, 1])
+                    if 0 <= i < nx and 0 <= j < ny:
+                        total[i, j] += d * weights[k, 2]
+    return total.astype(np.float32)
+
+
+@njit(cache=True)
+def _near(mask, offsets):
+    nx, ny = mask.shape
+    result = np.zeros((nx, ny), dtype=np.bool_)
+    for x in range(nx):
+        for y in range(ny):
+            if mask[x, y]:
+                for k in range(len(offsets)):
+                    i, j = x + offsets[k, 0], y + offsets[k, 1]
+                    if 0 <= i < nx and 0 <= j < ny:
+                        result[i, j] = True
+    return result

@@ -1,0 +1,252 @@
+"""A terrain and a robot, compiled into the arrays that the search kernels read.
+
+The maps are one-dimensional with a border on which no foot can stand, so that no kernel tests bounds. What depends on the
+base alone (body collision, terrain under the body) is computed when a pose is first seen and kept.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from scipy.ndimage import maximum_filter
+
+from hdsp.costs import CostMaps, cost_maps
+from hdsp.detailed.geometry import (
+    MOVE_SAMPLES,
+    base_cells,
+    base_shifts,
+    foot_cells,
+    rectangle_cells,
+    step_line,
+)
+from hdsp.heightmap import HeightMap
+from hdsp.lattice import DRIVE_MOVES, HEADINGS, RESOLUTION, cells, heading_angle
+from hdsp.robot import Robot
+
+
+class Tables(NamedTuple):
+    """What depends on the robot and the row length of the padded map, not on the terrain."""
+
+    feet: np.ndarray  # int32 [64 * 4 * offsets * samples], foot cell relative to base cell
+    n_offsets: int
+    n_samples: int
+    lowest: int  # smallest foot offset, steps
+    move_dx: np.ndarray  # int64 [20]
+    move_dy: np.ndarray
+    move_flat: np.ndarray  # int64 [20]
+    move_length: np.ndarray  # float64 [20], metres
+    move_first: np.ndarray  # int64 [20]
+    move_count: np.ndarray
+    deviation: np.ndarray  # float64 [64, 20], factor on driving
+    base_sample: np.ndarray  # int64 [samples]
+    shifts: np.ndarray  # int64 [64, 3]
+    line: np.ndarray  # int64 [64, longest step + 1]
+    box_cells: np.ndarray  # int64 [boxes, 64, n]
+    box_count: np.ndarray  # int64 [boxes, 64]
+    box_above: np.ndarray  # float32 [boxes]
+    under_cells: np.ndarray  # int64 [64, n]
+    under_count: np.ndarray  # int64 [64]
+
+
+class Constants(NamedTuple):
+    """Scalars of the cost model, in metres and unitless costs."""
+
+    unevenness: float
+    turn: float
+    turn_unevenness: float
+    foot_move: float
+    base_shift: float
+    step: float
+    step_per_metre: float
+    step_per_height: float
+    step_max_height: float
+    step_max_clearance: float
+    support_margin: float
+    neutral_x: float
+    neutral_y: float
+    min_separation: int
+
+
+class World(NamedTuple):
+    """Terrain of nx x ny cells with a border of ``pad`` cells around it; flat index ``(ix + pad) * stride + iy + pad``."""
+
+    nx: int
+    ny: int
+    pad: int
+    stride: int
+    foot: np.ndarray  # float32 flat: S where a foot can stand, inf elsewhere
+    uneven: np.ndarray  # float32 flat: S everywhere, 0 outside
+    height: np.ndarray  # float32 flat; -inf where unknown
+    window_height: np.ndarray  # float32 flat: highest cell within the body's reach
+    window_uneven: np.ndarray  # float32 flat: largest S within the body's reach
+    steps: np.ndarray  # uint64 flat: bit h set if a foot here can step toward heading h
+    base: np.ndarray  # float32 [64 * cells]: 1 + largest S under the body, inf on collision, 0 = not yet computed
+    tables: Tables
+    constants: Constants
+
+    def index(self, ix, iy):
+        """Flat index of a cell."""
+        return (ix + self.pad) * self.stride + iy + self.pad
+
+
+def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) -> World:
+    """Compile a terrain for a robot. ``maps`` saves computing the cost maps again."""
+    maps = maps or cost_maps(terrain, robot)
+    nx, ny = terrain.heights.shape
+    pad = math.ceil(cells(robot.reach())) + 4
+    stride = ny + 2 * pad
+    heights = np.where(np.isnan(terrain.heights), -np.inf, terrain.heights).astype(np.float32)
+    foot = np.where(maps.standable, maps.unevenness, np.inf).astype(np.float32)
+    window = 2 * math.ceil(_body_reach(robot)) + 1
+
+    def padded(values, border):
+        return np.pad(values, pad, constant_values=border).astype(np.float32).ravel()
+
+    tables = _tables(robot, stride)
+    constants = _constants(robot)
+    height, foot_flat = padded(heights, -np.inf), padded(foot, np.inf)
+    steps = _possible_steps(foot_flat, height, tables.line, constants.step_max_height, constants.step_max_clearance)
+    return World(
+        nx=nx,
+        ny=ny,
+        pad=pad,
+        stride=stride,
+        foot=foot_flat,
+        uneven=padded(maps.unevenness, 0.0),
+        height=height,
+        window_height=padded(maximum_filter(heights, window, mode="constant", cval=-np.inf), -np.inf),
+        window_uneven=padded(maximum_filter(maps.unevenness, window, mode="constant", cval=0.0), 0.0),
+        steps=steps,
+        base=np.zeros(HEADINGS * len(foot_flat), dtype=np.float32),
+        tables=tables,
+        constants=constants,
+    )
+
+
+def _body_reach(robot: Robot) -> float:
+    rectangles = (*robot.body.boxes, robot.body.unevenness)
+    return max(cells(math.hypot(max(abs(r.x_min), abs(r.x_max)), r.half_width)) for r in rectangles)
+
+
+def _constants(robot: Robot) -> Constants:
+    step = robot.step
+    return Constants(
+        unevenness=robot.drive.unevenness_cost,
+        turn=robot.turn.cost,
+        turn_unevenness=robot.turn.unevenness_cost,
+        foot_move=robot.foot_move.cost_per_metre * RESOLUTION,
+        base_shift=robot.base_shift.cost_per_metre * RESOLUTION,
+        step=step.cost,
+        step_per_metre=step.cost_per_metre,
+        step_per_height=step.cost_per_height,
+        step_max_height=step.max_height,
+        step_max_clearance=step.max_clearance,
+        support_margin=cells(step.support_margin),
+        neutral_x=cells(robot.feet.neutral_x),
+        neutral_y=cells(robot.feet.neutral_y),
+        min_separation=math.ceil(cells(robot.feet.min_separation) - 1e-9),
+    )
+
+
+@lru_cache(maxsize=16)
+def _tables(robot: Robot, stride: int) -> Tables:
+    def flat(offsets):
+        return offsets[..., 0] * stride + offsets[..., 1]
+
+    feet = flat(foot_cells(robot))
+    under = [flat(rectangle_cells(robot.body.unevenness, h)) for h in range(HEADINGS)]
+    boxes = [[flat(rectangle_cells(box, h)) for h in range(HEADINGS)] for box in robot.body.boxes]
+    widest = max((len(c) for box in boxes for c in box), default=0)
+    box_cells = np.zeros((len(boxes), HEADINGS, widest), dtype=np.int64)
+    for i, box in enumerate(boxes):
+        for h, offsets in enumerate(box):
+            box_cells[i, h, : len(offsets)] = offsets
+    under_cells = np.zeros((HEADINGS, max(map(len, under))), dtype=np.int64)
+    for h, offsets in enumerate(under):
+        under_cells[h, : len(offsets)] = offsets
+    travel = np.arctan2(DRIVE_MOVES[:, 1], DRIVE_MOVES[:, 0])
+    turned = travel[None, :] - heading_angle(np.arange(HEADINGS))[:, None]
+    deviation = abs(np.mod(turned + math.pi, 2 * math.pi) - math.pi)
+    factor = np.vectorize(robot.drive.deviation_cost)(np.round(deviation, 12))
+    return Tables(
+        feet=np.ascontiguousarray(feet.astype(np.int32).ravel()),
+        n_offsets=feet.shape[2],
+        n_samples=feet.shape[3],
+        lowest=robot.offset_range()[0],
+        move_dx=DRIVE_MOVES[:, 0].copy(),
+        move_dy=DRIVE_MOVES[:, 1].copy(),
+        move_flat=flat(DRIVE_MOVES),
+        move_length=np.hypot(DRIVE_MOVES[:, 0], DRIVE_MOVES[:, 1]) * RESOLUTION,
+        move_first=MOVE_SAMPLES.first,
+        move_count=MOVE_SAMPLES.count,
+        deviation=factor,
+        base_sample=flat(base_cells()),
+        shifts=base_shifts(),
+        line=flat(step_line(robot)),
+        box_cells=box_cells,
+        box_count=np.array([[len(c) for c in box] for box in boxes], dtype=np.int64).reshape(len(boxes), HEADINGS),
+        box_above=np.array([box.above for box in robot.body.boxes], dtype=np.float32),
+        under_cells=under_cells,
+        under_count=np.array([len(c) for c in under], dtype=np.int64),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _possible_steps(foot, height, line, max_height, max_clearance):
+    """For each cell the headings toward which a foot that stands there can step over an edge; uint64 flat."""
+    n_headings, reach = line.shape
+    result = np.zeros(len(foot), dtype=np.uint64)
+    longest = np.max(np.abs(line))
+    for p in range(longest, len(foot) - longest):
+        if foot[p] == np.inf:
+            continue
+        for h in range(n_headings):
+            edge = False
+            highest = height[p]
+            for n in range(1, reach):
+                q = p + line[h, n]
+                highest = max(highest, height[q])
+                if foot[q] == np.inf:
+                    edge = True
+                elif edge and step_fits(height[p], height[q], highest, max_height, max_clearance):
+                    result[p] |= np.uint64(1) << np.uint64(h)
+                    break
+    return result
+
+
+@njit(cache=True, inline="always")
+def step_fits(before, after, highest, max_height, max_clearance):
+    """Whether a foot can be lifted from height ``before`` over ``highest`` to ``after`` (all m)."""
+    return abs(after - before) <= max_height and highest - min(before, after) <= max_clearance
+
+
+@njit(cache=True, error_model="numpy")
+def base_term(world, heading, p):
+    """Largest S under the body at flat cell ``p``, or inf where the body collides or leaves the map."""
+    slot = heading * len(world.foot) + p
+    known = world.base[slot]
+    if known == 0:
+        known = np.float32(1) + _compute_base_term(world, heading, p)
+        world.base[slot] = known
+    return known - np.float32(1)
+
+
+@njit(cache=True, error_model="numpy")
+def _compute_base_term(world, heading, p):
+    ground = world.height[p]
+    tables = world.tables
+    if ground == -np.inf:
+        return np.float32(np.inf)
+    for b in range(len(tables.box_above)):
+        limit = ground + tables.box_above[b]
+        if world.window_height[p] > limit:
+            for k in range(tables.box_count[b, heading]):
+                if world.height[p + tables.box_cells[b, heading, k]] > limit:
+                    return np.float32(np.inf)
+    largest = np.float32(0)
+    if world.window_uneven[p] > 0:
+        for k in range(tables.under_count[heading]):
+            largest = max(largest, world.uneven[p + tables.under_cells[heading, k]])
+    return largest

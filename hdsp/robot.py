@@ -1,0 +1,225 @@
+"""The robot as data: geometry, limits and cost constants. Presets are YAML files in ``hdsp/robots``.
+
+To add a robot, write one YAML file like ``robots/momaro.yaml`` and pass its path wherever a robot is named.
+"""
+
+import hashlib
+import json
+import math
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import numpy as np
+import yaml
+
+from hdsp.errors import InputError
+from hdsp.lattice import RESOLUTION, offset_steps
+
+#: Order of the feet in every array that has an axis of four.
+FEET = ("front_left", "rear_left", "rear_right", "front_right")
+
+
+@dataclass(frozen=True)
+class Feet:
+    """Where the feet are (m, robot frame) and how much room they need."""
+
+    neutral_x: float
+    neutral_y: float
+    offset_min: float
+    offset_max: float
+    clearance: float
+    min_separation: float
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A rectangle in the robot frame, m: x in [x_min, x_max], |y| <= half_width."""
+
+    x_min: float
+    x_max: float
+    half_width: float
+
+
+@dataclass(frozen=True)
+class Box(Rectangle):
+    """A rectangle over which no ground may rise more than ``above`` metres over the ground under the base centre."""
+
+    above: float
+
+
+@dataclass(frozen=True)
+class Body:
+    boxes: tuple[Box, ...]
+    unevenness: Rectangle
+
+
+@dataclass(frozen=True)
+class DeviationCost:
+    """Factor on driving by the angle between heading and direction of travel (rad): 1 ahead, ``side`` between
+    ``side_from`` and ``side_to``, ``behind`` at pi, linear in between."""
+
+    ahead: float
+    side: float
+    behind: float
+    side_from: float
+    side_to: float
+
+    def __call__(self, deviation: float) -> float:
+        knots = [0.0, self.side_from, self.side_to, math.pi]
+        return float(np.interp(deviation, knots, [self.ahead, self.side, self.side, self.behind]))
+
+
+@dataclass(frozen=True)
+class Drive:
+    max_height_difference: float
+    unevenness_radius: float
+    unevenness_cost: float
+    deviation_cost: DeviationCost
+
+
+@dataclass(frozen=True)
+class Turn:
+    cost: float
+    unevenness_cost: float
+
+
+@dataclass(frozen=True)
+class FootMove:
+    cost_per_metre: float
+
+
+@dataclass(frozen=True)
+class BaseShift:
+    cost_per_metre: float
+
+
+@dataclass(frozen=True)
+class Step:
+    max_length: float
+    max_height: float
+    max_clearance: float
+    cost: float
+    cost_per_metre: float
+    cost_per_height: float
+    support_margin: float
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Everything the planner knows about a robot.
+
+    Convention: metres and radians in the robot frame, x forward, y left; feet in the order of ``FEET``.
+    """
+
+    name: str
+    feet: Feet
+    body: Body
+    drive: Drive
+    turn: Turn
+    foot_move: FootMove
+    base_shift: BaseShift
+    step: Step
+
+    @classmethod
+    def load(cls, source: "str | Path | dict | Robot") -> "Robot":
+        """A robot from the name of a preset, the path of a YAML file, or a mapping with the same keys.
+
+        Raises:
+            InputError: for an unknown preset, a missing file, an unknown or missing key, or a value out of range.
+        """
+        if isinstance(source, Robot):
+            return source
+        if isinstance(source, str | Path):
+            source = _read_yaml(source)
+        robot = _build(cls, source, "robot")
+        _check(robot)
+        return robot
+
+    @staticmethod
+    def presets() -> list[str]:
+        """Names of the robots that come with the package."""
+        return sorted(f.name[:-5] for f in resources.files("hdsp.robots").iterdir() if f.name.endswith(".yaml"))
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+    def hash(self) -> str:
+        """Hex digest of all values; equal robots have equal hashes on any machine."""
+        return hashlib.sha256(json.dumps(self.to_dict(), sort_keys=True).encode()).hexdigest()
+
+    def neutral_feet(self) -> np.ndarray:
+        """Neutral foot positions (x, y) in the robot frame, float64 [4, 2], m."""
+        x, y = self.feet.neutral_x, self.feet.neutral_y
+        return np.array([(x, y), (-x, y), (-x, -y), (x, -y)])
+
+    def offset_range(self) -> tuple[int, int]:
+        """Smallest and largest foot offset, in lattice steps."""
+        low, high = offset_steps([self.feet.offset_min, self.feet.offset_max])
+        return int(low), int(high)
+
+    def reach(self) -> float:
+        """Distance (m) from the base centre beyond which no part of the robot, nor a foothold, ever is."""
+        x = self.feet.neutral_x + max(self.feet.offset_max, -self.feet.offset_min) + self.step.max_length
+        corners = [math.hypot(max(abs(b.x_min), abs(b.x_max)), b.half_width) for b in (*self.body.boxes, self.body.unevenness)]
+        return max(math.hypot(x, self.feet.neutral_y), *corners)
+
+
+def _read_yaml(source: str | Path) -> dict:
+    path = Path(source)
+    if path.suffix in (".yaml", ".yml"):
+        if not path.is_file():
+            raise InputError(f"robot file {path} does not exist")
+        text = path.read_text()
+    elif str(source) in Robot.presets():
+        text = resources.files("hdsp.robots").joinpath(f"{source}.yaml").read_text()
+    else:
+        raise InputError(f"unknown robot {str(source)!r}: presets are {', '.join(Robot.presets())}, or give a .yaml file")
+    return yaml.safe_load(text)
+
+
+def _build(kind: type, values: Any, where: str):
+    """Build a (nested) dataclass from plain values, naming any key that does not fit."""
+    if not isinstance(values, dict):
+        raise InputError(f"{where}: need a mapping, got {values!r}")
+    names = {f.name for f in fields(kind)}
+    if unknown := sorted(set(values) - names):
+        raise InputError(f"{where}: unknown key {unknown[0]!r}; allowed are {', '.join(sorted(names))}")
+    if missing := sorted(names - set(values)):
+        raise InputError(f"{where}: key {missing[0]!r} is missing")
+    hints = get_type_hints(kind)
+    return kind(**{name: _convert(hints[name], values[name], f"{where}.{name}") for name in names})
+
+
+def _convert(hint: Any, value: Any, where: str):
+    if is_dataclass(hint):
+        return _build(hint, value, where)
+    if hint == tuple[Box, ...]:
+        return tuple(_build(Box, item, f"{where}[{i}]") for i, item in enumerate(value))
+    if hint is float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise InputError(f"{where}: need a finite number, got {value!r}")
+        return float(value)
+    return hint(value)
+
+
+def _check(robot: Robot) -> None:
+    low, high = robot.offset_range()
+    positive = {
+        "feet.neutral_x": robot.feet.neutral_x,
+        "feet.neutral_y": robot.feet.neutral_y,
+        "drive.max_height_difference": robot.drive.max_height_difference,
+        "drive.deviation_cost.ahead": robot.drive.deviation_cost.ahead,
+        "turn.cost": robot.turn.cost,
+        "foot_move.cost_per_metre": robot.foot_move.cost_per_metre,
+        "base_shift.cost_per_metre": robot.base_shift.cost_per_metre,
+    }
+    for name, value in positive.items():
+        if value <= 0:
+            raise InputError(f"robot.{name} is {value:g}; it must be positive")
+    if not (low <= 0 <= high and high - low < 32):
+        raise InputError(
+            f"robot.feet: offsets {robot.feet.offset_min:g} to {robot.feet.offset_max:g} m must include 0 "
+            f"and span less than {32 * RESOLUTION:g} m"
+        )
