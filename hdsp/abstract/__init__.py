@@ -1,0 +1,5 @@
+"""The abstract representation: costs of abstract actions, their search, and the way from and to detailed states."""
+
+from hdsp.abstract.dijkstra import PreparedGraph, cost_to_go
+
+__all__ = ["PreparedGraph", "cost_to_go"]

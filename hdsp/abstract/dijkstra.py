@@ -1,0 +1,222 @@
+"""Cost-to-go over the abstract graph: a backward one-to-any Dijkstra search (paper, Sec. IV-E).
+
+One goal, every state: a single search from the goal over predecessors gives each abstract state the cost of its
+cheapest way to the goal. The kernel uses a ring of buckets instead of a heap: with buckets no wider than the cheapest
+edge, nothing inside a bucket can improve anything else in it, so no order inside is needed. Where that would take too
+many buckets they are made wider, and a state that improves after its visit is visited again: same distances.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from hdsp.abstract.prefetch import prefetch
+from hdsp.errors import InputError
+from hdsp.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, DRIVE_MOVES, N_ABSTRACT_ACTIONS
+
+N_DRIVE = len(DRIVE_MOVES)  # the abstract actions are these moves, then the turns
+MAX_BUCKETS = 256  # a power of two; more of them take memory, fewer only repeat a few visits
+
+
+def cost_to_go(edges: np.ndarray, goal_abstract: tuple[int, int, int]) -> np.ndarray:
+    """Cost of the cheapest abstract path from every abstract state to one goal.
+
+    Convention: states are indexed `[heading, ix, iy]`, the goal is given as `(ix, iy, heading)`.
+
+    Args:
+        edges: float32 [16, nx, ny, 22], costs of the abstract actions as `AbstractCosts.edges` returns them;
+            `edges[k, a, b, m]` leads from `(a, b, k)` to `(a + dx, b + dy, (k + dtheta) % 16)`, inf = infeasible.
+        goal_abstract: abstract cell and heading `(ix, iy, heading)` of the goal.
+
+    Returns:
+        float32 [16, nx, ny]; 0 at the goal, inf where no feasible path leads to it. Sums are accumulated in float64
+        from the goal outwards and rounded once at the end.
+
+    Raises:
+        InputError: the edges have a wrong shape, a negative or a NaN cost, or the goal lies outside the map.
+
+    For many goals on one map build a `PreparedGraph` once and ask it.
+    """
+    return PreparedGraph.from_edges(edges).cost_to_go(goal_abstract)
+
+
+@dataclass(frozen=True)
+class PreparedGraph:
+    """The edges of one map stored by the state they lead to, ready for any number of goals.
+
+    `incoming[k, a, b, m]` is the cost of action m from the state it starts in, so that one row holds all edges a
+    backward search looks at when it visits a state; inf where that state lies outside the map.
+    """
+
+    incoming: np.ndarray
+    cheapest: float
+    dearest: float
+
+    @classmethod
+    def from_edges(cls, edges: np.ndarray) -> PreparedGraph:
+        """Inverts `edges` (float32 [16, nx, ny, 22], see `cost_to_go`); raises InputError as `cost_to_go` does."""
+        edges = np.ascontiguousarray(edges, dtype=np.float32)
+        if edges.ndim != 4 or edges.shape[0] != ABSTRACT_HEADINGS or edges.shape[3] != len(ABSTRACT_ACTIONS):
+            raise InputError(
+                f"abstract edges have shape {edges.shape}, expected "
+                f"({ABSTRACT_HEADINGS}, nx, ny, {len(ABSTRACT_ACTIONS)})"
+            )
+        incoming, cheapest, dearest, valid = _invert(edges, ABSTRACT_ACTIONS)
+        if not valid:
+            worst = edges[~(edges >= 0)][0]
+            raise InputError(f"abstract edges contain the cost {worst}, costs must be >= 0 (inf = infeasible)")
+        return cls(incoming, float(cheapest), float(dearest))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Abstract cells along x and y."""
+        return self.incoming.shape[1], self.incoming.shape[2]
+
+    def cost_to_go(self, goal_abstract: tuple[int, int, int]) -> np.ndarray:
+        """Float32 [16, nx, ny] cost from every state to the goal `(ix, iy, heading)`; see `hdsp.abstract.cost_to_go`."""
+        ix, iy, heading = (int(value) for value in goal_abstract)
+        nx, ny = self.shape
+        if not (0 <= ix < nx and 0 <= iy < ny and 0 <= heading < ABSTRACT_HEADINGS):
+            raise InputError(
+                f"abstract goal {(ix, iy, heading)} lies outside the map: allowed are ix < {nx}, iy < {ny}, "
+                f"heading < {ABSTRACT_HEADINGS}, none negative"
+            )
+        width, buckets = self._buckets()
+        queue = _Queue.starting_at((heading * nx + ix) * ny + iy, ABSTRACT_HEADINGS * nx * ny, self._margin, buckets)
+        while not _search(self.incoming.reshape(-1), self._offsets, queue, self._margin, 1.0 / width):
+            queue = queue.with_more_room()
+        inside = queue.distance[self._margin : len(queue.distance) - self._margin]
+        return inside.astype(np.float32).reshape(ABSTRACT_HEADINGS, nx, ny)
+
+    @property
+    def _margin(self) -> int:
+        """States kept free at both ends of the flat arrays, so that a move across the border of the map stays in them."""
+        return int(np.abs(self._offsets[:N_DRIVE]).max())
+
+    @property
+    def _offsets(self) -> np.ndarray:
+        """Flat index differences, int64 [22], from a state to its predecessor by each action."""
+        nx, ny = self.shape
+        return -((ABSTRACT_ACTIONS[:, 2] * nx + ABSTRACT_ACTIONS[:, 0]) * ny + ABSTRACT_ACTIONS[:, 1])
+
+    def _buckets(self) -> tuple[float, int]:
+        """Width and number of the buckets in the ring, which must span the dearest edge; the number is a power of two."""
+        if not self.dearest > 0:  # no finite edge, or only free ones
+            return 1.0, 2
+        # A hair below the cheapest edge, so that rounding cannot put a successor into the bucket of its origin.
+        width = max(self.cheapest * (1 - 1e-6), self.dearest / (MAX_BUCKETS - 3))
+        return width, 1 << (int(self.dearest / width) + 2).bit_length()
+
+
+class _Queue(NamedTuple):
+    """State of a search. Flat arrays over states begin and end with a margin of states that are never reached."""
+
+    distance: np.ndarray  # float64 [margin + states + margin]
+    visited: np.ndarray  # bool, like distance: whether it was visited at its present distance
+    entries: np.ndarray  # uint32 [buckets, room], flat indices of states that wait
+    filled: np.ndarray  # int64 [buckets]
+    current: np.ndarray  # int64 [1], the bucket being emptied
+
+    @classmethod
+    def starting_at(cls, goal: int, states: int, margin: int, buckets: int) -> _Queue:
+        distance = np.full(states + 2 * margin, np.inf)
+        distance[goal + margin] = 0.0
+        entries = np.empty((buckets, max(2 * N_ABSTRACT_ACTIONS, states // buckets)), np.uint32)
+        entries[0, 0] = goal + margin
+        filled = np.zeros(buckets, np.int64)
+        filled[0] = 1
+        return cls(distance, np.zeros(len(distance), np.bool_), entries, filled, np.zeros(1, np.int64))
+
+    def with_more_room(self) -> _Queue:
+        return self._replace(entries=np.concatenate([self.entries, np.empty_like(self.entries)], axis=1))
+
+
+@njit(cache=True)
+def _invert(edges, actions):
+    """Edges by the state they lead to, smallest and largest finite cost, and whether all costs are >= 0."""
+    headings, nx, ny, count = edges.shape
+    incoming = np.full((headings, nx, ny, count), np.float32(np.inf), np.float32)
+    cheapest = np.inf
+    dearest = 0.0
+    valid = True
+    for k in range(headings):
+        for a in range(nx):
+            for b in range(ny):
+                for m in range(count):
+                    cost = edges[k, a, b, m]
+                    if not cost >= 0:
+                        valid = False
+                    if cost < np.inf:
+                        to_a = a + actions[m, 0]
+                        to_b = b + actions[m, 1]
+                        if 0 <= to_a < nx and 0 <= to_b < ny:
+                            incoming[(k + actions[m, 2]) % headings, to_a, to_b, m] = cost
+                            cheapest = min(cheapest, np.float64(cost))
+                            dearest = max(dearest, np.float64(cost))
+    return incoming, cheapest, dearest, valid
+
+
+@njit(cache=True, error_model="numpy")
+def _search(incoming, offsets, queue, margin, per_width):
+    """Empties the queue; returns False if a bucket may be too small for the next visit, and goes on when called again.
+
+    Indices are unsigned because numba then leaves out its test for negative ones. An edge from outside the map costs
+    inf, so that the comparison of distances is the only test in the inner loop.
+    """
+    distance, visited, entries, filled, current_bucket = queue
+    states = np.int64(len(distance) - 2 * margin)
+    count = np.uint64(len(offsets))
+    buckets, room = entries.shape
+    mask = np.int64(buckets - 1)
+    current = current_bucket[0]
+    fullest = filled.max()
+    last = fullest  # entries of the current bucket
+    while True:
+        empty = 0
+        while empty < buckets and filled[current] == 0:
+            current = (current + 1) & mask
+            empty += 1
+        if empty == buckets:
+            return True
+        place = 0
+        last = filled[current]
+        while place < last:
+            if fullest + N_ABSTRACT_ACTIONS > room:
+                fullest = filled.max()
+                if fullest + N_ABSTRACT_ACTIONS > room:
+                    current_bucket[0] = current  # its entries stay: visited ones are skipped the next time
+                    return False
+            state = np.uint64(entries[np.uint64(current), np.uint64(place)])
+            place += 1
+            if place + 1 < last:
+                ahead = (np.uint64(entries[np.uint64(current), np.uint64(place + 1)]) - np.uint64(margin)) * count
+                prefetch(incoming, ahead)
+                prefetch(incoming, ahead + count - np.uint64(1))
+            if visited[state]:
+                continue
+            visited[state] = True
+            base = distance[state]
+            row = (state - np.uint64(margin)) * count
+            for action in range(N_ABSTRACT_ACTIONS):
+                index = np.int64(state) + offsets[np.uint64(action)]
+                if action >= N_DRIVE:  # turns: headings are a circle
+                    if index < margin:
+                        index += states
+                    elif index >= states + margin:
+                        index -= states
+                reached = base + np.float64(incoming[row + np.uint64(action)])
+                target = np.uint64(index)
+                if reached < distance[target]:
+                    distance[target] = reached
+                    visited[target] = False
+                    bucket = np.uint64(np.int64(reached * per_width) & mask)
+                    end = filled[bucket]
+                    entries[bucket, np.uint64(end)] = target
+                    filled[bucket] = end + 1
+                    fullest = max(fullest, end + 1)
+            last = filled[current]
+        filled[current] = 0

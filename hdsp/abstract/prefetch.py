@@ -1,0 +1,32 @@
+"""A hint to the processor, for kernels that wait for memory: load this array element into the cache, do not wait for it."""
+
+from llvmlite import ir
+from numba import config, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+_READ, _KEEP, _DATA = 0, 3, 1  # arguments of LLVM's prefetch
+
+
+@intrinsic
+def _prefetch(context, array, index):
+    def generate(context, builder, signature, arguments):
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        pointer = ir.PointerType(ir.IntType(8))
+        word = ir.IntType(32)
+        hint = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(ir.VoidType(), [pointer, word, word, word]), "llvm.prefetch.p0"
+        )
+        address = builder.bitcast(builder.gep(data, [arguments[1]]), pointer)
+        builder.call(hint, [address, word(_READ), word(_KEEP), word(_DATA)])
+        return context.get_dummy_value()
+
+    return types.void(array, index), generate
+
+
+def _no_prefetch(array, index):
+    """Without the JIT there is nothing to prefetch into."""
+
+
+#: `prefetch(array, index)` for a contiguous 1-D array, inside `@njit` functions only; the index must be in bounds.
+prefetch = _no_prefetch if config.DISABLE_JIT else _prefetch

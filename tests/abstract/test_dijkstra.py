@@ -1,0 +1,105 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.dijkstra import reversed_csr
+from hdsp.abstract import PreparedGraph, cost_to_go
+from hdsp.errors import InputError
+from hdsp.lattice import ABSTRACT_ACTIONS
+from tests import naive_abstract
+
+
+def random_edges(seed, nx, ny, blocked=0.3, spread=1.0, free=0.0):
+    """Edges with a share of infeasible and of free ones; a large `spread` makes cheap edges much cheaper than dear ones."""
+    rng = np.random.default_rng(seed)
+    edges = (rng.uniform(0.01, 1.0, (16, nx, ny, 22)) ** spread).astype(np.float32)
+    edges[rng.random(edges.shape) < free] = 0.0
+    edges[rng.random(edges.shape) < blocked] = np.inf
+    return edges
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    shape=st.tuples(st.integers(1, 6), st.integers(1, 6)),
+    blocked=st.sampled_from([0.0, 0.3, 0.8, 0.95]),
+    spread=st.sampled_from([1.0, 3.0, 8.0]),
+    free=st.sampled_from([0.0, 0.1]),
+    data=st.data(),
+)
+def test_equals_the_textbook(seed, shape, blocked, spread, free, data):
+    edges = random_edges(seed, *shape, blocked=blocked, spread=spread, free=free)
+    goal = tuple(data.draw(st.integers(0, size - 1)) for size in (*shape, 16))
+    expected = naive_abstract.cost_to_go(edges, goal)
+    np.testing.assert_array_equal(cost_to_go(edges, goal), expected.astype(np.float32))
+
+
+@pytest.mark.parametrize("spread", [1.0, 30.0])
+def test_equals_scipy_on_a_larger_map(spread):
+    from scipy.sparse.csgraph import dijkstra
+
+    edges = random_edges(7, 31, 24, spread=spread)
+    goal = (11, 5, 3)
+    expected = dijkstra(reversed_csr(edges), indices=(3 * 31 + 11) * 24 + 5).reshape(16, 31, 24)
+    np.testing.assert_array_equal(cost_to_go(edges, goal), expected.astype(np.float32))
+
+
+def test_follows_actions_forwards_from_the_start():
+    edges = np.full((16, 5, 4, 22), np.inf, np.float32)
+    ahead = 0
+    edges[2, 1, 2, ahead] = 0.25  # the only feasible action: from (1, 2) to (2, 2) with heading 2
+    assert tuple(ABSTRACT_ACTIONS[ahead]) == (1, 0, 0)
+    distance = cost_to_go(edges, (2, 2, 2))
+    assert distance[2, 1, 2] == 0.25
+    assert np.isinf(cost_to_go(edges, (1, 2, 2))[2, 2, 2])
+    assert np.isfinite(distance).sum() == 2
+
+
+def test_headings_are_a_circle():
+    edges = np.full((16, 1, 1, 22), np.inf, np.float32)
+    edges[:, 0, 0, 20] = 1.0  # only counter-clockwise turns
+    np.testing.assert_array_equal(cost_to_go(edges, (0, 0, 0))[:, 0, 0], [0, *range(15, 0, -1)])
+    edges[:, 0, 0, 21] = 1.0
+    np.testing.assert_array_equal(cost_to_go(edges, (0, 0, 0))[:, 0, 0], [min(k, 16 - k) for k in range(16)])
+
+
+def test_a_prepared_graph_serves_many_goals():
+    edges = random_edges(3, 6, 5)
+    graph = PreparedGraph.from_edges(edges)
+    assert graph.shape == (6, 5)
+    for goal in [(0, 0, 0), (5, 4, 15), (3, 2, 7)]:
+        np.testing.assert_array_equal(graph.cost_to_go(goal), cost_to_go(edges, goal))
+
+
+def test_a_map_without_feasible_edges_is_infinite_but_for_the_goal():
+    distance = cost_to_go(np.full((16, 3, 4, 22), np.inf, np.float32), (1, 2, 3))
+    assert distance[3, 1, 2] == 0
+    assert np.isinf(distance).sum() == distance.size - 1
+
+
+@pytest.mark.parametrize("bad", [-0.5, np.nan])
+def test_refuses_costs_that_are_no_costs(bad):
+    edges = random_edges(1, 3, 3)
+    edges[4, 1, 1, 3] = bad
+    with pytest.raises(InputError, match="cost"):
+        cost_to_go(edges, (0, 0, 0))
+
+
+def test_refuses_a_wrong_shape_and_a_goal_outside():
+    with pytest.raises(InputError, match="shape"):
+        cost_to_go(np.ones((8, 3, 3, 22), np.float32), (0, 0, 0))
+    with pytest.raises(InputError, match="outside the map"):
+        cost_to_go(np.ones((16, 3, 3, 22), np.float32), (0, 3, 0))
+
+
+def test_a_search_that_outgrows_its_queue_goes_on(monkeypatch):
+    from hdsp.abstract import dijkstra
+
+    grown = []
+    more_room = dijkstra._Queue.with_more_room
+    monkeypatch.setattr(dijkstra._Queue, "with_more_room", lambda queue: grown.append(1) or more_room(queue))
+    edges = np.full((16, 40, 9, 22), 0.5, np.float32)  # equal costs: whole wave fronts share a bucket
+    expected = naive_abstract.cost_to_go(edges, (20, 4, 2)).astype(np.float32)
+    np.testing.assert_array_equal(cost_to_go(edges, (20, 4, 2)), expected)
+    assert grown

@@ -1,0 +1,39 @@
+"""Textbook twins of the abstract graph search: plain Python, slow, obvious."""
+
+import heapq
+
+import numpy as np
+
+from hdsp.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
+
+
+def successors(edges, state):
+    """(state, cost) pairs that the feasible actions lead to from `state` = (ix, iy, heading)."""
+    _, nx, ny, _ = edges.shape
+    ix, iy, heading = state
+    for action, (dx, dy, dtheta) in enumerate(ABSTRACT_ACTIONS.tolist()):
+        cost = float(edges[heading, ix, iy, action])
+        if np.isfinite(cost) and 0 <= ix + dx < nx and 0 <= iy + dy < ny:
+            yield (ix + dx, iy + dy, (heading + dtheta) % ABSTRACT_HEADINGS), cost
+
+
+def cost_to_go(edges, goal):
+    """Distances float64 [16, nx, ny] to `goal` = (ix, iy, heading): Dijkstra on the reversed graph, with a heap."""
+    _, nx, ny, _ = edges.shape
+    predecessors = {}
+    for heading, ix, iy in np.ndindex(ABSTRACT_HEADINGS, nx, ny):
+        for target, cost in successors(edges, (ix, iy, heading)):
+            predecessors.setdefault(target, []).append(((ix, iy, heading), cost))
+    distance = np.full((ABSTRACT_HEADINGS, nx, ny), np.inf)
+    distance[goal[2], goal[0], goal[1]] = 0.0
+    queue, closed = [(0.0, tuple(goal))], set()
+    while queue:
+        reached, state = heapq.heappop(queue)
+        if state in closed:
+            continue
+        closed.add(state)
+        for (ix, iy, heading), cost in predecessors.get(state, ()):
+            if reached + cost < distance[heading, ix, iy]:
+                distance[heading, ix, iy] = reached + cost
+                heapq.heappush(queue, (reached + cost, (ix, iy, heading)))
+    return distance
