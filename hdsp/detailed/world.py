@@ -86,9 +86,11 @@ class World(NamedTuple):
     tables: Tables
     constants: Constants
 
-    def index(self, ix, iy):
-        """Flat index of a cell."""
-        return (ix + self.pad) * self.stride + iy + self.pad
+
+@njit(cache=True, inline="always")
+def cell_index(world, ix, iy):
+    """Flat index of a cell of the map."""
+    return (ix + world.pad) * world.stride + iy + world.pad
 
 
 def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) -> World:
@@ -107,7 +109,10 @@ def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) 
     tables = _tables(robot, stride)
     constants = _constants(robot)
     height, foot_flat = padded(heights, -np.inf), padded(foot, np.inf)
-    steps = _possible_steps(foot_flat, height, tables.line, constants.step_max_height, constants.step_max_clearance)
+    longest = 2 * tables.line.shape[1] - 1
+    near_edge = np.pad(maximum_filter(~maps.standable, longest, mode="constant", cval=False), pad).ravel()
+    limits = constants.step_max_height, constants.step_max_clearance
+    steps = _possible_steps(foot_flat, height, near_edge, tables.line, *limits)
     return World(
         nx=nx,
         ny=ny,
@@ -194,13 +199,13 @@ def _tables(robot: Robot, stride: int) -> Tables:
 
 
 @njit(cache=True, error_model="numpy")
-def _possible_steps(foot, height, line, max_height, max_clearance):
+def _possible_steps(foot, height, near_edge, line, max_height, max_clearance):
     """For each cell the headings toward which a foot that stands there can step over an edge; uint64 flat."""
     n_headings, reach = line.shape
     result = np.zeros(len(foot), dtype=np.uint64)
     longest = np.max(np.abs(line))
     for p in range(longest, len(foot) - longest):
-        if foot[p] == np.inf:
+        if not near_edge[p] or foot[p] == np.inf:
             continue
         for h in range(n_headings):
             edge = False

@@ -1,0 +1,149 @@
+"""A relaxed problem of three dimensions: what the detailed search could at best do at each base pose.
+
+Every foot may stand anywhere in its reach at any time and moves for free, so a pose is possible if the body is free and
+each foot finds some foothold, and an edge costs no more than it does with the best feet. What cannot be reached here
+cannot be reached in seven dimensions, and costs here never exceed the true ones: this proves infeasibility and is an
+admissible, consistent heuristic (together with the term for the feet of ``estimate``, which counts other actions).
+"""
+
+import numpy as np
+from numba import njit
+
+from hdsp.detailed.actions import foot_row
+from hdsp.detailed.world import base_term, cell_index
+from hdsp.lattice import HEADINGS
+
+
+@njit(cache=True, error_model="numpy")
+def pose_costs(world, rules):
+    """Least state cost at each pose over all feet, float32 [64, nx, ny]; inf where no state is valid or allowed."""
+    t = world.tables
+    result = np.full((HEADINGS, world.nx, world.ny), np.inf, dtype=np.float32)
+    for heading in range(HEADINGS):
+        off = (heading - rules.heading_center + HEADINGS // 2) % HEADINGS - HEADINGS // 2
+        if abs(off) > rules.heading_window:
+            continue
+        for ix in range(world.nx):
+            for iy in range(world.ny):
+                p = cell_index(world, ix, iy)
+                base = np.float64(base_term(world, heading, p))
+                if base == np.inf:
+                    continue
+                total = 0.0
+                for foot in range(4):
+                    # The neutral offset first: on even ground nothing is better.
+                    best = world.foot[p + t.feet[foot_row(t, heading, foot, -t.lowest)]]
+                    for offset in range(t.n_offsets):
+                        if best == 0:
+                            break
+                        best = min(best, world.foot[p + t.feet[foot_row(t, heading, foot, offset)]])
+                    total += best
+                    base = max(base, np.float64(best))
+                result[heading, ix, iy] = 1.0 + world.constants.unevenness * (base + total)
+    return result
+
+
+@njit(cache=True, error_model="numpy")
+def _least_edge(world, rules, heading, action, from_cost, to_cost):
+    """Lower bound of the cost of a pose-changing action (0..19 drive, 20 turn, 21 base shift)."""
+    t = world.tables
+    if action < 20:
+        between = t.move_count[action]
+        return t.move_length[action] * t.deviation[heading, action] * (to_cost + between) / (between + 1)
+    if action == 20:
+        return world.constants.turn * rules.turn_cost_factor
+    dx, dy = t.shifts[heading, 0], t.shifts[heading, 1]
+    return world.constants.base_shift * np.sqrt(np.float64(dx * dx + dy * dy)) * 0.5 * (from_cost + to_cost)
+
+
+@njit(cache=True, error_model="numpy")
+def pose_distances(world, rules, costs, sources, backward, limit):
+    """One Dijkstra over poses from several of them at once.
+
+    Args:
+        world: terrain and robot.
+        rules: restrictions of the search.
+        costs: from ``pose_costs``.
+        sources: int64 [n, 3], (ix, iy, heading).
+        backward: costs to the sources instead of from them.
+        limit: poses farther than this stay inf.
+
+    Returns:
+        float32 [64, nx, ny]: least relaxed cost.
+    """
+    t = world.tables
+    distance = np.full((HEADINGS, world.nx, world.ny), np.inf, dtype=np.float32)
+    width = world.constants.turn * 0.999
+    for a in range(20):
+        width = min(width, t.move_length[a] * 0.999)
+    # Ring of buckets no wider than the smallest edge: everything in the current bucket is final.
+    ring = int(np.ceil(0.5 / width)) + 2
+    heads = np.full(ring, -1, dtype=np.int64)
+    capacity = max(1 << 14, 4 * len(sources))
+    entry, link = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
+    free, n = np.int64(-1), 0
+    waiting = len(sources)
+    for s in range(len(sources)):
+        h, x, y = sources[s, 2], sources[s, 0], sources[s, 1]
+        distance[h, x, y] = 0
+        entry[n], link[n] = (h * world.nx + x) * world.ny + y, heads[0]
+        heads[0] = n
+        n += 1
+    done = np.zeros(distance.size, dtype=np.bool_)
+    flat = distance.ravel()
+    bucket = 0
+    while waiting > 0:
+        b = bucket % ring
+        while heads[b] >= 0:
+            e = heads[b]
+            heads[b] = link[e]
+            here = entry[e]
+            link[e] = free
+            free = e
+            waiting -= 1
+            if done[here]:
+                continue
+            done[here] = True
+            h, rest = here // (world.nx * world.ny), here % (world.nx * world.ny)
+            x, y = rest // world.ny, rest % world.ny
+            d = np.float64(flat[here])
+            for action in range(24):
+                a, nh, nx, ny = _neighbour(t, h, x, y, action, backward)
+                if not (0 <= nx < world.nx and 0 <= ny < world.ny) or costs[nh, nx, ny] == np.inf:
+                    continue
+                there = (nh * world.nx + nx) * world.ny + ny
+                if done[there]:
+                    continue
+                if backward:
+                    new = d + _least_edge(world, rules, h, a, costs[nh, nx, ny], costs[h, x, y])
+                else:
+                    new = d + _least_edge(world, rules, h, a, costs[h, x, y], costs[nh, nx, ny])
+                if new < flat[there] and new <= limit:
+                    flat[there] = new
+                    if free >= 0:
+                        e = free
+                        free = link[e]
+                    else:
+                        if n == len(entry):
+                            entry = np.concatenate((entry, np.empty_like(entry)))
+                            link = np.concatenate((link, np.empty_like(link)))
+                        e = n
+                        n += 1
+                    slot = min(int(new / width), bucket + ring - 1) % ring
+                    entry[e], link[e] = there, heads[slot]
+                    heads[slot] = e
+                    waiting += 1
+        bucket += 1
+    return distance
+
+
+@njit(cache=True, inline="always")
+def _neighbour(t, h, x, y, action, backward):
+    """(kind, heading, ix, iy) of a pose's neighbour; actions 0..19 drive, 20/21 turn, 22/23 base shift."""
+    sign = -1 if backward else 1
+    if action < 20:
+        return action, h, x + sign * t.move_dx[action], y + sign * t.move_dy[action]
+    if action < 22:
+        return 20, (h + 1 if action == 20 else h + HEADINGS - 1) % HEADINGS, x, y
+    way = 1 if action == 22 else -1
+    return 21, h, x + way * t.shifts[h, 0], y + way * t.shifts[h, 1]
