@@ -1,0 +1,64 @@
+"""Stage `report`: both tables of the paper beside ours, in reports/tables.md and between the markers of README.md."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from hdsp.errors import InputError
+from hdsp.files import replacing
+from pipeline.stage import Folders, read_json, run_stage, write_json
+from pipeline.tables import abstraction_quality_table, heuristic_table
+
+BEGIN, END = "<!-- tables: written by `python -m pipeline.report` -->", "<!-- end of tables -->"
+
+
+def report(config: DictConfig, folders: Folders) -> None:
+    quality = read_json(folders.read("reports", "abstraction_quality.json"))
+    planning = read_json(folders.read("reports", "planning.json"))
+    training = read_json(folders.read("reports", "training.json"))
+    tables = abstraction_quality_table(quality, training) + "\n\n" + heuristic_table(planning) + "\n"
+    with replacing(folders.write("reports", "tables.md")) as path:
+        path.write_text(tables, encoding="utf-8")
+    write_json(folders.write("reports", "summary.json"), summary(quality, planning))
+    readme = folders.outputs / "README.md"
+    if readme.is_file():
+        put_between_markers(readme, tables)
+
+
+def summary(quality: dict[str, Any], planning: dict[str, Any]) -> dict[str, Any]:
+    """The headline numbers, for `dvc metrics show` and `dvc exp show`."""
+    accuracy: dict[str, Any] = {}
+    error: dict[str, Any] = {}
+    for name, values in quality["sets"].items():
+        if values["available"]:
+            accuracy[name] = {method: m["feasibility_accuracy"] for method, m in values["methods"].items()}
+            error[name] = {method: m["cost_error"] for method, m in values["methods"].items()}
+    speedup = {
+        heuristic: {f"W{float(weight):g}": values["speedup"] for weight, values in by_weight.items()}
+        for heuristic, by_weight in planning["summary"].items()
+        if heuristic != "geometric"
+    }
+    return {"feasibility_accuracy": accuracy, "cost_error": error, "speedup": speedup}
+
+
+def put_between_markers(readme: Path, tables: str) -> None:
+    """Replace what stands between the markers of the README.
+
+    Raises:
+        InputError: the README lacks a marker.
+    """
+    text = readme.read_text(encoding="utf-8")
+    if BEGIN not in text or END not in text:
+        raise InputError(f"{readme} lacks the markers {BEGIN} and {END}, between which the tables go")
+    before, rest = text.split(BEGIN, 1)
+    new = f"{before}{BEGIN}\n\n{tables}\n{END}{rest.split(END, 1)[1]}"
+    if new != text:
+        with replacing(readme) as path:
+            path.write_text(new, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    run_stage(report, "report")

@@ -1,0 +1,63 @@
+"""The learned abstraction as an MLflow model: `mlflow.pyfunc.load_model(uri).predict({"heights": ..., "goals": ...})`.
+
+Logged from code: this file defines the model when MLflow loads it, and the network comes from its safetensors. No pickle.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from hdsp.shards import TaskSet
+
+NAME = "abstraction"
+
+
+def log(mlflow: Any, abstraction_dir: Path, tasks: TaskSet) -> None:
+    """Log the abstraction with its signature to the current run.
+
+    Args:
+        mlflow: the module, inside a run.
+        abstraction_dir: `config.json` and `model.safetensors`.
+        tasks: any labelled maps; one serves as the input example.
+    """
+    from hdsp.learning.pretrained import LearnedAbstraction
+
+    example = {"heights": tasks.heights[:1], "goals": tasks.goals[:1]}
+    predictions = predict(LearnedAbstraction.from_pretrained(abstraction_dir), example)
+    mlflow.pyfunc.log_model(
+        name=NAME,
+        python_model=str(Path(__file__)),
+        artifacts={NAME: str(abstraction_dir)},
+        signature=mlflow.models.infer_signature(example, predictions),
+        pip_requirements=["hdsp[learning]"],  # given, or MLflow starts a process to find out
+    )
+
+
+def predict(abstraction: Any, inputs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """`heights` float32 [n, 72, 72] (m, NaN = unknown) and `goals` float32 [n, 22, 3] (abstract steps, robot frame) to
+    `feasible` bool [n, 22] and `cost` float32 [n, 22]."""
+    feasible, cost = abstraction.predict(np.asarray(inputs["heights"]), np.asarray(inputs["goals"]))
+    return {"feasible": feasible, "cost": cost}
+
+
+def _define() -> None:
+    import mlflow
+
+    class Served(mlflow.pyfunc.PythonModel):
+        def load_context(self, context):
+            from hdsp.learning.pretrained import LearnedAbstraction
+
+            self.abstraction = LearnedAbstraction.from_pretrained(context.artifacts[NAME])
+
+        def predict(self, context, model_input, params=None):
+            return predict(self.abstraction, model_input)
+
+    mlflow.models.set_model(Served())
+
+
+if __name__ not in ("pipeline.served_model", "__main__"):  # MLflow runs this file under a name of its own
+    _define()

@@ -1,0 +1,152 @@
+"""What every stage's command line has in common: overrides, sweeps, folders, and errors of one line."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from hdsp.errors import InputError
+from hdsp.files import existing_file, replacing
+from pipeline.config import compose, expand_choices, read_params
+
+SWEEP_FLAGS = ("-m", "--multirun")
+
+
+@dataclass(frozen=True)
+class Folders:
+    """Where a stage reads what earlier stages made, and where it writes: each holds data/, models/ and reports/."""
+
+    inputs: Path
+    outputs: Path
+
+    def read(self, *parts: str) -> Path:
+        return self.inputs.joinpath(*parts)
+
+    def write(self, *parts: str) -> Path:
+        """A path to write to; its folder exists."""
+        path = self.outputs.joinpath(*parts)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+
+Stage = Callable[..., None]
+
+
+def run_stage(
+    stage: Stage,
+    name: str,
+    positional: Sequence[str] = (),
+    sweep_context: Callable[[Sequence[str]], contextlib.AbstractContextManager] | None = None,
+) -> None:
+    """Run `stage(config, folders, *positional)` with the configuration that the command line asks for.
+
+    Without overrides the configuration is params.yaml and outputs go where dvc.yaml expects them. With Hydra overrides it
+    is composed from conf/, and outputs go to a new folder under outputs/, so that what DVC tracks stays as it is. With
+    `-m` (only where `sweep_context` is given) Hydra runs every combination of the choices, inside that context.
+    Bad input ends the process with one line and exit status 1.
+    """
+    try:
+        arguments, overrides, sweep = _parse(sys.argv[1:], name, positional, sweep_context is not None)
+        if sweep:
+            assert sweep_context is not None
+            with sweep_context(overrides):
+                _sweep(stage, name, arguments, overrides)
+        else:
+            config = compose(overrides) if overrides else read_params()
+            stage(config, _folders(config, name, bool(overrides)), *arguments)
+    except InputError as error:
+        sys.exit(f"error: {error}")
+
+
+def project_root() -> Path:
+    """The repository that shared things (the tracking database) belong to; `dvc exp run --temp` runs in a copy of it."""
+    return Path(os.environ.get("DVC_ROOT") or Path(__file__).resolve().parent.parent)
+
+
+def write_json(path: Path, values: Any) -> None:
+    """Whole or absent; numbers that are not finite become null, which every reader of JSON understands."""
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(_finite(values), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def read_json(path: Path) -> Any:
+    """Contents of a report that an earlier stage wrote.
+
+    Raises:
+        InputError: it is not there, or is no JSON.
+    """
+    text = existing_file(path, "report").read_text(encoding="utf-8")
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(f"report {path} is damaged: {error}") from error
+
+
+def _finite(values: Any) -> Any:
+    if isinstance(values, dict):
+        return {str(key): _finite(value) for key, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [_finite(value) for value in values]
+    if hasattr(values, "item"):  # numpy scalars
+        values = values.item()
+    return None if isinstance(values, float) and not math.isfinite(values) else values
+
+
+def _parse(argv: Sequence[str], name: str, positional: Sequence[str], sweepable: bool):
+    usage = " ".join([f"python -m pipeline.{name}", *(p.upper() for p in positional), "[group=choice] [key=value] ..."])
+    sweep = any(a in SWEEP_FLAGS for a in argv)
+    if sweep and not sweepable:
+        raise InputError(f"{name} does not sweep (-m); usage: {usage}")
+    overrides = [a for a in argv if "=" in a or a[0] in "+~"]
+    arguments = [a for a in argv if a not in overrides and a not in SWEEP_FLAGS]
+    if len(arguments) != len(positional) or any(a.startswith("-") for a in arguments):
+        raise InputError(f"cannot read {' '.join(arguments) or 'an empty command line'!r}; usage: {usage}")
+    return arguments, overrides, sweep
+
+
+def _folders(config: DictConfig, name: str, has_overrides: bool) -> Folders:
+    outputs = config.runtime.outputs
+    if outputs is None:
+        outputs = f"outputs/{name}/{datetime.now():%Y-%m-%d_%H-%M-%S}" if has_overrides else "."
+    if has_overrides:
+        print(f"writing to {outputs}", file=sys.stderr)
+    return Folders(Path(config.runtime.inputs), Path(outputs))
+
+
+def _sweep(stage: Stage, name: str, arguments: Sequence[str], overrides: Sequence[str]) -> None:
+    """Hydra's own multirun, so that its launchers work; what each value asks for is checked before the first run."""
+    import hydra
+    from hydra.core.hydra_config import HydraConfig
+
+    from pipeline.config import CONF
+
+    for variant in expand_choices(overrides):
+        compose(variant)
+    failed: list[str] = []
+
+    def job(config: DictConfig) -> None:
+        here = HydraConfig.get()
+        print(f"run {here.job.num}: {' '.join(here.overrides.task)}", file=sys.stderr)
+        folders = Folders(Path(config.runtime.inputs), Path(here.runtime.output_dir))
+        try:
+            stage(config, folders, *arguments)
+        except InputError as error:  # the other runs of the sweep still have a chance
+            failed.append(f"run {here.job.num} ({' '.join(here.overrides.task)}): {error}")
+
+    argv, sys.argv = sys.argv, [f"pipeline/{name}.py", "-m", *overrides]
+    try:
+        hydra.main(version_base=None, config_path=str(CONF), config_name="config")(job)()
+    finally:
+        sys.argv = argv
+    if failed:
+        raise InputError("; ".join(failed))

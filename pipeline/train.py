@@ -1,0 +1,113 @@
+"""Stage `train`: tasks -> a learned abstraction, tracked by MLflow. `python -m pipeline.train -m model=a,b` sweeps."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import shutil
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from hdsp.errors import InputError
+from hdsp.files import replacing
+from pipeline import served_model, tracking
+from pipeline.config import flatten, plain
+from pipeline.data import read_set
+from pipeline.stage import Folders, run_stage, write_json
+
+#: Parts of the configuration on which a training depends.
+SECTIONS = ("robot", "terrain", "labelling", "model", "trainer")
+
+
+def train(config: DictConfig, folders: Folders) -> None:
+    from hdsp.learning.pretrained import LearnedAbstraction, Provenance
+    from hdsp.learning.training import train as train_network
+    from hdsp.viz import save_training_curves
+
+    splits = {name: folders.read("data", "labels", name) for name in ("train", "val")}
+    train_tasks, val_tasks = (_required(path) for path in splits.values())
+    sets = {"val": val_tasks}
+    for name in config.evaluation.watched:
+        path = folders.read(config.evaluation.sets[name].tasks)
+        tasks, _ = read_set(path)
+        if tasks is not None:
+            sets[name], splits[name] = tasks, path
+
+    hashes = {f"data.{name}": folder_hash(path) for name, path in splits.items()}
+    parameters = flatten({name: config[name] for name in SECTIONS} | {"profile": config.profile})
+    with tracking.run(f"{config.model.architecture} {config.profile}", parameters, hashes) as mlflow:
+        work = folders.write("models", "training")
+        result = train_network(
+            {"model": plain(config.model), "trainer": plain(config.trainer), "hardware": plain(config.runtime.hardware)},
+            train_tasks,
+            sets,
+            work,
+            on_epoch=lambda epoch, metrics: mlflow.log_metrics(metrics, step=epoch),
+            provenance=Provenance(robot=plain(config.robot), data=hashes),
+            quiet=not config.runtime.progress,
+        )
+        abstraction_dir = folders.write("models", "abstraction")
+        shutil.rmtree(abstraction_dir, ignore_errors=True)
+        shutil.copytree(result.model_dir, abstraction_dir)
+
+        history = folders.write("reports", "training_history.csv")
+        write_history(history, result.history)
+        curves = folders.write("reports", "figures", "training_curves.png")
+        save_training_curves(result.history, curves)
+        summary = {
+            "model": config.model.architecture,
+            "parameters": LearnedAbstraction.from_pretrained(abstraction_dir).parameter_count,
+            "maps": len(train_tasks),
+            "epochs": len(result.history),
+            "best_epoch": result.best_epoch,
+            "seconds": result.seconds,
+            **_nested(result.metrics),
+        }
+        write_json(folders.write("reports", "training.json"), summary)
+
+        mlflow.log_metrics({f"best/{name}": value for name, value in result.metrics.items()})
+        mlflow.set_tags({"best_epoch": str(result.best_epoch), "parameters": str(summary["parameters"])})
+        for file in (history, curves):
+            mlflow.log_artifact(str(file), "training")
+        served_model.log(mlflow, abstraction_dir, val_tasks)
+    # A finished training is not to be resumed: the next one, perhaps after a change of the code, begins anew.
+    shutil.rmtree(work / "checkpoints", ignore_errors=True)
+
+
+def folder_hash(folder: Path) -> str:
+    """Hash of the names and contents of the files of a folder."""
+    digest = hashlib.sha256()
+    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+        digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def write_history(path: Path, rows: list[dict[str, Any]]) -> None:
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _required(path: Path):
+    tasks, reason = read_set(path)
+    if tasks is None:
+        raise InputError(f"cannot train: {reason}")
+    return tasks
+
+
+def _nested(metrics: dict[str, float]) -> dict[str, Any]:
+    """`{"cost_error/val": 1}` as `{"cost_error": {"val": 1}}`: tables of metrics then have readable names."""
+    nested: dict[str, Any] = {}
+    for name, value in metrics.items():
+        group, _, of = name.partition("/")
+        if of:
+            nested.setdefault(group, {})[of] = value
+    return nested
+
+
+if __name__ == "__main__":
+    run_stage(train, "train", sweep_context=tracking.sweep)
