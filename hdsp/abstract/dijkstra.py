@@ -77,7 +77,7 @@ class PreparedGraph:
         return self.incoming.shape[1], self.incoming.shape[2]
 
     def cost_to_go(self, goal_abstract: tuple[int, int, int]) -> np.ndarray:
-        """Float32 [16, nx, ny] cost from every state to the goal `(ix, iy, heading)`; see `hdsp.abstract.cost_to_go`."""
+        """Float32 [16, nx, ny], cost from every state to the goal `(ix, iy, heading)`; see the function `cost_to_go`."""
         ix, iy, heading = (int(value) for value in goal_abstract)
         nx, ny = self.shape
         if not (0 <= ix < nx and 0 <= iy < ny and 0 <= heading < ABSTRACT_HEADINGS):
@@ -94,7 +94,7 @@ class PreparedGraph:
 
     @property
     def _margin(self) -> int:
-        """States kept free at both ends of the flat arrays, so that a move across the border of the map stays in them."""
+        """Unused states at both ends of the flat arrays, so that a move across the border of the map stays in them."""
         return int(np.abs(self._offsets[:N_DRIVE]).max())
 
     @property
@@ -104,7 +104,7 @@ class PreparedGraph:
         return -((ABSTRACT_ACTIONS[:, 2] * nx + ABSTRACT_ACTIONS[:, 0]) * ny + ABSTRACT_ACTIONS[:, 1])
 
     def _buckets(self) -> tuple[float, int]:
-        """Width and number of the buckets in the ring, which must span the dearest edge; the number is a power of two."""
+        """Width and number of the buckets in the ring, which must span the dearest edge; a power of two of them."""
         if not self.dearest > 0:  # no finite edge, or only free ones
             return 1.0, 2
         # A hair below the cheapest edge, so that rounding cannot put a successor into the bucket of its origin.

@@ -1,4 +1,4 @@
-"""A hint to the processor, for kernels that wait for memory: load this array element into the cache, do not wait for it."""
+"""A hint to the processor, for kernels that wait for memory: fetch an array element into the cache, do not wait."""
 
 from llvmlite import ir
 from numba import config, types

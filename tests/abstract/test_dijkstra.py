@@ -11,7 +11,7 @@ from tests import naive_abstract
 
 
 def random_edges(seed, nx, ny, blocked=0.3, spread=1.0, free=0.0):
-    """Edges with a share of infeasible and of free ones; a large `spread` makes cheap edges much cheaper than dear ones."""
+    """Edges with a share of infeasible and of free ones; a large `spread` sets cheap and dear ones apart."""
     rng = np.random.default_rng(seed)
     edges = (rng.uniform(0.01, 1.0, (16, nx, ny, 22)) ** spread).astype(np.float32)
     edges[rng.random(edges.shape) < free] = 0.0
@@ -100,6 +100,7 @@ def test_a_search_that_outgrows_its_queue_goes_on(monkeypatch):
     more_room = dijkstra._Queue.with_more_room
     monkeypatch.setattr(dijkstra._Queue, "with_more_room", lambda queue: grown.append(1) or more_room(queue))
     edges = np.full((16, 40, 9, 22), 0.5, np.float32)  # equal costs: whole wave fronts share a bucket
+    edges[0, 0, 0, 0] = 120.0  # one dear edge: many buckets, each with little room
     expected = naive_abstract.cost_to_go(edges, (20, 4, 2)).astype(np.float32)
     np.testing.assert_array_equal(cost_to_go(edges, (20, 4, 2)), expected)
     assert grown
