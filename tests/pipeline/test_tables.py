@@ -1,0 +1,83 @@
+"""The tables put our numbers beside the paper's, and leave empty what is not there."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hdsp.errors import InputError
+from pipeline.report import BEGIN, END, put_between_markers, summary
+from pipeline.tables import abstraction_quality_table, heuristic_table
+
+ROOT = Path(__file__).resolve().parents[2]
+
+METHOD = {"feasibility_accuracy": 0.9512, "cost_error": 0.0201, "abstract_cost_mean": 0.44}
+QUALITY = {
+    "sets": {
+        "random": {
+            "available": True, "paper": "random", "maps": 150, "tasks": 3300,
+            "detailed_cost_mean": 0.45, "detailed_cost_std": 0.21,
+            "methods": {"learned": METHOD, "flat": {**METHOD, "feasibility_accuracy": 0.61}},
+        },
+        "real": {"available": False, "paper": "real", "reason": "data/real is not there yet"},
+    }
+}  # fmt: skip
+ENTRY = {"pairs": 3, "solved": 3, "seconds_mean": 1.5, "expansions_mean": 1e5, "cost_increase": 0.021, "speedup": 26.94}
+PLANNING = {
+    "arena": {"size": 5.0, "pairs": 3},
+    "edges_seconds": {"learned": 21.4},
+    "summary": {
+        "geometric": {"1.0": {**ENTRY, "speedup": 1.0, "cost_increase": 0.0, "speedup_is_lower_bound": False}},
+        "learned": {"1.25": {**ENTRY, "speedup_is_lower_bound": True}},
+    },
+}
+
+
+def cells(table: str, row: str) -> list[str]:
+    line = next(line for line in table.splitlines() if line.startswith(f"| {row}"))
+    return [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def test_ours_stand_beside_the_papers():
+    table = abstraction_quality_table(QUALITY)
+    assert cells(table, "feasibility correct, learned")[1:] == ["95.12 % / 95.04 %", "– / 92.62 %"]
+    assert cells(table, "mean cost error, learned")[1:] == ["0.020 / 0.027", "– / 0.081"]
+    assert cells(table, "feasibility correct, flat")[1:] == ["61.00 %", "–"]
+    assert "real: data/real is not there yet" in table
+
+
+def test_speed_ups_that_are_bounds_are_marked():
+    table = heuristic_table(PLANNING)
+    assert cells(table, "learned abstraction")[1:] == ["1.25", "3 of 3", "1.50", "100,000", "≥ 26.9x", "708x", "+2.1 %", "+10.5 %"]
+    assert cells(table, "geometric")[5:] == ["1.0x", "–", "+0.0 %", "–"]
+
+
+def test_the_summary_holds_the_headlines():
+    assert summary(QUALITY, PLANNING) == {
+        "feasibility_accuracy": {"random": {"learned": 0.9512, "flat": 0.61}},
+        "cost_error": {"random": {"learned": 0.0201, "flat": 0.0201}},
+        "speedup": {"learned": {"W1.25": 26.94}},
+    }
+
+
+def test_tables_go_between_the_markers_and_nowhere_else(tmp_path):
+    readme = tmp_path / "README.md"
+    readme.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
+    put_between_markers(readme, "| new |\n")
+    assert readme.read_text() == f"before\n{BEGIN}\n\n| new |\n\n{END}\nafter\n"
+    readme.write_text("no markers")
+    with pytest.raises(InputError, match="lacks the markers"):
+        put_between_markers(readme, "| new |\n")
+
+
+def test_the_readme_shows_the_tables_of_the_reports():
+    tables = (ROOT / "reports/tables.md").read_text()
+    assert f"{BEGIN}\n\n{tables}\n{END}" in (ROOT / "README.md").read_text()
+
+
+def test_the_tables_can_be_traced_to_the_reports():
+    quality, planning, training = (
+        json.loads((ROOT / f"reports/{name}.json").read_text()) for name in ("abstraction_quality", "planning", "training")
+    )
+    tables = abstraction_quality_table(quality, training) + "\n\n" + heuristic_table(planning) + "\n"
+    assert tables == (ROOT / "reports/tables.md").read_text()
