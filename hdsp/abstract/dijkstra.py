@@ -77,7 +77,7 @@ class PreparedGraph:
         return self.incoming.shape[1], self.incoming.shape[2]
 
     def cost_to_go(self, goal_abstract: tuple[int, int, int]) -> np.ndarray:
-        """Float32 [16, nx, ny], cost from every state to the goal `(ix, iy, heading)`; see the function `cost_to_go`."""
+        """Float32 [16, nx, ny], cost from every state to the goal `(ix, iy, heading)`; see function `cost_to_go`."""
         ix, iy, heading = (int(value) for value in goal_abstract)
         nx, ny = self.shape
         if not (0 <= ix < nx and 0 <= iy < ny and 0 <= heading < ABSTRACT_HEADINGS):
