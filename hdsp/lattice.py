@@ -102,6 +102,19 @@ def detailed_to_abstract(states: np.ndarray) -> np.ndarray:
     return np.concatenate([position, heading[..., None]], axis=-1)
 
 
+def abstract_steps(displacement: np.ndarray) -> np.ndarray:
+    """Displacements (dx, dy, dtheta) [..., 3] in metres and radians, in abstract steps of 10 cm and 22.5 degrees."""
+    return np.asarray(displacement, dtype=float) / _ABSTRACT_STEP
+
+
+def abstract_steps_to_world(steps: np.ndarray) -> np.ndarray:
+    """Displacements [..., 3] in metres and radians of (dx, dy, dtheta) in abstract steps; undoes `abstract_steps`."""
+    return np.asarray(steps, dtype=float) * _ABSTRACT_STEP
+
+
+_ABSTRACT_STEP = np.array([ABSTRACT_RESOLUTION, ABSTRACT_RESOLUTION, 2 * math.pi / ABSTRACT_HEADINGS])
+
+
 @dataclass(frozen=True)
 class Grid:
     """Placement of a detailed grid in the world.

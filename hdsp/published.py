@@ -1,0 +1,167 @@
+"""The labels that the authors of the paper published: find the file, read it, write the same format.
+
+The format is text. After a header with the number of maps, each map is: a line with its number; a line of 72 x 72
+heights in metres; 22 lines `x y yaw cost` (m, m, rad) in the order of `hdsp.lattice.ABSTRACT_ACTIONS`, with `inf` as
+the cost of infeasible tasks. The robot stands in the middle of the patch with heading 0.
+"""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from hdsp.errors import InputError
+from hdsp.files import existing_file, replacing
+from hdsp.lattice import ABSTRACT_ACTIONS, N_ABSTRACT_ACTIONS, PATCH_CELLS, abstract_steps, abstract_steps_to_world
+from hdsp.tasks import REASON_UNKNOWN, TaskSet
+
+#: Environment variable that names a folder with data sets that others published.
+DATA_DIR_VARIABLE = "HDSP_DATA_DIR"
+
+COMMIT = "2bedf130c4e8bf3008ace07dc3bde445cd98cf38"
+URL = (
+    "https://raw.githubusercontent.com/AIS-Bonn/planning_abstraction_net/"
+    f"{COMMIT}/data_sets/simulated_test_data_set.txt"
+)
+SHA256 = "9a1d5bd698b3fab222491e6a822cfc5019c1785c70f2f4cab1b8eb44f98162fe"
+
+#: Where the file may lie in a data folder; the whole set before the part of it with even numbers.
+PLACES = ("published/simulated_test_data_set.txt", "published/simulated_even.txt")
+
+#: `TaskSet.category` of all maps of the file.
+CATEGORY = "published"
+
+#: Axes of the heights in a line, slowest first: height number ``ix * 72 + iy`` belongs to cell ``[ix, iy]``.
+AXES = "xy"
+
+_SOLVED = 0  # hdsp.detailed.solve.Status.SOLVED; importing that here would load the planner
+_DIGITS = 6
+
+
+def find_published(data_dir: str | os.PathLike | None = None, timeout: float = 30.0) -> tuple[Path | None, str]:
+    """Where the published labels are.
+
+    Looks in ``data_dir``, else in the folder named by the environment variable HDSP_DATA_DIR; if the file is not there,
+    fetches it once from its public address into the user's cache and checks its SHA-256.
+
+    Args:
+        data_dir: folder with the files of `PLACES`.
+        timeout: seconds to wait for an answer of the server.
+
+    Returns:
+        (path, ""), or (None, why there is none and how to get it).
+    """
+    folder = data_dir or os.environ.get(DATA_DIR_VARIABLE)
+    if folder:
+        for place in PLACES:
+            if (Path(folder) / place).is_file():
+                return Path(folder) / place, ""
+    try:
+        return _fetch(timeout), ""
+    except Exception as error:  # whatever a download can fail with must not stop a pipeline that can go without
+        reason = f"{type(error).__name__}: {str(error).split('(Caused by')[-1]}"
+    where = f"not in {folder}" if folder else f"{DATA_DIR_VARIABLE} is not set"
+    return None, (
+        f"published labels: {where} and not fetched from {URL}: {reason[:160].splitlines()[0]}; "
+        f"put the file at {PLACES[0]} in a folder and name that folder in {DATA_DIR_VARIABLE}"
+    )
+
+
+def read_published(path: str | os.PathLike) -> TaskSet:
+    """The maps of a file in the published format; ``index`` is a map's number in the file.
+
+    Raises:
+        InputError: if the file is missing, cut off, or anything else than the format; names the line.
+    """
+    path = existing_file(path, "published labels")
+    try:
+        lines = path.read_text(encoding="ascii").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"published labels {path} cannot be read: {error}") from error
+    maps = list(_maps(path, lines))
+    if not maps:
+        return TaskSet.empty()
+    index, heights, tasks = (np.array(column) for column in zip(*maps, strict=True))
+    heights = heights.reshape(-1, PATCH_CELLS, PATCH_CELLS)
+    poses, cost = tasks[:, :, :3], tasks[:, :, 3]
+    feasible = np.isfinite(cost)
+    return TaskSet(
+        heights=heights if AXES == "xy" else heights.swapaxes(1, 2),
+        goals=np.broadcast_to(ABSTRACT_ACTIONS, poses.shape),
+        feasible=feasible,
+        cost=np.where(feasible, cost, 0.0),
+        reason=np.where(feasible, _SOLVED, REASON_UNKNOWN),
+        category=np.full(len(maps), CATEGORY),
+        index=index,
+        seed=np.zeros(len(maps)),
+        heading=np.zeros(len(maps)),
+        start=np.zeros((len(maps), 7)),
+        goal=np.concatenate([poses, np.zeros((*poses.shape[:2], 4))], axis=-1),
+    )
+
+
+def write_published(path: str | os.PathLike, tasks: TaskSet) -> Path:
+    """Writes tasks in the published format; heights and costs to six digits after the point.
+
+    Raises:
+        InputError: if a goal is not that of its abstract action (at headings other than 0), or on a failure to write.
+    """
+    if not (tasks.goals == ABSTRACT_ACTIONS).all():
+        raise InputError("published format: needs goals equal to the abstract actions, as at heading 0")
+    heights = tasks.heights if AXES == "xy" else tasks.heights.swapaxes(1, 2)
+    cost = np.where(tasks.feasible, tasks.cost, np.inf)
+    with replacing(path) as temporary, temporary.open("w", encoding="ascii") as file:
+        file.write("Abstraction tasks: number of the map | heights | x, y, yaw, cost of each goal\n")
+        file.write(f"Num maps:\n{len(tasks)}\n")
+        for row in range(len(tasks)):
+            poses = abstract_steps_to_world(tasks.goals[row])
+            file.write(f"\n{tasks.index[row]}\n{_numbers(heights[row].ravel())}\n")
+            file.writelines(f"{_numbers([*pose, value])}\n" for pose, value in zip(poses, cost[row], strict=True))
+    return Path(path)
+
+
+def _fetch(timeout: float) -> Path:
+    import pooch
+
+    downloader = pooch.HTTPDownloader(timeout=timeout)
+    folder = pooch.os_cache("hdsp")
+    return Path(pooch.retrieve(URL, f"sha256:{SHA256}", Path(PLACES[0]).name, folder, downloader=downloader))
+
+
+def _maps(path: Path, lines: list[str]) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """Number, heights [5184] and tasks [22, 4] of each map of the file."""
+    filled = [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
+    starts = [k for k, (_, line) in enumerate(filled) if line.strip().lower().startswith("num maps")]
+    if not starts:
+        raise InputError(f"published labels {path}: no line 'Num maps:'; not a file in the published format")
+    rows = iter(filled[starts[0] + 1 :])
+
+    def numbers(count: int, what: str) -> np.ndarray:
+        number, line = next(rows, (len(lines), None))
+        if line is None:
+            raise InputError(f"published labels {path}: ends after line {number} where {what} should follow; cut off?")
+        try:
+            values = np.array(line.split(), dtype=float)
+        except ValueError as error:
+            raise InputError(f"published labels {path}, line {number}: {error} in {what}") from None
+        if len(values) != count:
+            raise InputError(f"published labels {path}, line {number}: {len(values)} numbers; need {count}: {what}")
+        return values
+
+    for position in range(int(numbers(1, "the number of maps")[0])):
+        what = f"map {position} of the file"
+        index = int(numbers(1, f"number of {what}")[0])
+        heights = numbers(PATCH_CELLS**2, f"heights of {what}")
+        tasks = np.array([numbers(4, f"x y yaw cost of goal {k} of {what}") for k in range(N_ABSTRACT_ACTIONS)])
+        if np.isnan(tasks).any() or (tasks[:, 3] < 0).any():
+            raise InputError(f"published labels {path}: {what} (number {index}) has a cost below 0 or no cost")
+        if wrong := np.flatnonzero(np.abs(abstract_steps(tasks[:, :3]) - ABSTRACT_ACTIONS).max(axis=1) > 1e-4).tolist():
+            raise InputError(f"published labels {path}: goal {wrong[0]} of {what} is not the abstract action it should be")
+        yield index, heights, tasks
+    if (rest := next(rows, None)) is not None:
+        raise InputError(f"published labels {path}, line {rest[0]}: more lines than the stated number of maps needs")
+
+
+def _numbers(values) -> str:
+    return " ".join(f"{value:.{_DIGITS}f}" for value in values)
