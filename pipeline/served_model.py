@@ -1,6 +1,6 @@
 """The learned abstraction as an MLflow model: `mlflow.pyfunc.load_model(uri).predict({"heights": ..., "goals": ...})`.
 
-Logged from code: this file defines the model when MLflow loads it, and the network comes from its safetensors. No pickle.
+Logged from code: this file defines the model when MLflow loads it, the network comes from its safetensors. No pickle.
 """
 
 from __future__ import annotations

@@ -50,15 +50,17 @@ def run_stage(
 ) -> None:
     """Run `stage(config, folders, *positional)` with the configuration that the command line asks for.
 
-    Without overrides the configuration is params.yaml and outputs go where dvc.yaml expects them. With Hydra overrides it
-    is composed from conf/, and outputs go to a new folder under outputs/, so that what DVC tracks stays as it is. With
-    `-m` (only where `sweep_context` is given) Hydra runs every combination of the choices, inside that context.
+    Without overrides the configuration is params.yaml and outputs go where dvc.yaml expects them. With Hydra overrides
+    it is composed from conf/, and outputs go to a new folder under outputs/, so that what DVC tracks stays as it is.
+    With `-m` (only where `sweep_context` is given) Hydra runs every combination of the choices, inside that context.
     Bad input ends the process with one line and exit status 1.
     """
     try:
         arguments, overrides, sweep = _parse(sys.argv[1:], name, positional, sweep_context is not None)
         if sweep:
-            assert sweep_context is not None
+            assert sweep_context is not None  # _parse refuses -m without
+            for variant in expand_choices(overrides):
+                compose(variant)  # what any value does wrong is said before the first run
             with sweep_context(overrides):
                 _sweep(stage, name, arguments, overrides)
         else:
@@ -69,7 +71,7 @@ def run_stage(
 
 
 def project_root() -> Path:
-    """The repository that shared things (the tracking database) belong to; `dvc exp run --temp` runs in a copy of it."""
+    """The repository that the tracking database belongs to; `dvc exp run --temp` runs stages in a copy of it."""
     return Path(os.environ.get("DVC_ROOT") or Path(__file__).resolve().parent.parent)
 
 
@@ -124,14 +126,12 @@ def _folders(config: DictConfig, name: str, has_overrides: bool) -> Folders:
 
 
 def _sweep(stage: Stage, name: str, arguments: Sequence[str], overrides: Sequence[str]) -> None:
-    """Hydra's own multirun, so that its launchers work; what each value asks for is checked before the first run."""
+    """Hydra's own multirun, so that its launchers work."""
     import hydra
     from hydra.core.hydra_config import HydraConfig
 
     from pipeline.config import CONF
 
-    for variant in expand_choices(overrides):
-        compose(variant)
     failed: list[str] = []
 
     def job(config: DictConfig) -> None:

@@ -73,8 +73,8 @@ def heuristic_table(planning: Mapping[str, Any]) -> str:
     seconds = ", ".join(f"{HEURISTIC_NAMES.get(name, name)} {value:.1f} s" for name, value in once.items())
     note = (
         f"Table II, heuristic performance: {arena['pairs']} start/goal pairs on a generated map of "
-        f"{arena['size']:g} x {arena['size']:g} m (the paper: seven goals, 10 x 10 m), against the geometric heuristic at "
-        "W = 1; means of the pairs' ratios. Times include one Dijkstra search per goal, not the costs of all abstract "
+        f"{arena['size']:g} x {arena['size']:g} m (the paper: seven goals, 10 x 10 m), against the geometric heuristic "
+        "at W = 1; means of the pairs' ratios. Times include one Dijkstra search per goal, not the costs of all abstract "
         f"actions, needed once per map ({seconds}; the paper: 239 s). ≥: the reference search ended by a limit."
     )
     return _markdown(header, rows) + "\n\n" + note
@@ -101,8 +101,9 @@ def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Padded, so that it reads as well in a terminal."""
     table = [list(header), *map(list, rows)]
     widths = [max(len(row[i]) for row in table) for i in range(len(header))]
-    lines = ["| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in table]
-    return "\n".join([lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]])
+    padded = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in table]
+    head, *lines = (f"| {' | '.join(row)} |" for row in padded)
+    return "\n".join([head, "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines])
 
 
 def _known(value: float | None) -> bool:

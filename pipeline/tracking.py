@@ -24,8 +24,8 @@ os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 def connect() -> Any:
     """The mlflow module, with tracking address and experiment set.
 
-    The addresses are absolute, and belong to the repository and not to the working folder: `dvc exp run --temp` works in a
-    copy that is removed afterwards.
+    The addresses are absolute, and belong to the repository and not to the working folder: `dvc exp run --temp` works
+    in a copy that is removed afterwards.
     """
     import mlflow
 

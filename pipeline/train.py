@@ -22,8 +22,9 @@ SECTIONS = ("robot", "terrain", "labelling", "model", "trainer")
 
 
 def train(config: DictConfig, folders: Folders) -> None:
-    from hdsp.learning.pretrained import LearnedAbstraction, Provenance
-    from hdsp.learning.training import train as train_network
+    from hdsp.learning import LearnedAbstraction, Provenance, count_parameters
+    from hdsp.learning import train as train_network
+    from hdsp.robot import Robot
     from hdsp.viz import save_training_curves
 
     splits = {name: folders.read("data", "labels", name) for name in ("train", "val")}
@@ -39,13 +40,14 @@ def train(config: DictConfig, folders: Folders) -> None:
     parameters = flatten({name: config[name] for name in SECTIONS} | {"profile": config.profile})
     with tracking.run(f"{config.model.architecture} {config.profile}", parameters, hashes) as mlflow:
         work = folders.write("models", "training")
+        parts = {"model": config.model, "trainer": config.trainer, "hardware": config.runtime.hardware}
         result = train_network(
-            {"model": plain(config.model), "trainer": plain(config.trainer), "hardware": plain(config.runtime.hardware)},
+            {name: plain(section) for name, section in parts.items()},
             train_tasks,
             sets,
             work,
             on_epoch=lambda epoch, metrics: mlflow.log_metrics(metrics, step=epoch),
-            provenance=Provenance(robot=plain(config.robot), data=hashes),
+            provenance=Provenance.of(Robot.load(plain(config.robot)), hashes["data.train"], profile=config.profile),
             quiet=not config.runtime.progress,
         )
         abstraction_dir = folders.write("models", "abstraction")
@@ -58,7 +60,7 @@ def train(config: DictConfig, folders: Folders) -> None:
         save_training_curves(result.history, curves)
         summary = {
             "model": config.model.architecture,
-            "parameters": LearnedAbstraction.from_pretrained(abstraction_dir).parameter_count,
+            "parameters": count_parameters(LearnedAbstraction.from_pretrained(abstraction_dir).network),
             "maps": len(train_tasks),
             "epochs": len(result.history),
             "best_epoch": result.best_epoch,

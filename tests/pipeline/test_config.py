@@ -76,7 +76,7 @@ def test_missing_params_file_is_named(tmp_path):
 
 
 def test_choices_are_expanded_one_at_a_time():
-    assert expand_choices(["model=a,b", "trainer.epochs=1"]) == [["model=a", "trainer.epochs=1"], ["model=b", "trainer.epochs=1"]]
+    assert expand_choices(["model=a,b", "seed=1"]) == [["model=a", "seed=1"], ["model=b", "seed=1"]]
 
 
 def test_flat_parameters_have_dotted_names():

@@ -1,0 +1,53 @@
+"""The abstractions by the names of the configuration: as judges of tasks, and as costs of whole maps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig
+
+from hdsp.errors import InputError
+from hdsp.robot import Robot
+from pipeline.config import plain
+from pipeline.stage import Folders
+
+if TYPE_CHECKING:
+    from hdsp.abstract import AbstractCosts, TaskPredictor
+
+METHODS = ("learned", "manual", "flat")
+
+
+def task_predictor(name: str, config: DictConfig, folders: Folders) -> TaskPredictor:
+    """The abstraction `name` as a judge of single tasks.
+
+    Raises:
+        InputError: there is no abstraction of that name; the learned one is not trained yet, or for another robot.
+    """
+    robot = Robot.load(plain(config.robot))
+    if name == "learned":
+        from hdsp.learning.hardware import HardwareSettings
+        from hdsp.learning.pretrained import LearnedAbstraction
+        from hdsp.learning.settings import settings_from
+
+        hardware = settings_from(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
+        hardware.apply_threads()
+        return LearnedAbstraction.from_pretrained(folders.read("models", "abstraction"), robot, hardware)
+    if name == "manual":
+        from hdsp.abstract import ManualCosts
+
+        return ManualCosts(robot)
+    if name == "flat":
+        from hdsp.abstract import FlatCosts
+
+        return FlatCosts(robot)
+    raise InputError(f"unknown abstraction {name!r}; allowed are {', '.join(METHODS)}")
+
+
+def abstract_costs(name: str, config: DictConfig, folders: Folders) -> AbstractCosts:
+    """The abstraction `name` as costs of all abstract actions of a map; raises as `task_predictor`."""
+    predictor = task_predictor(name, config, folders)
+    if name == "learned":
+        from hdsp.learning.costs import LearnedCosts
+
+        return LearnedCosts(predictor)
+    return predictor  # type: ignore[return-value]  # these two are both

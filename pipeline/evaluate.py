@@ -1,0 +1,56 @@
+"""Stage `evaluate`: how well each abstraction agrees with the detailed planner, on each set (the paper's Table I)."""
+
+from __future__ import annotations
+
+import csv
+from typing import Any
+
+from omegaconf import DictConfig
+
+from hdsp.errors import InputError
+from hdsp.files import replacing
+from pipeline.abstractions import task_predictor
+from pipeline.config import plain
+from pipeline.data import read_set
+from pipeline.stage import Folders, run_stage, write_json
+
+
+def evaluate(config: DictConfig, folders: Folders) -> None:
+    from hdsp.evaluation import COLUMNS, evaluate_set, predict, rows
+    from hdsp.viz import save_example_patches, save_quality_bars
+
+    predictors = {name: task_predictor(name, config, folders) for name in config.evaluation.methods}
+    sets: dict[str, Any] = {}
+    example = None
+    for name, entry in plain(config.evaluation.sets).items():
+        tasks, reason = read_set(folders.read(entry["tasks"]))
+        if tasks is None:
+            print(f"{name}: skipped, {reason}")
+            sets[name] = {"available": False, "paper": entry["paper"], "reason": reason}
+            continue
+        figures = evaluate_set(predictors, tasks)
+        sets[name] = {"available": True, "paper": entry["paper"], **figures}
+        for method, values in figures["methods"].items():
+            accuracy, error = values["feasibility_accuracy"], values["cost_error"]
+            print(f"{name}, {method}: {100 * accuracy:.2f} % feasibility correct, cost error {_digits(error)}")
+        example = tasks if example is None else example
+    if example is None:
+        raise InputError("no tasks: " + "; ".join(f"{name}: {values['reason']}" for name, values in sets.items()))
+
+    write_json(folders.write("reports", "abstraction_quality.json"), {"sets": sets})
+    with replacing(folders.write("reports", "abstraction_quality.csv")) as path, path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows(sets))
+    save_quality_bars(sets, folders.write("reports", "figures", "abstraction_quality.png"))
+    judged = predict(next(iter(predictors.values())), example)
+    picture = folders.write("reports", "figures", "example_patches.png")
+    save_example_patches(example, judged, picture, config.evaluation.examples)
+
+
+def _digits(value: float | None) -> str:
+    return "none" if value is None else f"{value:.4f}"
+
+
+if __name__ == "__main__":
+    run_stage(evaluate, "evaluate")

@@ -1,0 +1,32 @@
+"""Stage `published`: the authors' own labels as a test set; without them, a note that says why and how to get them."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+
+from omegaconf import DictConfig
+
+from pipeline.data import ABSENT
+from pipeline.stage import Folders, run_stage, write_json
+
+
+def published(config: DictConfig, folders: Folders) -> None:
+    from hdsp.published import find_published, read_published
+    from hdsp.shards import write_shard
+
+    folder = folders.write("data", "published")
+    shutil.rmtree(folder, ignore_errors=True)
+    source, reason = find_published(config.runtime.data_dir)
+    if source is None:
+        print(f"skipped: {reason}")
+        write_json(folder / ABSENT, {"reason": reason})
+        return
+    tasks = read_published(source)
+    checksum = hashlib.sha256(source.read_bytes()).hexdigest()
+    write_shard(folder / "published.h5", tasks, {"source": source.name, "sha256": checksum})
+    print(f"{len(tasks)} maps, {tasks.feasible.size} tasks from {source.name}")
+
+
+if __name__ == "__main__":
+    run_stage(published, "published")

@@ -1,0 +1,81 @@
+"""The real entry points with tiny limits, each in its own process as users start them."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SPLITS = ("train", "val", "random")
+STAGES = ("published", "train", "evaluate", "plan", "report")
+
+
+def run_python(*arguments: str, cwd: Path = ROOT, tracking: Path | None = None) -> subprocess.CompletedProcess:
+    """`python -m ...`; fails the test with the process's own words."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "MLFLOW_DISABLE_TELEMETRY": "true"}
+    if tracking:
+        environment["DVC_ROOT"] = str(tracking)  # the tracking database of the project stays untouched
+    done = subprocess.run([sys.executable, "-m", *arguments], cwd=cwd, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, f"{' '.join(arguments)}\n{done.stdout}\n{done.stderr}"
+    return done
+
+
+@pytest.fixture(scope="session")
+def labelled(tmp_path_factory) -> Path:
+    """A folder with the labels of the tiny profile."""
+    folder = tmp_path_factory.mktemp("chain")
+    for split in SPLITS:
+        run_python("pipeline.label", split, *tiny(folder))
+    run_python("pipeline.published", *tiny(folder))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def chain(labelled) -> Path:
+    """The same folder after all stages."""
+    for stage in STAGES[1:]:
+        run_python(f"pipeline.{stage}", *tiny(labelled), tracking=labelled)
+    return labelled
+
+
+def tiny(folder: Path) -> list[str]:
+    """Overrides for a chain of stages in one folder."""
+    return ["profile=tiny", f"runtime.inputs={folder}", f"runtime.outputs={folder}", "runtime.workers=1"]
+
+
+def run_dvc(*arguments: str, cwd: Path) -> str:
+    """A DVC command in a copy of the project; stages use this interpreter and the copy's own modules."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("DVC_", "MLFLOW_TRACKING", "GIT_"))}
+    environment |= {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(["dvc", *arguments], cwd=cwd, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, f"dvc {' '.join(arguments)}\n{done.stdout}\n{done.stderr}"
+    return done.stdout + done.stderr
+
+
+@pytest.fixture(scope="session")
+def project(tmp_path_factory) -> Path:
+    """A clone of the project as it is on disk, with one commit, set to the tiny profile."""
+    clone = tmp_path_factory.mktemp("project")
+    files = git("ls-files", "--cached", "--others", "--exclude-standard", cwd=ROOT).splitlines()
+    for name in files:
+        source, target = ROOT / name, clone / name
+        if not source.is_symlink() and not source.is_file():
+            continue  # removed, but not committed yet
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if source.is_symlink():
+            target.symlink_to(source.readlink())
+        else:
+            target.write_bytes(source.read_bytes())
+    config = (clone / "conf/config.yaml").read_text()
+    (clone / "conf/config.yaml").write_text(config.replace("profile: small", "profile: tiny"))
+    run_python("pipeline.config", cwd=clone)
+    git("init", "--quiet", cwd=clone)
+    git("add", "--all", cwd=clone)
+    git("-c", "user.name=test", "-c", "user.email=test@example.org", "commit", "--quiet", "-m", "a clone", cwd=clone)
+    return clone
+
+
+def git(*arguments: str, cwd: Path) -> str:
+    return subprocess.run(["git", *arguments], cwd=cwd, capture_output=True, text=True, check=True).stdout

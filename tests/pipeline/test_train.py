@@ -1,0 +1,95 @@
+"""Training as a user starts it: what is tracked, what is written, and sweeps."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from tests.pipeline.conftest import run_python, tiny
+
+pytestmark = pytest.mark.pipeline
+
+
+@pytest.fixture
+def mlflow(chain):
+    import mlflow
+
+    mlflow.set_tracking_uri(f"sqlite:///{chain / 'mlflow.db'}")
+    yield mlflow
+    mlflow.set_tracking_uri(None)
+
+
+def runs(mlflow, where=lambda run: True):
+    client = mlflow.MlflowClient()
+    experiment = client.get_experiment_by_name("hdsp")
+    return [run for run in client.search_runs([experiment.experiment_id]) if where(run)]
+
+
+def test_a_training_is_tracked_with_everything(chain, mlflow):
+    (run,) = runs(mlflow, lambda run: "sweep" not in run.data.tags and "mlflow.parentRunId" not in run.data.tags)
+    assert run.info.status == "FINISHED"
+    parameters = run.data.params
+    assert parameters["model.architecture"] == "compact"
+    assert parameters["trainer.epochs"] == "2"
+    assert parameters["robot.drive.unevenness_cost"] == "0.030923"
+    assert parameters["labelling.splits.train.maps_per_category"] == "2"
+    assert len(run.data.tags["data.train"]) == 64
+    assert {"git.commit", "git.dirty", "data.val", "data.random"} <= set(run.data.tags)
+
+    client = mlflow.MlflowClient()
+    names = ["feasibility_accuracy/val", "feasibility_accuracy/random", "loss/feasibility", "loss/cost"]
+    for name in [*names, "loss_weight/feasibility", "loss_weight/cost"]:
+        history = client.get_metric_history(run.info.run_id, name)
+        assert [metric.step for metric in history] == [0, 1], name
+        assert all(math.isfinite(metric.value) for metric in history), name
+    assert {"cost_error/val", "cost_error/random"} <= set(run.data.metrics)
+
+
+def test_the_tracked_model_has_a_signature_and_predicts_as_the_saved_one(chain, mlflow):
+    from hdsp.learning import LearnedAbstraction
+    from hdsp.shards import read_tasks
+
+    (run,) = runs(mlflow, lambda run: "sweep" not in run.data.tags and "mlflow.parentRunId" not in run.data.tags)
+    model = mlflow.pyfunc.load_model(f"runs:/{run.info.run_id}/abstraction")
+    assert set(model.metadata.signature.inputs.input_names()) == {"heights", "goals"}
+    assert set(model.metadata.signature.outputs.input_names()) == {"feasible", "cost"}
+
+    tasks = read_tasks(chain / "data/labels/random")
+    served = model.predict({"heights": tasks.heights, "goals": tasks.goals})
+    abstraction = LearnedAbstraction.from_pretrained(chain / "models/abstraction")
+    feasible, cost = abstraction.predict(tasks.heights, tasks.goals)
+    np.testing.assert_array_equal(served["feasible"], feasible)
+    np.testing.assert_array_equal(served["cost"], cost)
+
+
+def test_a_training_writes_its_reports(chain):
+    report = json.loads((chain / "reports/training.json").read_text())
+    assert report["model"] == "compact"
+    assert report["epochs"] == 2
+    assert 0 <= report["feasibility_accuracy"]["val"] <= 1
+    header, *rows = (chain / "reports/training_history.csv").read_text().splitlines()
+    assert {"epoch", "feasibility_accuracy/val", "cost_error/val"} <= set(header.split(","))
+    assert len(rows) == 2
+    assert (chain / "reports/figures/training_curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_sweep_has_two_child_runs_under_one_parent(chain, mlflow, tmp_path):
+    overrides = [*tiny(chain)[:2], "runtime.workers=1", "trainer.epochs=1", f"hydra.sweep.dir={tmp_path}"]
+    run_python("pipeline.train", "-m", "model=klamt2019,compact", *overrides, tracking=chain)
+
+    (parent,) = runs(mlflow, lambda run: "sweep" in run.data.tags)
+    children = runs(mlflow, lambda run: run.data.tags.get("mlflow.parentRunId") == parent.info.run_id)
+    assert parent.info.status == "FINISHED"
+    assert parent.data.tags["sweep"].startswith("model=klamt2019,compact")
+    assert sorted(run.data.params["model.architecture"] for run in children) == ["compact", "klamt2019"]
+    assert all("feasibility_accuracy/val" in run.data.metrics for run in children)
+    for number in "01":
+        assert (tmp_path / number / "models/abstraction/model.safetensors").is_file()
+
+
+def test_a_sweep_with_an_unknown_choice_starts_no_run(chain, mlflow):
+    before = len(runs(mlflow))
+    with pytest.raises(AssertionError, match=r"error: .*Available options in 'model'"):
+        run_python("pipeline.train", "-m", "model=compact,nonsense", *tiny(chain), tracking=chain)
+    assert len(runs(mlflow)) == before
