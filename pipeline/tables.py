@@ -74,8 +74,9 @@ def heuristic_table(planning: Mapping[str, Any]) -> str:
     note = (
         f"Table II, heuristic performance: {arena['pairs']} start/goal pairs on a generated map of "
         f"{arena['size']:g} x {arena['size']:g} m (the paper: seven goals, 10 x 10 m), against the geometric heuristic "
-        "at W = 1; means of the pairs' ratios. Times include one Dijkstra search per goal, not the costs of all abstract "
-        f"actions, needed once per map ({seconds}; the paper: 239 s). ≥: the reference search ended by a limit."
+        "at W = 1; means of the pairs' ratios, of cost where both are solved. Times include one Dijkstra search per "
+        f"goal, not the costs of all abstract actions, needed once per map ({seconds}; the paper: 239 s). "
+        "≥: a reference search ended by its limit."
     )
     return _markdown(header, rows) + "\n\n" + note
 
