@@ -18,10 +18,10 @@ def summarise(runs: Sequence[Run], reference: tuple[str, float] = ("geometric", 
             W = 1 its costs are optimal.
 
     Returns:
-        heuristic -> weight -> `pairs`, `solved`, `seconds_mean`, `expansions_mean`, and, over the pairs that this search
-        solved, `speedup` (mean of the ratios of time, as in the paper) and `speedup_is_lower_bound`: a reference search
-        that its limit ended would have taken longer. `cost_increase` is the mean over the `cost_pairs` that both solved;
-        None where there are none.
+        heuristic -> weight -> `pairs`, `solved`, `seconds_mean`, `expansions_mean`, and, over the pairs that this
+        search solved, `speedup` (mean of the ratios of time, as in the paper) and `speedup_is_lower_bound`: a reference
+        search that its limit ended would have taken longer. `cost_increase` is the mean over the `cost_pairs` that both
+        solved; None where there are none.
     """
     references = {run["pair"]: run for run in runs if (run["heuristic"], run["weight"]) == reference}
     summary: dict[str, dict[str, Any]] = {}

@@ -8,7 +8,8 @@ import pytest
 import yaml
 
 from hdsp.errors import InputError
-from pipeline.config import compose, expand_choices, flatten, plain, write_params
+from hdsp.terrain import TerrainSettings
+from pipeline.config import compose, expand_choices, flatten, plain, settings, write_params
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -93,3 +94,12 @@ def test_no_stage_depends_on_the_runtime_group():
 def test_each_robot_file_exists_once():
     assert (ROOT / "conf/robot").resolve() == ROOT / "hdsp/robots"
     assert not Path((ROOT / "conf/robot").readlink()).is_absolute()
+
+
+def test_the_configured_terrain_is_that_of_the_authors_generator():
+    assert settings(TerrainSettings, compose().terrain, "terrain") == TerrainSettings()
+
+
+def test_an_unknown_key_of_a_settings_group_is_named():
+    with pytest.raises(InputError, match=r"unknown config key terrain.cuboid_sides; allowed are area, cuboid_height"):
+        settings(TerrainSettings, {"cuboid_sides": [1, 2]}, "terrain")
