@@ -157,7 +157,7 @@ def _maps(path: Path, lines: list[str]) -> Iterator[tuple[int, np.ndarray, np.nd
         if np.isnan(tasks).any() or (tasks[:, 3] < 0).any():
             raise InputError(f"published labels {path}: {what} (number {index}) has a cost below 0 or no cost")
         if wrong := np.flatnonzero(np.abs(abstract_steps(tasks[:, :3]) - ABSTRACT_ACTIONS).max(axis=1) > 1e-4).tolist():
-            raise InputError(f"published labels {path}: goal {wrong[0]} of {what} is not the abstract action it should be")
+            raise InputError(f"published labels {path}: goal {wrong[0]} of {what} is not the action of that place")
         yield index, heights, tasks
     if (rest := next(rows, None)) is not None:
         raise InputError(f"published labels {path}, line {rest[0]}: more lines than the stated number of maps needs")
