@@ -16,7 +16,7 @@ from hdsp.abstract.costs import TaskPredictor
 from hdsp.errors import InputError
 
 if TYPE_CHECKING:
-    from hdsp.shards import TaskSet
+    from hdsp.tasks import TaskSet
 
 #: Columns of the table of rows, see `rows`.
 COLUMNS = (

@@ -2,5 +2,14 @@
 
 from hdsp.abstract.costs import AbstractCosts, FlatCosts, TaskPredictor
 from hdsp.abstract.dijkstra import PreparedGraph, cost_to_go
+from hdsp.abstract.manual import ManualCosts, ManualSettings
 
-__all__ = ["AbstractCosts", "FlatCosts", "PreparedGraph", "TaskPredictor", "cost_to_go"]
+__all__ = [
+    "AbstractCosts",
+    "FlatCosts",
+    "ManualCosts",
+    "ManualSettings",
+    "PreparedGraph",
+    "TaskPredictor",
+    "cost_to_go",
+]

@@ -1,0 +1,257 @@
+"""The manually tuned abstraction: what a person makes of coarse terrain features. The baseline of the paper's Table I.
+
+In spirit it is level 3 of Klamt & Behnke, ICRA 2018: a 3D robot state, 10 cm cells, a few features per cell and a
+handful of constants set by hand. It is not that code, and its constants are not theirs.
+
+Features of a cell: its height range (largest minus smallest height, over the cell and a rim of one height map cell),
+the mean and the largest height, and its class
+
+- *drivable*: no edge that a wheel could not pass;
+- *step*: an edge that a foot could step over;
+- *wall*: a higher edge, or unknown ground.
+
+What is made of them, for a robot with its feet in neutral position:
+
+- a state is *blocked* if ground rises into the body, or if a foot finds no drivable cell within a small reach ahead
+  and behind;
+- an action is feasible if no state on its way is blocked and each foot runs over drivable cells; a foot may run over a
+  step cell if the action goes (nearly) straight ahead or back;
+- its cost is its cost on flat ground, raised in proportion to the mean height range of the ground below and around the
+  robot, plus a constant for each foot that has to step.
+
+What it cannot know: where inside a cell an edge lies, other foot configurations, anything the classes do not tell. The
+constants were set by thought and a look at a few maps of our own, not fitted, and never to a test set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from hdsp.abstract.costs import FlatCosts, Region, checked_region, checked_tasks, close_exits
+from hdsp.errors import InputError
+from hdsp.heightmap import HeightMap
+from hdsp.lattice import (
+    ABSTRACT_ACTIONS,
+    ABSTRACT_ANCHOR,
+    ABSTRACT_HEADINGS,
+    ABSTRACT_RESOLUTION,
+    CELLS_PER_ABSTRACT,
+    PATCH_CENTER,
+    heading_angle,
+    robot_frame_goals,
+    rotation,
+)
+from hdsp.robot import Robot
+
+
+@dataclass(frozen=True)
+class ManualSettings:
+    """The hand-set constants; conf/abstraction/manual.yaml says how they came about.
+
+    Attributes:
+        unevenness_cost: rise of the cost factor per metre of mean height range.
+        margin: how far (m) around the feet's rectangle ground still counts as uneven for the robot.
+        step_cost: cost of one foot stepping over an edge.
+        step_deviation: most (rad) a stepping action may deviate from straight ahead or straight back.
+        foot_reach: how far (m) ahead of and behind its neutral position a foot may look for a drivable cell.
+    """
+
+    unevenness_cost: float = 7.5
+    margin: float = 0.15
+    step_cost: float = 0.1
+    step_deviation: float = 0.3
+    foot_reach: float = 0.1
+
+    def __post_init__(self):
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (np.isfinite(value) and value >= 0):
+                raise InputError(f"manual abstraction: {field.name} is {value}, need a finite number >= 0")
+
+
+class Features(NamedTuple):
+    """Coarse terrain, each [..., nx, ny] over cells of 10 cm; NaN where nothing is known."""
+
+    height_range: np.ndarray
+    ground: np.ndarray
+    top: np.ndarray
+
+
+class _Poses(NamedTuple):
+    """What the robot meets at poses, each [...]; one row per foot where said."""
+
+    blocked: np.ndarray
+    on_step: np.ndarray  # [4, ...]
+    on_wall: np.ndarray
+    unevenness: np.ndarray
+
+
+class ManualCosts:
+    """The manually tuned abstraction for one robot. Implements `AbstractCosts` and `TaskPredictor`."""
+
+    def __init__(self, robot: Robot | str, settings: ManualSettings | None = None):
+        """`robot` is a robot, or what `Robot.load` takes."""
+        self.robot = Robot.load(robot)
+        self.settings = settings or ManualSettings()
+        self._flat = FlatCosts(self.robot)
+
+    def edges(self, height_map: HeightMap, region: Region | None = None) -> np.ndarray:
+        """See `AbstractCosts.edges`."""
+        first_x, first_y, end_x, end_y = checked_region(height_map, region)
+        features = coarse_features(height_map.heights)
+        poses = [self._poses(features, heading) for heading in range(ABSTRACT_HEADINGS)]
+        edges = np.empty((ABSTRACT_HEADINGS, *features.ground.shape, len(ABSTRACT_ACTIONS)), np.float32)
+        for heading in range(ABSTRACT_HEADINGS):
+            for action, goal in enumerate(robot_frame_goals(heading)):
+                dx, dy, turn = ABSTRACT_ACTIONS[action].tolist()
+                # What is rolled in from the other side belongs to actions that lead off the map; they are closed below.
+                met = [_take(poses[heading], np.roll, (-x, -y), (-2, -1)) for x, y in _cells_on_the_way(dx, dy)]
+                if turn:
+                    met.append(poses[(heading + turn) % ABSTRACT_HEADINGS])
+                edges[heading, :, :, action] = self._cost(goal, met)
+        edges = np.ascontiguousarray(edges[:, first_x:end_x, first_y:end_y])
+        close_exits(edges, height_map, region)
+        return edges
+
+    def predict(self, patches: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `TaskPredictor.predict`.
+
+        For a patch cut at heading 0 these are the values of `edges`; at others the coarse cells lie differently.
+        """
+        goals = checked_tasks(patches, goals)
+        # The robot stands in a block of the patch as it does on a map in the block of its abstract cell.
+        center, first = divmod(PATCH_CENTER - ABSTRACT_ANCHOR, CELLS_PER_ABSTRACT)
+        features = coarse_features(np.asarray(patches, np.float32)[:, first:, first:])
+        distinct, which = np.unique(goals.reshape(-1, 3), axis=0, return_inverse=True)
+        which = which.reshape(goals.shape[:2])
+        poses = {turn: self._poses(features, turn) for turn in {0, *(round(turn) for turn in distinct[:, 2].tolist())}}
+        cost = np.empty(goals.shape[:2], np.float32)
+        for index, goal in enumerate(distinct):
+            dx, dy, turn = goal.tolist()
+            met = [_take(poses[0], _one_cell, center + x, center + y) for x, y in _cells_on_the_way(dx, dy)]
+            if turn:
+                met.append(_take(poses[round(turn)], _one_cell, center, center))
+            cost = np.where(which == index, self._cost(goal, met)[:, None], cost)
+        return np.isfinite(cost), cost.astype(np.float32)
+
+    def _cost(self, goal: np.ndarray, met: list[_Poses]) -> np.ndarray:
+        """Cost [...] of going to `goal` (robot frame, abstract steps) through poses [...]; inf where infeasible."""
+        settings = self.settings
+        dx, dy, turn = goal
+        deviation = abs(np.arctan2(dy, dx))
+        may_step = turn == 0 and min(deviation, np.pi - deviation) <= settings.step_deviation
+        stepping = np.any([poses.on_step for poses in met], axis=0)
+        infeasible = np.any([poses.blocked for poses in met], axis=0)
+        infeasible |= np.any([poses.on_wall for poses in met], axis=(0, 1))
+        if not may_step:
+            infeasible |= stepping.any(axis=0)
+        uneven = np.mean([poses.unevenness for poses in met], axis=0)
+        cost = self._flat.costs(goal) * (1 + settings.unevenness_cost * uneven)
+        return np.where(infeasible, np.inf, cost + settings.step_cost * stepping.sum(axis=0))
+
+    def _poses(self, features: Features, heading: int) -> _Poses:
+        """What the robot meets with its base in each cell, at one heading (index of 16)."""
+        robot, settings = self.robot, self.settings
+        turned = rotation(float(heading_angle(heading, ABSTRACT_HEADINGS)))
+        margin = _Margin(features, robot.reach() + settings.margin + ABSTRACT_RESOLUTION)
+
+        walls = margin.of(_is_wall(features, robot), outside=True)
+        edges = margin.of(features.height_range > robot.drive.max_height_difference, outside=True)
+        ranges = margin.of(np.nan_to_num(features.height_range), outside=0.0)
+        tops = margin.of(features.top, outside=np.nan)
+
+        blocked = np.zeros(features.ground.shape, bool)
+        for box in robot.body.boxes:
+            for cell in _cells_in(box.x_min, box.x_max, box.half_width, turned):
+                blocked |= margin.shifted(tops, cell) - features.ground > box.above
+        feet = robot.neutral_feet()
+        on_wall, on_step = [], []
+        reach = np.array([settings.foot_reach, 0.0])
+        for foot in feet:
+            here, *near = (_cell(turned @ place) for place in (foot, foot + reach, foot - reach))
+            on_wall.append(margin.shifted(walls, here))
+            on_step.append(margin.shifted(edges, here) & ~on_wall[-1])
+            blocked |= on_step[-1] & np.all([margin.shifted(edges, cell) for cell in near], axis=0)
+        length, width = np.abs(feet).max(axis=0) + settings.margin
+        around = _cells_in(-length, length, width, turned)
+        uneven = sum(margin.shifted(ranges, cell) for cell in around) / len(around)
+        return _Poses(blocked, np.array(on_step), np.array(on_wall), uneven)
+
+
+def coarse_features(heights: np.ndarray) -> Features:
+    """Features of the whole 10 cm cells of height maps.
+
+    Args:
+        heights: float32 [..., nx, ny], metres, NaN = unknown; the coarse cells are blocks of 4 x 4 from cell (0, 0).
+    """
+    size = CELLS_PER_ABSTRACT
+    nx, ny = heights.shape[-2] // size, heights.shape[-1] // size
+    around = [(0, 0)] * (heights.ndim - 2)
+    rimmed = np.pad(heights, [*around, (1, 1), (1, 1)], constant_values=np.nan)
+    windows = sliding_window_view(rimmed, (size + 2, size + 2), axis=(-2, -1))
+    windows = windows[..., : nx * size : size, : ny * size : size, :, :]
+    blocks = windows[..., 1:-1, 1:-1]
+    # A block with an unknown cell is unknown ground: its mean is NaN, while fmax and fmin pass over the NaN.
+    ground = blocks.mean(axis=(-2, -1))
+    largest, least = np.fmax.reduce(windows, axis=(-2, -1)), np.fmin.reduce(windows, axis=(-2, -1))
+    return Features(largest - least, ground, np.fmax.reduce(blocks, axis=(-2, -1)))
+
+
+def _is_wall(features: Features, robot: Robot) -> np.ndarray:
+    return np.isnan(features.ground) | (features.height_range > robot.step.max_height)
+
+
+def _cells_on_the_way(dx: float, dy: float) -> list[tuple[int, int]]:
+    """Distinct cells, relative to the start, of start, middle and end of a move by (dx, dy) cells."""
+    middle = {(x, y) for x in _nearest_to(dx / 2) for y in _nearest_to(dy / 2)}
+    return list(dict.fromkeys([(0, 0), *sorted(middle), (round(dx), round(dy))]))
+
+
+def _nearest_to(value: float) -> set[int]:
+    """The nearest integer, or both when halfway between two: left and right then count alike."""
+    return {int(np.ceil(value - 0.5)), int(np.floor(value + 0.5))}
+
+
+def _cells_in(x_min: float, x_max: float, half_width: float, turned: np.ndarray) -> list[tuple[int, int]]:
+    """Cells (relative) whose centres lie in a rectangle (m) of the robot frame that is turned by a rotation."""
+    reach = int(np.ceil(np.hypot(max(abs(x_min), abs(x_max)), half_width) / ABSTRACT_RESOLUTION))
+    cells = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
+    x, y = (cells * ABSTRACT_RESOLUTION @ turned).T
+    inside = (x >= x_min - 1e-9) & (x <= x_max + 1e-9) & (np.abs(y) <= half_width + 1e-9)
+    return [tuple(cell) for cell in cells[inside].tolist()]
+
+
+def _cell(position: np.ndarray) -> tuple[int, int]:
+    """Cell (relative) of a position in metres relative to the centre of the base's cell; ties go outward."""
+    scaled = np.asarray(position) / ABSTRACT_RESOLUTION
+    x, y = np.copysign(np.floor(np.abs(scaled) + 0.5 + 1e-9), scaled).astype(int).tolist()
+    return x, y
+
+
+def _one_cell(values: np.ndarray, x: int, y: int) -> np.ndarray:
+    return values[..., x, y]
+
+
+def _take(poses: _Poses, take, *arguments) -> _Poses:
+    return _Poses(*(take(values, *arguments) for values in poses))
+
+
+class _Margin:
+    """Reads maps at an offset from each cell, with a margin for what lies outside."""
+
+    def __init__(self, features: Features, reach: float):
+        self.cells = int(np.ceil(reach / ABSTRACT_RESOLUTION)) + 1
+        self.shape = features.ground.shape[-2:]
+
+    def of(self, values: np.ndarray, outside) -> np.ndarray:
+        around = [(0, 0)] * (values.ndim - 2)
+        return np.pad(values, [*around, (self.cells,) * 2, (self.cells,) * 2], constant_values=outside)
+
+    def shifted(self, values: np.ndarray, cell: tuple[int, int]) -> np.ndarray:
+        """For each cell the value at the cell that lies `cell` away from it."""
+        x, y = (self.cells + step for step in cell)
+        return values[..., x : x + self.shape[0], y : y + self.shape[1]]
