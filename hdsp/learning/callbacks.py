@@ -1,0 +1,96 @@
+"""Loss weights that fall during training: the paper's rule and the rule of the published script.
+
+Both count losses per epoch, before weighting. The weights are part of the module's state and the history of the rule is
+part of the callback's, so both survive a resume from a checkpoint.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+import lightning.pytorch as pl
+
+from hdsp.errors import InputError
+
+#: The losses, in the order in which rules treat them.
+LOSSES = ("feasibility", "cost")
+
+
+class LossWeightRule(pl.Callback, ABC):
+    """Divides loss weights by ``factor`` at the end of a training epoch when ``losses_to_cut`` says so."""
+
+    def __init__(self, factor: float = 5.0, patience: int = 3):
+        if not factor > 1:
+            raise InputError(f"trainer.losses.factor: {factor} is not above 1")
+        if patience < 1:
+            raise InputError(f"trainer.losses.patience: {patience} is below 1")
+        self.factor, self.patience = factor, patience
+
+    @abstractmethod
+    def losses_to_cut(self, losses: Mapping[str, float]) -> list[str]:
+        """Names of the losses whose weight is to be cut, given those of the epoch that just ended."""
+
+    def on_train_epoch_end(self, trainer: pl.Trainer, module: pl.LightningModule) -> None:
+        for name in self.losses_to_cut(module.epoch_losses()):
+            module.scale_loss_weight(name, 1 / self.factor)
+
+
+class PlateauLossWeights(LossWeightRule):
+    """The paper's rule (Sec. VI, network training): when a loss has not fallen below its lowest value in ``patience``
+    successive epochs (3), its weight is divided by ``factor`` (5) and the count begins anew, each loss by itself."""
+
+    def __init__(self, factor: float = 5.0, patience: int = 3):
+        super().__init__(factor, patience)
+        self.best = dict.fromkeys(LOSSES, float("inf"))
+        self.waited = dict.fromkeys(LOSSES, 0)
+
+    def losses_to_cut(self, losses: Mapping[str, float]) -> list[str]:
+        cut = []
+        for name in LOSSES:
+            if losses[name] < self.best[name]:
+                self.best[name], self.waited[name] = losses[name], 0
+                continue
+            self.waited[name] += 1
+            if self.waited[name] >= self.patience:
+                self.waited[name] = 0
+                cut.append(name)
+        return cut
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"best": dict(self.best), "waited": dict(self.waited)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.best, self.waited = dict(state["best"]), dict(state["waited"])
+
+
+class PublishedLossWeights(LossWeightRule):
+    """The rule of the authors' published script: when a loss has risen ``patience`` times in a row (2), its weight is
+    divided by ``factor`` (5) and its history forgotten; a cut of the feasibility weight also forgets the history of the
+    cost loss."""
+
+    def __init__(self, factor: float = 5.0, patience: int = 2):
+        super().__init__(factor, patience)
+        self.last: dict[str, float | None] = dict.fromkeys(LOSSES)
+        self.rises = dict.fromkeys(LOSSES, 0)
+
+    def losses_to_cut(self, losses: Mapping[str, float]) -> list[str]:
+        cut = []
+        for name in LOSSES:
+            last = self.last[name]
+            self.rises[name] = self.rises[name] + 1 if last is not None and losses[name] > last else 0
+            self.last[name] = losses[name]
+            if self.rises[name] >= self.patience:
+                cut.append(name)
+        for name in LOSSES if "feasibility" in cut else cut:
+            self.last[name], self.rises[name] = None, 0
+        return cut
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"last": dict(self.last), "rises": dict(self.rises)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.last, self.rises = dict(state["last"]), dict(state["rises"])
+
+
+#: Names of the rules in the configuration; ``constant`` has no callback.
+LOSS_WEIGHT_RULES: dict[str, type[LossWeightRule]] = {"plateau": PlateauLossWeights, "published": PublishedLossWeights}

@@ -1,0 +1,157 @@
+"""Labelled tasks as batches of tensors: everything in memory once, batches are picked by index."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset, Sampler
+
+from hdsp.errors import InputError
+
+if TYPE_CHECKING:
+    from hdsp.shards import TaskSet
+
+
+@dataclass(frozen=True)
+class BatchSettings:
+    """How tasks are put into batches.
+
+    Attributes:
+        by: ``map``: all 22 goals of ``size`` maps (the trunk is evaluated once per map). ``task``: ``size`` single
+            tasks, each its own evaluation; size 1 is the paper's training.
+        size: maps or tasks per batch.
+    """
+
+    by: Literal["map", "task"] = "map"
+    size: int = 32
+
+    def __post_init__(self):
+        if self.size < 1:
+            raise InputError(f"trainer.batch.size: {self.size} is below 1")
+
+
+class Batch(NamedTuple):
+    """Tasks of one step: heights [B, 1, 72, 72], goals [B, G, 3], feasible bool [B, G], cost [B, G] (0 if
+    infeasible)."""
+
+    heights: Tensor
+    goals: Tensor
+    feasible: Tensor
+    cost: Tensor
+
+
+class BatchIndex(NamedTuple):
+    """What a batch consists of: maps int64 [B]; tasks int64 [B] for single tasks, else None; mirrored bool [B] or
+    None."""
+
+    maps: Tensor
+    tasks: Tensor | None
+    mirrored: Tensor | None
+
+
+class TaskDataset(Dataset):
+    """The tensors of a ``TaskSet``, shared with it and never copied; indexed by ``BatchIndex``."""
+
+    def __init__(self, tasks: "TaskSet"):
+        if len(tasks.heights) == 0:
+            raise InputError("task set: it holds no maps")
+        self.heights = _shared(tasks.heights, np.float32)
+        self.goals = _shared(tasks.goals, np.float32)
+        self.feasible = _shared(tasks.feasible, np.bool_)
+        self.cost = _shared(tasks.cost, np.float32)
+
+    def __len__(self) -> int:
+        return len(self.heights)
+
+    def __getitem__(self, index: BatchIndex) -> Batch:
+        maps, tasks, mirrored = index
+        heights = self.heights[maps][:, None]
+        if tasks is None:
+            goals, feasible, cost = self.goals[maps], self.feasible[maps], self.cost[maps]
+        else:
+            goals, feasible, cost = (part[maps, tasks][:, None] for part in (self.goals, self.feasible, self.cost))
+        if mirrored is not None:
+            heights = torch.where(mirrored[:, None, None, None], mirror_heights(heights), heights)
+            goals = torch.where(mirrored[:, None, None], mirror_goals(goals), goals)
+        return Batch(heights, goals, feasible, cost)
+
+
+class BatchSampler(Sampler[BatchIndex]):
+    """Batches of an epoch, shuffled and mirrored as a function of (seed, epoch) alone, so that a resumed training sees
+    the batches an undisturbed one would have seen."""
+
+    def __init__(
+        self, maps: int, goals: int, settings: BatchSettings, shuffle: bool, mirror: bool = False, seed: int = 0
+    ):
+        self.maps, self.goals, self.settings = maps, goals, settings
+        self.shuffle, self.mirror, self.seed, self.epoch = shuffle, mirror, seed, 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Called by Lightning before each epoch."""
+        self.epoch = epoch
+
+    def __len__(self) -> int:
+        items = self.maps if self.settings.by == "map" else self.maps * self.goals
+        return -(-items // self.settings.size)
+
+    def __iter__(self) -> Iterator[BatchIndex]:
+        single = self.settings.by == "task"
+        items = self.maps * self.goals if single else self.maps
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
+        order = torch.randperm(items, generator=generator) if self.shuffle else torch.arange(items)
+        for chosen in order.split(self.settings.size):
+            mirrored = torch.rand(len(chosen), generator=generator) < 0.5 if self.mirror else None
+            if single:
+                yield BatchIndex(chosen // self.goals, chosen % self.goals, mirrored)
+            else:
+                yield BatchIndex(chosen, None, mirrored)
+
+
+def task_loader(
+    tasks: "TaskSet", settings: BatchSettings, shuffle: bool = False, mirror: bool = False, seed: int = 0
+) -> DataLoader:
+    """Batches of a task set.
+
+    Args:
+        tasks: labelled maps.
+        settings: batches by map or single tasks.
+        shuffle: new order every epoch.
+        mirror: mirror each item on its x axis with probability one half; the robot and its costs are symmetric.
+        seed: of order and mirroring.
+
+    Raises:
+        InputError: if the task set is empty.
+    """
+    dataset = TaskDataset(tasks)
+    sampler = BatchSampler(len(dataset), dataset.goals.shape[1], settings, shuffle, mirror, seed)
+    return DataLoader(dataset, batch_size=None, sampler=sampler, collate_fn=_as_is)
+
+
+def mirror_heights(heights: Tensor) -> Tensor:
+    """Patches [..., nx, ny] mirrored on the x axis of the robot.
+
+    Convention: the base stands at the centre of cell ny // 2, so cell j goes to ny - j; cell 0 has no counterpart in
+    the patch and takes the height of its neighbour.
+    """
+    flipped = heights.flip(-1).roll(1, -1)
+    flipped[..., 0] = flipped[..., 1]
+    return flipped
+
+
+def mirror_goals(goals: Tensor) -> Tensor:
+    """Goals [..., 3] mirrored on the x axis of the robot: (dx, -dy, -dtheta)."""
+    return goals * goals.new_tensor([1.0, -1.0, -1.0])
+
+
+def _shared(array: np.ndarray, dtype) -> Tensor:
+    array = np.asarray(array, dtype)
+    if not array.flags.writeable or not array.flags.c_contiguous:
+        array = np.array(array)  # torch cannot share read-only memory
+    return torch.from_numpy(array)
+
+
+def _as_is(batch: Batch) -> Batch:
+    return batch

@@ -1,0 +1,149 @@
+"""The Lightning module: losses, optimiser, schedule and metrics of a network of tasks."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import lightning.pytorch as pl
+import torch
+from torch import Tensor
+
+from hdsp.errors import InputError
+from hdsp.learning.callbacks import LOSSES
+from hdsp.learning.data import Batch
+from hdsp.learning.metrics import TaskMetrics, task_losses
+from hdsp.learning.networks import TaskNetwork
+
+
+@dataclass(frozen=True)
+class OptimizerSettings:
+    """The optimiser; ``sgd`` with lr 1e-4 and momentum 0.9 is the paper's.
+
+    Weight decay acts on matrices and kernels, not on biases and normalisations.
+    """
+
+    name: Literal["sgd", "adamw"] = "sgd"
+    lr: float = 1e-4
+    momentum: float = 0.9
+    weight_decay: float = 0.0
+
+
+@dataclass(frozen=True)
+class ScheduleSettings:
+    """The learning rate over the training, stepped each batch: ``constant``, ``cosine`` to zero, or ``onecycle``: up
+    during the first ``warmup`` share of all steps, then down to zero."""
+
+    name: Literal["constant", "cosine", "onecycle"] = "constant"
+    warmup: float = 0.2
+
+    def __post_init__(self):
+        if not 0 < self.warmup < 1:
+            raise InputError(f"trainer.schedule.warmup: {self.warmup} is not between 0 and 1")
+
+
+@dataclass(frozen=True)
+class LossSettings:
+    """Initial loss weights, and the rule by which they fall: ``plateau`` (paper), ``published`` (script),
+    ``constant``."""
+
+    feasibility: float = 1.0
+    cost: float = 1.0
+    rule: Literal["constant", "plateau", "published"] = "plateau"
+    factor: float = 5.0
+    patience: int = 3
+
+
+class AbstractionModule(pl.LightningModule):
+    """Trains a ``TaskNetwork``.
+
+    The loss is w_f BCE(feasibility) + w_c L1(cost over feasible tasks); the weights are buffers and thus part of every
+    checkpoint.
+
+    Args:
+        network: what is trained.
+        optimizer, schedule, losses: settings.
+        val_sets: names of the validation sets, in the order of the dataloaders.
+    """
+
+    def __init__(
+        self,
+        network: TaskNetwork,
+        optimizer: OptimizerSettings,
+        schedule: ScheduleSettings,
+        losses: LossSettings,
+        val_sets: tuple[str, ...] = (),
+    ):
+        super().__init__()
+        self.network = network
+        self.optimizer_settings, self.schedule_settings = optimizer, schedule
+        self.val_sets = val_sets
+        self.register_buffer("loss_weights", torch.tensor([losses.feasibility, losses.cost]))
+        self.register_buffer("loss_sums", torch.zeros(3, dtype=torch.float64), persistent=False)
+        self.metrics = {name: TaskMetrics() for name in val_sets}
+
+    def epoch_losses(self) -> dict[str, float]:
+        """Mean unweighted losses of the training epoch so far: feasibility over all tasks, cost over feasible
+        batches."""
+        sums = self.loss_sums.tolist()
+        return {name: sums[i] / max(sums[2], 1.0) for i, name in enumerate(LOSSES)}
+
+    def epoch_metrics(self) -> dict[str, float]:
+        """Flat metrics of the epoch that just ended: ``loss/*`` and ``loss_weight/*`` (as used in it) for
+        ``feasibility`` and ``cost``, ``feasibility_accuracy/{set}`` and ``cost_error/{set}`` for each validation
+        set."""
+        values = {f"loss/{name}": value for name, value in self.epoch_losses().items()}
+        values |= {f"loss_weight/{name}": self.loss_weight(name) for name in LOSSES}
+        for set_name, metrics in self.metrics.items():
+            computed = metrics.compute()
+            values |= {f"{metric}/{set_name}": computed[metric] for metric in ("feasibility_accuracy", "cost_error")}
+        return values
+
+    def loss_weight(self, name: str) -> float:
+        """Present weight of the loss ``feasibility`` or ``cost``."""
+        return float(self.loss_weights[LOSSES.index(name)])
+
+    def scale_loss_weight(self, name: str, factor: float) -> None:
+        """Multiplies a loss weight."""
+        self.loss_weights[LOSSES.index(name)] *= factor
+
+    def on_train_epoch_start(self) -> None:
+        self.loss_sums.zero_()
+
+    def training_step(self, batch: Batch, index: int) -> Tensor:
+        cost, logits = self.network(batch.heights, batch.goals)
+        losses = torch.stack(task_losses(cost, logits, batch.feasible, batch.cost))
+        size = len(batch.heights)
+        self.loss_sums[:2] += losses.detach() * size
+        self.loss_sums[2] += size
+        return (self.loss_weights * losses).sum()
+
+    def on_validation_epoch_start(self) -> None:
+        for metrics in self.metrics.values():
+            metrics.reset()
+
+    def validation_step(self, batch: Batch, index: int, dataloader_idx: int = 0) -> None:
+        cost, logits = self.network(batch.heights, batch.goals)
+        self.metrics[self.val_sets[dataloader_idx]].update(cost, logits, batch.feasible, batch.cost)
+
+    def configure_optimizers(self):
+        settings = self.optimizer_settings
+        decayed = [p for p in self.network.parameters() if p.ndim > 1]
+        free = [p for p in self.network.parameters() if p.ndim <= 1]
+        groups = [{"params": decayed, "weight_decay": settings.weight_decay}, {"params": free, "weight_decay": 0.0}]
+        if settings.name == "sgd":
+            optimizer = torch.optim.SGD(groups, lr=settings.lr, momentum=settings.momentum)
+        else:
+            optimizer = torch.optim.AdamW(groups, lr=settings.lr)
+        if self.schedule_settings.name == "constant":
+            return optimizer
+        steps = int(self.trainer.estimated_stepping_batches)
+        if self.schedule_settings.name == "cosine":
+            schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+        else:
+            schedule = torch.optim.lr_scheduler.OneCycleLR(
+                optimizer,
+                max_lr=settings.lr,
+                total_steps=steps,
+                pct_start=self.schedule_settings.warmup,
+                cycle_momentum=False,
+            )
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

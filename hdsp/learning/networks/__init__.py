@@ -1,0 +1,78 @@
+"""Network architectures by name.
+
+To add one: a file beside this one with a ``TaskNetwork`` and a dataclass of its options, one line in ``ARCHITECTURES``,
+    and
+``conf/model/NAME.yaml`` that names it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+from hdsp.errors import InputError
+from hdsp.learning.encoding import HeightEncoding
+from hdsp.learning.networks.base import TaskNetwork, count_parameters, initialise_he
+from hdsp.learning.networks.compact import Compact, CompactOptions
+from hdsp.learning.networks.klamt2019 import Klamt2019, Klamt2019Options
+from hdsp.learning.settings import settings_from
+
+#: name -> (network class, dataclass of its options)
+ARCHITECTURES: dict[str, tuple[type[TaskNetwork], type]] = {
+    "klamt2019": (Klamt2019, Klamt2019Options),
+    "compact": (Compact, CompactOptions),
+}
+
+
+@dataclass(frozen=True)
+class ModelSettings:
+    """What ``conf/model/*.yaml`` holds.
+
+    Attributes:
+        architecture: a name in ``ARCHITECTURES``.
+        initialisation: ``he``, or ``default`` for that of PyTorch.
+        encoding: treatment of heights.
+        options: the architecture's own options; missing ones keep their defaults.
+    """
+
+    architecture: str = "klamt2019"
+    initialisation: Literal["he", "default"] = "he"
+    encoding: HeightEncoding = field(default_factory=HeightEncoding)
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain mapping that ``build_network`` reads back, with all defaults written out."""
+        options = asdict(self.checked_options())
+        return {
+            "architecture": self.architecture,
+            "initialisation": self.initialisation,
+            "encoding": self.encoding.to_dict(),
+            "options": {key: list(value) if isinstance(value, tuple) else value for key, value in options.items()},
+        }
+
+    def checked_options(self):
+        """The options as the architecture's dataclass.
+
+        Raises:
+            InputError: on an unknown architecture or option.
+        """
+        if self.architecture not in ARCHITECTURES:
+            raise InputError(f"model.architecture: {self.architecture!r} is not one of {', '.join(ARCHITECTURES)}")
+        return settings_from(ARCHITECTURES[self.architecture][1], self.options, "model.options")
+
+
+def build_network(config: Mapping[str, Any] | ModelSettings) -> TaskNetwork:
+    """A freshly initialised network, in training mode, from a model configuration (``ModelSettings``).
+
+    Raises:
+        InputError: on unknown keys, architectures or options.
+    """
+    settings = settings_from(ModelSettings, config, "model")
+    options = settings.checked_options()
+    network = ARCHITECTURES[settings.architecture][0](settings.encoding, options)
+    if settings.initialisation == "he":
+        initialise_he(network)
+    network.settings = settings
+    return network
+
+
+__all__ = ["ARCHITECTURES", "ModelSettings", "TaskNetwork", "build_network", "count_parameters"]

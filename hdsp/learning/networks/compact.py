@@ -1,0 +1,98 @@
+"""A smaller and faster network: strided residual stages, the goal acts as a gate on the map."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from hdsp.errors import InputError
+from hdsp.learning.encoding import HeightEncoding
+from hdsp.learning.networks.base import TaskNetwork
+
+
+@dataclass(frozen=True)
+class CompactOptions:
+    """Widths of the network.
+
+    Attributes:
+        widths: channels of the stages; each stage halves the resolution of the one before, the first works at 36 x 36.
+        blocks: residual blocks of each stage.
+        map_features: channels to which the last stage is reduced before it is flattened.
+        hidden: width of the layers that see the goal.
+    """
+
+    widths: tuple[int, ...] = (32, 48, 64)
+    blocks: tuple[int, ...] = (1, 1, 1)
+    map_features: int = 24
+    hidden: int = 256
+
+    def __post_init__(self):
+        if len(self.widths) != len(self.blocks) or not 1 <= len(self.widths) <= 5:
+            raise InputError(
+                f"model.options: widths {list(self.widths)} and blocks {list(self.blocks)} need 1 to 5 entries each"
+            )
+
+
+class Compact(TaskNetwork):
+    """Residual stages with batch normalisation; a goal scales and shifts the hidden features of the map (FiLM).
+
+    A sum of map and goal, as in the published network, can only become a product ("this obstacle matters for that
+    goal") in later layers; the gate gives that product directly, so that one hidden layer behind it is enough.
+    """
+
+    def __init__(self, encoding: HeightEncoding, options: CompactOptions):
+        super().__init__(encoding)
+        stages: list[nn.Module] = []
+        before, cells = len(encoding.channels), 72
+        for stage, (width, blocks) in enumerate(zip(options.widths, options.blocks, strict=True)):
+            kernel = 5 if stage == 0 else 3
+            stages += [
+                nn.Conv2d(before, width, kernel, stride=2, padding=kernel // 2, bias=False),
+                nn.BatchNorm2d(width),
+                nn.ReLU(),
+            ]
+            stages += [ResidualBlock(width) for _ in range(blocks)]
+            before, cells = width, (cells + 1) // 2
+        self.trunk = nn.Sequential(*stages, nn.Conv2d(before, options.map_features, 1), nn.Flatten())
+        self.of_map = nn.Linear(options.map_features * cells * cells, options.hidden)
+        self.of_goal = nn.Sequential(nn.Linear(GOAL_FEATURES, 64), nn.ReLU(), nn.Linear(64, 2 * options.hidden))
+        self.rest = nn.Sequential(nn.ReLU(), nn.Linear(options.hidden, 128), nn.ReLU())
+        self.heads = nn.Linear(128, 2)
+
+    def map_part(self, encoded: Tensor) -> Tensor:
+        return self.of_map(self.trunk(encoded))
+
+    def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
+        scale, shift = self.of_goal(goal_features(goals)).chunk(2, dim=-1)
+        cost, logits = self.heads(self.rest(features[:, None, :] * (1 + scale) + shift)).unbind(-1)
+        return cost, logits
+
+
+GOAL_FEATURES = 7
+
+
+def goal_features(goals: Tensor) -> Tensor:
+    """(dx, dy, dtheta), distance, direction and whether it is a turn; [..., 3] to [..., 7], order of magnitude one.
+
+    The cost of a goal on flat ground depends on distance times a function of direction, which these make easy to learn.
+    """
+    position = goals[..., :2]
+    distance = position.norm(dim=-1, keepdim=True)
+    direction = position / distance.clamp_min(1e-6)
+    return torch.cat([goals, distance, direction, (distance < 1e-3).to(goals.dtype)], dim=-1)
+
+
+class ResidualBlock(nn.Module):
+    """Two 3 x 3 convolutions beside the identity."""
+
+    def __init__(self, width: int):
+        super().__init__()
+        self.inner = nn.Sequential(
+            nn.Conv2d(width, width, 3, padding=1, bias=False), nn.BatchNorm2d(width), nn.ReLU(),
+            nn.Conv2d(width, width, 3, padding=1, bias=False), nn.BatchNorm2d(width),
+        )  # fmt: skip
+        # The block starts as the identity, so that depth does not hinder the first epochs.
+        nn.init.zeros_(self.inner[-1].weight)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return torch.relu(x + self.inner(x))

@@ -1,0 +1,241 @@
+"""A trained abstraction as a folder: ``config.json`` + ``model.safetensors``.
+
+The configuration carries everything in which inference has to agree with training, and it is checked on loading.
+"""
+
+import hashlib
+import json
+import math
+import os
+import secrets
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load as load_tensors
+from safetensors.torch import save as tensor_bytes
+
+from hdsp import lattice
+from hdsp.costs import COST_MODEL_VERSION
+from hdsp.errors import InputError
+from hdsp.files import existing_file
+from hdsp.learning.hardware import HardwareSettings, autocast
+from hdsp.learning.networks import ModelSettings, TaskNetwork, build_network
+from hdsp.learning.settings import settings_from
+from hdsp.robot import Robot
+
+FORMAT_VERSION = 1
+
+#: Lower bound on predicted costs. A network may predict zero or less; a search needs positive edges.
+MINIMUM_COST = 1e-3
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where the labels came from.
+
+    Attributes:
+        robot: name of the robot.
+        robot_hash: ``Robot.hash()`` of the robot that was labelled for; empty = not recorded.
+        cost_model_version: version of the cost model of the labels.
+        labels_hash: hash of everything the labels depend on; empty = not recorded.
+        notes: anything else worth keeping, as plain values.
+    """
+
+    robot: str = ""
+    robot_hash: str = ""
+    cost_model_version: int = COST_MODEL_VERSION
+    labels_hash: str = ""
+    notes: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, robot: Robot, labels_hash: str = "", **notes: Any) -> "Provenance":
+        """Provenance of labels made now, with the present cost model, for ``robot``."""
+        return cls(robot.name, robot.hash(), COST_MODEL_VERSION, labels_hash, notes)
+
+
+class LearnedAbstraction:
+    """A trained network with its configuration: patches and goals to feasibility and cost.
+
+    Attributes:
+        network: in evaluation mode, on the device of ``hardware``.
+        model: the settings it was built from.
+        provenance: where its labels came from.
+        metrics: flat metrics at the end of training.
+    """
+
+    def __init__(
+        self,
+        network: TaskNetwork,
+        model: ModelSettings,
+        provenance: Provenance | None = None,
+        metrics: Mapping[str, float] | None = None,
+        hardware: HardwareSettings | None = None,
+    ):
+        self.model, self.provenance, self.metrics = model, provenance or Provenance(), dict(metrics or {})
+        self.hardware = hardware or HardwareSettings()
+        self.device = self.hardware.device()
+        self.network = network.to(self.device, memory_format=torch.channels_last).eval()
+
+    def predict(self, patches: np.ndarray, goals: np.ndarray, batch: int = 128) -> tuple[np.ndarray, np.ndarray]:
+        """Judges tasks.
+
+        Args:
+            patches: float32 [n, 72, 72], metres, NaN = unknown.
+            goals: float32 [n, G, 3] in abstract steps in the robot frame, or [G, 3] for all patches.
+            batch: patches evaluated at once.
+
+        Returns:
+            feasible: bool [n, G], probability above one half.
+            cost: float32 [n, G], at least ``MINIMUM_COST``; meaningful where feasible.
+
+        Raises:
+            InputError: on wrong shapes.
+
+        Convention: axis 1 of ``patches`` is x, along the robot's heading; the base stands at the centre of cell (36,
+        36).
+        """
+        probability, cost = self.predict_probability(patches, goals, batch)
+        return probability > 0.5, cost
+
+    @torch.inference_mode()
+    def predict_probability(
+        self, patches: np.ndarray, goals: np.ndarray, batch: int = 128
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """As ``predict``, with the probability of feasibility, float32 [n, G], instead of the judgement."""
+        patches, goals = np.asarray(patches, np.float32), np.asarray(goals, np.float32)
+        cells = lattice.PATCH_CELLS
+        if patches.ndim != 3 or patches.shape[1:] != (cells, cells):
+            raise InputError(f"patches: shape {patches.shape} is not [n, {cells}, {cells}]")
+        if goals.ndim == 2:
+            goals = np.broadcast_to(goals, (len(patches), *goals.shape))
+        if goals.ndim != 3 or len(goals) != len(patches) or goals.shape[2] != 3:
+            raise InputError(f"goals: shape {goals.shape} is not [{len(patches)}, goals, 3]")
+        probability, cost = np.empty((2, *goals.shape[:2]), np.float32)
+        for start in range(0, len(patches), batch):
+            part = slice(start, start + batch)
+            predicted, logits = self._evaluate(patches[part], goals[part])
+            probability[part] = logits.sigmoid().cpu().numpy()
+            cost[part] = predicted.clamp_min(MINIMUM_COST).cpu().numpy()
+        return probability, cost
+
+    def _evaluate(self, patches: np.ndarray, goals: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        heights = torch.tensor(patches)[:, None].to(self.device, memory_format=torch.channels_last)
+        with autocast(self.device, self.hardware.uses_bfloat16()):
+            return self.network(heights, torch.tensor(goals).to(self.device))
+
+    def save_pretrained(self, folder: str | Path) -> Path:
+        """Writes the abstraction; a folder that is there already is replaced as a whole.
+
+        Raises:
+            InputError: if the folder cannot be written, or holds something else than an abstraction.
+        """
+        folder = Path(folder)
+        if folder.exists() and any(folder.iterdir()) and not (folder / "config.json").is_file():
+            raise InputError(f"{folder}: holds other files than a pretrained abstraction; it is not replaced")
+        tensors = {key: value.detach().cpu().contiguous() for key, value in self.network.state_dict().items()}
+        weights = tensor_bytes(tensors)
+        config = {
+            "format_version": FORMAT_VERSION,
+            "model": self.model.to_dict(),
+            "lattice": _lattice_contract(),
+            "provenance": asdict(self.provenance),
+            # JSON has no NaN; a metric that does not exist is left out.
+            "metrics": {key: value for key, value in self.metrics.items() if math.isfinite(value)},
+            "weights_sha256": hashlib.sha256(weights).hexdigest(),
+        }
+        beside = folder.with_name(f".{folder.name}.{os.getpid()}-{secrets.token_hex(4)}")
+        try:
+            beside.mkdir(parents=True)
+            (beside / "model.safetensors").write_bytes(weights)
+            (beside / "config.json").write_text(json.dumps(config, indent=2) + "\n")
+            if folder.exists():
+                folder.rename(beside.with_suffix(".old"))
+            beside.rename(folder)
+        except OSError as error:
+            raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
+            if folder.exists():
+                shutil.rmtree(beside.with_suffix(".old"), ignore_errors=True)
+        return folder
+
+    @classmethod
+    def from_pretrained(
+        cls, folder: str | Path, robot: Robot | None = None, hardware: HardwareSettings | None = None
+    ) -> "LearnedAbstraction":
+        """Reads an abstraction and checks that it fits.
+
+        Args:
+            folder: with ``config.json`` and ``model.safetensors``.
+            robot: if given, the abstraction has to be one of this robot.
+            hardware: device and precision of inference.
+
+        Raises:
+            InputError: if a file is missing or damaged, or if the lattice, the actions, the cost model or the robot
+                differ from those of training.
+        """
+        folder = Path(folder)
+        config_path = existing_file(folder / "config.json", "pretrained abstraction")
+        weights_path = existing_file(folder / "model.safetensors", "weights of a pretrained abstraction")
+        try:
+            config = json.loads(config_path.read_text())
+            found = {
+                key: config[key]
+                for key in ("format_version", "model", "lattice", "provenance", "metrics", "weights_sha256")
+            }
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{config_path}: not the configuration of an abstraction ({error})") from None
+        _check_agreement(config_path, "format_version", found["format_version"], FORMAT_VERSION)
+        for key, value in _lattice_contract().items():
+            _check_agreement(config_path, f"lattice.{key}", found["lattice"].get(key), value)
+        provenance = settings_from(Provenance, found["provenance"], f"{config_path} provenance")
+        _check_agreement(config_path, "cost_model_version", provenance.cost_model_version, COST_MODEL_VERSION)
+        if robot is not None and provenance.robot_hash not in ("", robot.hash()):
+            raise InputError(
+                f"{config_path}: trained for another robot ({provenance.robot!r}) than {robot.name!r} as it is now"
+            )
+
+        weights = weights_path.read_bytes()
+        if hashlib.sha256(weights).hexdigest() != found["weights_sha256"]:
+            raise InputError(
+                f"{weights_path}: damaged or of another abstraction, its checksum is not the one in config.json"
+            )
+        model = settings_from(ModelSettings, found["model"], f"{config_path} model")
+        network = build_network(model)
+        try:
+            network.load_state_dict(load_tensors(weights))
+        except (RuntimeError, SafetensorError) as error:
+            raise InputError(
+                f"{weights_path}: does not fit {model.architecture}: {str(error).splitlines()[0]}"
+            ) from None
+        return cls(network, model, provenance, found["metrics"], hardware)
+
+
+def example_input() -> dict[str, np.ndarray]:
+    """One flat patch and its 22 goals, shaped as the network takes them: ``heights`` [1, 1, 72, 72], ``goals`` [1, 22,
+    3]."""
+    cells = lattice.PATCH_CELLS
+    return {"heights": np.zeros((1, 1, cells, cells), np.float32), "goals": lattice.robot_frame_goals(0)[None]}
+
+
+def _lattice_contract() -> dict[str, Any]:
+    return {
+        "resolution": lattice.RESOLUTION,
+        "patch_cells": lattice.PATCH_CELLS,
+        "patch_center": lattice.PATCH_CENTER,
+        "headings": lattice.HEADINGS,
+        "abstract_resolution": lattice.ABSTRACT_RESOLUTION,
+        "abstract_headings": lattice.ABSTRACT_HEADINGS,
+        "abstract_actions": lattice.ABSTRACT_ACTIONS.tolist(),
+    }
+
+
+def _check_agreement(path: Path, what: str, found: Any, expected: Any) -> None:
+    if found != expected:
+        raise InputError(f"{path}: {what} is {found}, but this program works with {expected}")

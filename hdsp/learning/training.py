@@ -1,0 +1,236 @@
+"""Training from labelled tasks to a saved abstraction, resumable at every epoch."""
+
+import hashlib
+import json
+import logging
+import shutil
+import time
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import lightning.pytorch as pl
+import torch
+from lightning.pytorch.callbacks import ModelCheckpoint
+from lightning.pytorch.loggers import Logger
+
+from hdsp.errors import InputError
+from hdsp.learning.callbacks import LOSS_WEIGHT_RULES
+from hdsp.learning.data import BatchSettings, task_loader
+from hdsp.learning.hardware import HardwareSettings
+from hdsp.learning.history import EpochHistory, OnEpoch
+from hdsp.learning.metrics import combined_score
+from hdsp.learning.module import AbstractionModule, LossSettings, OptimizerSettings, ScheduleSettings
+from hdsp.learning.networks import ModelSettings, build_network
+from hdsp.learning.pretrained import LearnedAbstraction, Provenance
+from hdsp.learning.settings import settings_from
+
+if TYPE_CHECKING:
+    from hdsp.shards import TaskSet
+
+#: Maps in a validation batch; it has no influence on results.
+VALIDATION_BATCH = BatchSettings(by="map", size=64)
+
+
+@dataclass(frozen=True)
+class SelectionSettings:
+    """Which epoch's state is kept.
+
+    Attributes:
+        set: name of the validation set that decides.
+        metric: ``combined``: lowest (1 - feasibility accuracy) + cost error; or one of the two alone.
+    """
+
+    set: str = "val"
+    metric: Literal["combined", "feasibility_accuracy", "cost_error"] = "combined"
+
+    def score(self, metrics: Mapping[str, float]) -> float:
+        """Score of an epoch, lower is better."""
+        accuracy, error = metrics[f"feasibility_accuracy/{self.set}"], metrics[f"cost_error/{self.set}"]
+        if self.metric == "feasibility_accuracy":
+            return 1 - accuracy
+        # Without a task that both judge feasible there is no cost error: that state must not win.
+        return combined_score(accuracy, error) if self.metric == "combined" else combined_score(1.0, error)
+
+
+@dataclass(frozen=True)
+class TrainerSettings:
+    """What ``conf/trainer/*.yaml`` holds: all that the trained network depends on besides model and data."""
+
+    epochs: int = 100
+    seed: int = 0
+    batch: BatchSettings = field(default_factory=BatchSettings)
+    mirror: bool = False
+    optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
+    schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
+    losses: LossSettings = field(default_factory=LossSettings)
+    selection: SelectionSettings = field(default_factory=SelectionSettings)
+    gradient_clip: float | None = None
+
+    def __post_init__(self):
+        if self.epochs < 1:
+            raise InputError(f"trainer.epochs: {self.epochs} is below 1")
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """The configuration of ``train``: model and trainer, and the hardware, on which no result depends."""
+
+    model: ModelSettings = field(default_factory=ModelSettings)
+    trainer: TrainerSettings = field(default_factory=TrainerSettings)
+    hardware: HardwareSettings = field(default_factory=HardwareSettings)
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """What a training leaves.
+
+    Attributes:
+        model_dir: the saved abstraction of the best epoch (``LearnedAbstraction.from_pretrained``).
+        best_epoch: counted from 0.
+        metrics: flat metrics of the best epoch.
+        history: flat metrics of every epoch.
+        seconds: duration of this call; after a resume without the interrupted part.
+        resumed_from: number of epochs that an earlier, interrupted call had finished.
+    """
+
+    model_dir: Path
+    best_epoch: int
+    metrics: dict[str, float]
+    history: list[dict[str, float]]
+    seconds: float
+    resumed_from: int
+
+
+def train(
+    config: Mapping[str, Any] | TrainingConfig,
+    train_tasks: "TaskSet",
+    val_sets: Mapping[str, "TaskSet"],
+    out_dir: str | Path,
+    logger: Logger | Iterable[Logger] | None = None,
+    callbacks: Iterable[pl.Callback] = (),
+    on_epoch: OnEpoch | None = None,
+    provenance: Provenance | None = None,
+    quiet: bool = False,
+) -> TrainResult:
+    """Trains a network and saves the best state on the validation set.
+
+    If ``out_dir/checkpoints`` holds the last state of the same training (same model, trainer settings and tasks), the
+    training goes on from there; the state of another training is replaced.
+
+    Args:
+        config: keys ``model``, ``trainer``, ``hardware``, see ``TrainingConfig``.
+        train_tasks: labelled maps to learn from.
+        val_sets: labelled maps by name; all are evaluated after every epoch, ``trainer.selection.set`` decides.
+        out_dir: receives ``model/``, ``history.csv``, ``history.json``, ``checkpoints/``.
+        logger: Lightning logger(s), told the metrics once per epoch with the epoch as step.
+        callbacks: further Lightning callbacks.
+        on_epoch: called with (epoch, flat metrics) after every epoch.
+        provenance: robot, cost model and data of the labels, saved with the model.
+        quiet: no line per epoch.
+
+    Raises:
+        InputError: on unknown configuration keys, wrong values, an empty task set, or a missing selection set.
+    """
+    config = settings_from(TrainingConfig, config, "config")
+    trainer_settings, out_dir = config.trainer, Path(out_dir)
+    if trainer_settings.selection.set not in val_sets:
+        names = ", ".join(val_sets) or "(none)"
+        chosen = trainer_settings.selection.set
+        raise InputError(f"trainer.selection.set: {chosen!r} is not one of the validation sets {names}")
+    started = time.perf_counter()
+    config.hardware.apply_threads()
+    module = _module(config, tuple(val_sets))
+    train_loader = task_loader(
+        train_tasks, trainer_settings.batch, shuffle=True, mirror=trainer_settings.mirror, seed=trainer_settings.seed
+    )
+    val_loaders = [task_loader(tasks, VALIDATION_BATCH) for tasks in val_sets.values()]
+
+    checkpoints = out_dir / "checkpoints"
+    last = _checkpoint_to_resume(checkpoints, _fingerprint(config, train_tasks))
+    history = EpochHistory(out_dir, trainer_settings.selection.score, on_epoch, quiet)
+    keep_best = ModelCheckpoint(checkpoints, "best", monitor="score", enable_version_counter=False)
+    keep_last = ModelCheckpoint(checkpoints, "last", enable_version_counter=False)
+    own_callbacks: list[pl.Callback] = [history, keep_best, keep_last]
+    if trainer_settings.losses.rule != "constant":
+        rule = LOSS_WEIGHT_RULES[trainer_settings.losses.rule]
+        own_callbacks.append(rule(trainer_settings.losses.factor, trainer_settings.losses.patience))
+    with _without_lightning_chatter():
+        trainer = pl.Trainer(
+            accelerator=config.hardware.device().type,
+            devices=1,
+            precision="bf16-mixed" if config.hardware.uses_bfloat16() else "32-true",
+            max_epochs=trainer_settings.epochs,
+            gradient_clip_val=trainer_settings.gradient_clip,
+            callbacks=[*own_callbacks, *callbacks],
+            logger=_loggers(logger),
+            enable_progress_bar=False,
+            enable_model_summary=False,
+            num_sanity_val_steps=0,
+            log_every_n_steps=1_000_000,
+        )
+        trainer.fit(module, train_loader, val_loaders, ckpt_path=last, weights_only=False if last else None)
+
+    best_path = checkpoints / "best.ckpt"
+    state = torch.load(best_path, map_location="cpu", weights_only=False)
+    module.load_state_dict(state["state_dict"])
+    best_epoch = int(state["epoch"])
+    metrics = {key: value for key, value in history.rows[best_epoch].items() if key != "epoch"}
+    abstraction = LearnedAbstraction(module.network, config.model, provenance or Provenance(), metrics)
+    abstraction.save_pretrained(out_dir / "model")
+    seconds, resumed_from = time.perf_counter() - started, len(history.rows) - history.epochs_seen
+    return TrainResult(out_dir / "model", best_epoch, metrics, history.rows, seconds, resumed_from)
+
+
+def _module(config: TrainingConfig, val_sets: tuple[str, ...]) -> AbstractionModule:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.trainer.seed)
+        network = build_network(config.model).to(memory_format=torch.channels_last)
+    trainer = config.trainer
+    return AbstractionModule(network, trainer.optimizer, trainer.schedule, trainer.losses, val_sets)
+
+
+def _loggers(logger: Logger | Iterable[Logger] | None) -> list[Logger] | bool:
+    if logger is None:
+        return False
+    return [logger] if isinstance(logger, Logger) else list(logger)
+
+
+def _fingerprint(config: TrainingConfig, tasks: "TaskSet") -> str:
+    """Hash of all that decides whether a checkpoint belongs to this training."""
+    digest = hashlib.sha256(json.dumps([config.model.to_dict(), repr(config.trainer)], sort_keys=True).encode())
+    for array in (tasks.heights, tasks.goals, tasks.feasible, tasks.cost):
+        digest.update(memoryview(array).cast("B"))
+    return digest.hexdigest()
+
+
+def _checkpoint_to_resume(folder: Path, fingerprint: str) -> Path | None:
+    """The last checkpoint of the same training; the checkpoints of another training are removed."""
+    mark, last = folder / "fingerprint.txt", folder / "last.ckpt"
+    if mark.is_file() and mark.read_text() == fingerprint and last.is_file():
+        return last
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    mark.write_text(fingerprint)
+    return None
+
+
+@contextmanager
+def _without_lightning_chatter() -> Iterator[None]:
+    """Keeps Lightning's notes on hardware, tips and data loaders off the one line per epoch."""
+    names = ("lightning.pytorch", "lightning.pytorch.utilities.rank_zero", "lightning.fabric.utilities.rank_zero")
+    loggers = [logging.getLogger(name) for name in names]
+    levels = [logger.level for logger in loggers]
+    try:
+        for logger in loggers:
+            logger.setLevel(logging.ERROR)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module="lightning.*")
+            warnings.filterwarnings("ignore", message=".*does not have many workers.*")
+            yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
