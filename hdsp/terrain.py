@@ -130,7 +130,6 @@ class Staircase:
     depth: float
 
     def blocks(self) -> tuple[Block, ...]:
-        ahead_x, ahead_y = math.cos(self.yaw), math.sin(self.yaw)
         return tuple(self._step(number) for number in range(self.steps))
 
     def _step(self, number: int) -> Block:
