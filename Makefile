@@ -20,7 +20,7 @@ tables: $(STAMP)  ## print the tables of the last run
 	@cat reports/tables.md
 
 test: $(STAMP)  ## all tests
-	python -m pytest $(TEST_ARGS)
+	python -m pytest --numprocesses 2 --dist loadgroup $(TEST_ARGS)
 
 lint: $(STAMP)  ## style and simple errors
 	ruff check .
@@ -38,7 +38,7 @@ clean:  ## remove everything that can be made again (environment, data, models, 
 
 # torch first: a later package would otherwise pull the newest build of it, with several GB of CUDA.
 $(STAMP): constraints.txt pyproject.toml
-	@echo "setting up $(VENV) with $(PYTHON)"
+	@echo "setting up $(VENV) with $(PYTHON); this takes a few minutes"
 	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/python -m pip install --quiet "$$(grep '^torch==' constraints.txt)"
 	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable ".[all]"

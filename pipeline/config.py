@@ -89,6 +89,7 @@ def flatten(section: Any, prefix: str = "") -> dict[str, Any]:
     """Nested mappings as one level with dotted names, as MLflow parameters need them."""
     flat: dict[str, Any] = {}
     for name, value in plain(section).items():
+        value = plain(value)
         if isinstance(value, dict):
             flat |= flatten(value, f"{prefix}{name}.")
         else:

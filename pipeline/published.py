@@ -24,7 +24,7 @@ def published(config: DictConfig, folders: Folders) -> None:
         return
     tasks = read_published(source)
     checksum = hashlib.sha256(source.read_bytes()).hexdigest()
-    write_shard(folder / "published.h5", tasks, {"source": source.name, "sha256": checksum})
+    write_shard(folder / "published.h5", tasks, {"labels_hash": checksum, "source": source.name})
     print(f"{len(tasks)} maps, {tasks.feasible.size} tasks from {source.name}")
 
 

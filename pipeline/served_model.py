@@ -5,6 +5,7 @@ Logged from code: this file defines the model when MLflow loads it, the network 
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,13 +29,17 @@ def log(mlflow: Any, abstraction_dir: Path, tasks: TaskSet) -> None:
 
     example = {"heights": tasks.heights[:1], "goals": tasks.goals[:1]}
     predictions = predict(LearnedAbstraction.from_pretrained(abstraction_dir), example)
-    mlflow.pyfunc.log_model(
-        name=NAME,
-        python_model=str(Path(__file__)),
-        artifacts={NAME: str(abstraction_dir)},
-        signature=mlflow.models.infer_signature(example, predictions),
-        pip_requirements=["hdsp[learning]"],  # given, or MLflow starts a process to find out
-    )
+    with warnings.catch_warnings():
+        # Advice on type hints and input examples; the signature says it all.
+        warnings.simplefilter("ignore", UserWarning)
+        mlflow.pyfunc.log_model(
+            name=NAME,
+            python_model=str(Path(__file__)),
+            artifacts={NAME: str(abstraction_dir)},
+            signature=mlflow.models.infer_signature(example, predictions),
+            # What the project's own package needs; without a list MLflow starts a process to find out.
+            pip_requirements=["numpy", "numba", "scipy", "torch", "safetensors"],
+        )
 
 
 def predict(abstraction: Any, inputs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -47,16 +52,19 @@ def predict(abstraction: Any, inputs: dict[str, np.ndarray]) -> dict[str, np.nda
 def _define() -> None:
     import mlflow
 
-    class Served(mlflow.pyfunc.PythonModel):
-        def load_context(self, context):
-            from hdsp.learning.pretrained import LearnedAbstraction
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # advice on type hints, which know no arrays
 
-            self.abstraction = LearnedAbstraction.from_pretrained(context.artifacts[NAME])
+        class Served(mlflow.pyfunc.PythonModel):
+            def load_context(self, context):
+                from hdsp.learning import LearnedAbstraction
 
-        def predict(self, context, model_input, params=None):
-            return predict(self.abstraction, model_input)
+                self.abstraction = LearnedAbstraction.from_pretrained(context.artifacts[NAME])
 
-    mlflow.models.set_model(Served())
+            def predict(self, context, model_input, params=None):
+                return predict(self.abstraction, model_input)
+
+        mlflow.models.set_model(Served())
 
 
 if __name__ not in ("pipeline.served_model", "__main__"):  # MLflow runs this file under a name of its own

@@ -41,8 +41,9 @@ def abstraction_quality_table(quality: Mapping[str, Any], training: Mapping[str,
         ]
     network = f" Network: {training['model']}, {training['maps']:,} training maps." if training else ""
     notes = [f"Table I, abstraction quality: ours / the paper's.{network}"]
-    missing = [f"{name}: {values['reason']}" for name, values in sets.items() if not values["available"]]
-    notes += [f"Empty columns: {'; '.join(missing)}."] if missing else []
+    missing = [name for name, values in sets.items() if not values["available"]]
+    if missing:
+        notes.append(f"No data for {', '.join(missing)}: why is in reports/abstraction_quality.json.")
     return _markdown(header, rows) + "\n\n" + " ".join(notes)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import logging
 import os
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,6 +20,7 @@ EXPERIMENT = "hdsp"
 PARENT_VARIABLE = "HDSP_MLFLOW_PARENT_RUN"
 
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
 
 
 def connect() -> Any:
@@ -29,6 +31,7 @@ def connect() -> Any:
     """
     import mlflow
 
+    logging.getLogger("mlflow.store.db.utils").setLevel(logging.WARNING)
     root = project_root().resolve()
     local = not os.environ.get("MLFLOW_TRACKING_URI")
     if local:

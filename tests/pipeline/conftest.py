@@ -45,19 +45,23 @@ def tiny(folder: Path) -> list[str]:
     return ["profile=tiny", f"runtime.inputs={folder}", f"runtime.outputs={folder}", "runtime.workers=1"]
 
 
+def dvc_environment() -> dict[str, str]:
+    """Stages use this interpreter, and nothing of a surrounding DVC or tracking server."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("DVC_", "MLFLOW_", "GIT_"))}
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    return environment | {"PATH": path, "OMP_NUM_THREADS": "1", "MLFLOW_DISABLE_TELEMETRY": "true"}
+
+
 def run_dvc(*arguments: str, cwd: Path) -> str:
-    """A DVC command in a copy of the project; stages use this interpreter and the copy's own modules."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("DVC_", "MLFLOW_TRACKING", "GIT_"))}
-    environment |= {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}", "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(["dvc", *arguments], cwd=cwd, env=environment, capture_output=True, text=True)
+    """A DVC command; returns what it printed."""
+    command = [sys.executable, "-m", "dvc", *arguments]
+    done = subprocess.run(command, cwd=cwd, env=dvc_environment(), capture_output=True, text=True)
     assert done.returncode == 0, f"dvc {' '.join(arguments)}\n{done.stdout}\n{done.stderr}"
     return done.stdout + done.stderr
 
 
-@pytest.fixture(scope="session")
-def project(tmp_path_factory) -> Path:
+def clone_project(clone: Path) -> Path:
     """A clone of the project as it is on disk, with one commit, set to the tiny profile."""
-    clone = tmp_path_factory.mktemp("project")
     files = git("ls-files", "--cached", "--others", "--exclude-standard", cwd=ROOT).splitlines()
     for name in files:
         source, target = ROOT / name, clone / name

@@ -43,7 +43,7 @@ def test_ours_stand_beside_the_papers():
     assert cells(table, "feasibility correct, learned")[1:] == ["95.12 % / 95.04 %", "– / 92.62 %"]
     assert cells(table, "mean cost error, learned")[1:] == ["0.020 / 0.027", "– / 0.081"]
     assert cells(table, "feasibility correct, flat")[1:] == ["61.00 %", "–"]
-    assert "real: data/real is not there yet" in table
+    assert "No data for real" in table
 
 
 def test_speed_ups_that_are_bounds_are_marked():

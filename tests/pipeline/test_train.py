@@ -8,7 +8,7 @@ import pytest
 
 from tests.pipeline.conftest import run_python, tiny
 
-pytestmark = pytest.mark.pipeline
+pytestmark = [pytest.mark.pipeline, pytest.mark.xdist_group("chain")]
 
 
 @pytest.fixture

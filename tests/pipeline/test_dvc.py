@@ -1,0 +1,119 @@
+"""The pipeline under DVC, in a clone of the project set to the tiny profile."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import psutil
+import pytest
+import yaml
+
+from tests.pipeline.conftest import ROOT, clone_project, dvc_environment, git, run_dvc, run_python
+
+pytestmark = [pytest.mark.pipeline, pytest.mark.xdist_group("dvc")]
+
+
+@pytest.fixture(scope="module")
+def reproduced(tmp_path_factory):
+    """A clone after its first `dvc repro`."""
+    project = clone_project(tmp_path_factory.mktemp("project"))
+    run_dvc("repro", cwd=project)
+    return project
+
+
+def test_repro_runs_the_chain_once(reproduced):
+    assert (reproduced / "reports/tables.md").read_text() in (reproduced / "README.md").read_text()
+    assert "up to date" in run_dvc("status", cwd=reproduced)
+    again = run_dvc("repro", cwd=reproduced)
+    assert "Running stage" not in again
+    assert "up to date" in again
+
+
+def test_outputs_that_dvc_keeps_are_not_in_git_and_reports_are(reproduced):
+    stages = yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"]
+    outputs = [out for stage in stages.values() for out in [*stage.get("outs", []), *stage.get("metrics", [])]]
+    how = {name: options for out in outputs if isinstance(out, dict) for name, options in out.items()}
+    in_git = [name for name, options in how.items() if options.get("cache") is False and "$" not in name]
+    assert in_git
+    assert all(name.startswith("reports/") for name in in_git)
+    for path in ("data/labels/train", "data/published", "models/abstraction"):
+        assert subprocess.run(["git", "check-ignore", "--quiet", path], cwd=reproduced).returncode == 0
+    for name in in_git:
+        assert (reproduced / name).is_file()
+        assert subprocess.run(["git", "check-ignore", "--quiet", name], cwd=reproduced).returncode == 1
+
+
+def test_metrics_plots_and_graph_show_the_results(reproduced, tmp_path):
+    metrics = json.loads(run_dvc("metrics", "show", "--json", cwd=reproduced).partition("\n")[0])
+    shown = metrics[""]["data"]["reports/summary.json"]["data"]
+    assert set(shown["feasibility_accuracy"]["random"]) == {"learned", "manual", "flat"}
+    run_dvc("plots", "show", "--out", str(tmp_path / "plots"), cwd=reproduced)
+    page = (tmp_path / "plots/index.html").read_text()
+    assert "cost_error/val" in page
+    assert "planned_path.png" in page
+    graph = run_dvc("dag", "--dot", cwd=reproduced)
+    assert '"label@train" -> "train"' in graph
+    assert '"plan" -> "report"' in graph
+
+
+def test_an_experiment_beside_the_working_tree_is_tracked_in_the_project(reproduced):
+    """`--temp` runs in a copy that is removed; the tracking database must not be in it."""
+    git("add", "--all", cwd=reproduced)
+    identity = ["-c", "user.name=test", "-c", "user.email=test@example.org"]
+    git(*identity, "commit", "--quiet", "--allow-empty", "-m", "results", cwd=reproduced)
+    before = (reproduced / "reports/training.json").read_text()
+    run_dvc("exp", "run", "--temp", "--name", "other-network", "-S", "model=klamt2019", "train", cwd=reproduced)
+
+    assert (reproduced / "reports/training.json").read_text() == before
+    shown = run_dvc("exp", "show", "--json", cwd=reproduced)
+    assert "other-network" in shown
+    script = (
+        "import mlflow; mlflow.set_tracking_uri('sqlite:///mlflow.db');"
+        "print([r.data.params['model.architecture'] for r in mlflow.search_runs(experiment_names=['hdsp'],"
+        " output_format='list') if r.data.tags.get('dvc.experiment') == 'other-network'])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=reproduced, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "['klamt2019']"
+
+
+def test_a_killed_label_stage_continues_to_the_same_shards(tmp_path):
+    from hdsp.shards import read_shard, shard_paths
+
+    more = ["labelling.splits.val.maps_per_category=8", "labelling.splits.val.maps_per_shard=6", "runtime.workers=1"]
+    (tmp_path / "project").mkdir()
+    project = clone_project(tmp_path / "project")
+    run_python("pipeline.config", *more, cwd=project)
+    run_python("pipeline.label", "val", f"runtime.outputs={tmp_path}", *more, cwd=project)
+    undisturbed = {path.name: read_shard(path).tasks.arrays() for path in shard_paths(tmp_path / "data/labels/val")}
+
+    folder = project / "data/labels/val"
+    kept = kill_in_the_middle(project, folder, len(undisturbed))
+    run_dvc("repro", "label@val", cwd=project)
+    shards = {path.name: read_shard(path).tasks.arrays() for path in shard_paths(folder)}
+    assert {name: (folder / name).stat().st_mtime_ns for name in kept} == kept, "finished shards were made again"
+    assert set(shards) == set(undisturbed)
+    for name, arrays in undisturbed.items():
+        for key, array in arrays.items():
+            np.testing.assert_array_equal(shards[name][key], array, err_msg=f"{name}: {key}")
+
+
+def kill_in_the_middle(project, folder, shards: int) -> dict[str, int]:
+    """Start `dvc repro label@val`, kill -9 the stage between two shards; returns the finished ones and their times."""
+    from hdsp.shards import shard_paths
+
+    command, quiet = [sys.executable, "-m", "dvc", "repro", "label@val"], subprocess.DEVNULL
+    dvc = subprocess.Popen(command, cwd=project, env=dvc_environment(), stdout=quiet, stderr=quiet)
+    deadline = time.monotonic() + 120
+    while len(shard_paths(folder)) < 1:
+        assert dvc.poll() is None, "the stage ended before its first shard"
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    stage = next(p for p in psutil.Process(dvc.pid).children(recursive=True) if "pipeline.label" in p.cmdline())
+    stage.send_signal(signal.SIGKILL)
+    assert dvc.wait(60) != 0
+    finished = {path.name: path.stat().st_mtime_ns for path in shard_paths(folder)}
+    assert len(finished) < shards, "the stage had already finished; it has to be longer"
+    return finished

@@ -1,0 +1,79 @@
+"""Evaluation and the planning experiment on the tiny profile: what the reports hold."""
+
+import csv
+import json
+
+import pytest
+
+from tests.pipeline.conftest import run_python, tiny
+
+pytestmark = [pytest.mark.pipeline, pytest.mark.xdist_group("chain")]
+
+STATUSES = {"solved", "infeasible", "cost_limit", "expansion_limit", "memory_limit", "time_limit"}
+
+
+def test_each_set_has_figures_of_each_method_or_a_reason(chain):
+    sets = json.loads((chain / "reports/abstraction_quality.json").read_text())["sets"]
+    assert list(sets) == ["random", "published", "simulated", "real"]
+    assert sets["random"]["available"]
+    for values in sets.values():
+        if not values["available"]:
+            assert values["reason"]
+            continue
+        assert set(values["methods"]) == {"learned", "manual", "flat"}
+        assert values["tasks"] == 22 * values["maps"]
+        for method in values["methods"].values():
+            assert 0 <= method["feasibility_accuracy"] <= 1
+            assert method["both_feasible"] <= values["feasible"]
+
+
+def test_the_flat_baseline_judges_everything_feasible(chain):
+    random = json.loads((chain / "reports/abstraction_quality.json").read_text())["sets"]["random"]
+    flat = random["methods"]["flat"]
+    assert flat["judged_feasible"] == random["tasks"]
+    assert flat["feasibility_accuracy"] == pytest.approx(random["feasible"] / random["tasks"])
+
+
+def test_the_table_has_a_row_for_each_set_and_method(chain):
+    sets = json.loads((chain / "reports/abstraction_quality.json").read_text())["sets"]
+    rows = list(csv.DictReader((chain / "reports/abstraction_quality.csv").open()))
+    for name, values in sets.items():
+        for method, figures in values.get("methods", {}).items():
+            (row,) = [r for r in rows if (r["set"], r["category"], r["method"]) == (name, "all", method)]
+            assert float(row["feasibility_accuracy"]) == figures["feasibility_accuracy"]
+
+
+def test_a_missing_model_is_named(labelled, tmp_path):
+    with pytest.raises(AssertionError, match=r"error: pretrained abstraction .*config.json: no such file\n"):
+        run_python("pipeline.evaluate", *tiny(tmp_path))
+
+
+def test_each_pair_is_planned_with_each_heuristic_and_weight(chain):
+    planning = json.loads((chain / "reports/planning.json").read_text())
+    runs = planning["runs"]
+    assert {(r["pair"], r["heuristic"], r["weight"]) for r in runs} == {
+        (pair, heuristic, weight)
+        for pair in range(planning["arena"]["pairs"])
+        for heuristic in ("geometric", "manual", "learned")
+        for weight in (1.0, 2.0)
+    }
+    for run in runs:
+        assert run["status"] in STATUSES
+        assert (run["cost"] is not None) == (run["status"] == "solved")
+        assert run["seconds"] > 0
+    assert any(run["status"] == "solved" for run in runs)
+
+
+def test_at_weight_one_no_heuristic_beats_the_admissible_one(chain):
+    runs = json.loads((chain / "reports/planning.json").read_text())["runs"]
+    best = {
+        r["pair"]: r["cost"] for r in runs if (r["heuristic"], r["weight"], r["status"]) == ("geometric", 1.0, "solved")
+    }
+    for run in runs:
+        if run["status"] == "solved" and run["pair"] in best:
+            assert run["cost"] >= best[run["pair"]] * (1 - 1e-5)
+
+
+def test_pictures_are_pictures(chain):
+    for name in ("training_curves", "abstraction_quality", "example_patches", "planned_path"):
+        assert (chain / f"reports/figures/{name}.png").read_bytes().startswith(b"\x89PNG"), name
