@@ -25,6 +25,7 @@ constants were set by thought and a look at a few maps of our own, not fitted, a
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -38,9 +39,9 @@ from hdsp.lattice import (
     ABSTRACT_ACTIONS,
     ABSTRACT_ANCHOR,
     ABSTRACT_HEADINGS,
-    ABSTRACT_RESOLUTION,
     CELLS_PER_ABSTRACT,
     PATCH_CENTER,
+    abstract_steps,
     heading_angle,
     robot_frame_goals,
     rotation,
@@ -157,7 +158,7 @@ class ManualCosts:
         """What the robot meets with its base in each cell, at one heading (index of 16)."""
         robot, settings = self.robot, self.settings
         turned = rotation(float(heading_angle(heading, ABSTRACT_HEADINGS)))
-        margin = _Margin(features, robot.reach() + settings.margin + ABSTRACT_RESOLUTION)
+        margin = _Margin(features, robot.reach() + settings.margin + settings.foot_reach)
 
         walls = margin.of(_is_wall(features, robot), outside=True)
         edges = margin.of(features.height_range > robot.drive.max_height_difference, outside=True)
@@ -218,22 +219,27 @@ def _nearest_to(value: float) -> set[int]:
 
 def _cells_in(x_min: float, x_max: float, half_width: float, turned: np.ndarray) -> list[tuple[int, int]]:
     """Cells (relative) whose centres lie in a rectangle (m) of the robot frame that is turned by a rotation."""
-    reach = int(np.ceil(np.hypot(max(abs(x_min), abs(x_max)), half_width) / ABSTRACT_RESOLUTION))
+    reach = math.ceil(_in_cells(math.hypot(max(abs(x_min), abs(x_max)), half_width)))
     cells = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
-    x, y = (cells * ABSTRACT_RESOLUTION @ turned).T
-    inside = (x >= x_min - 1e-9) & (x <= x_max + 1e-9) & (np.abs(y) <= half_width + 1e-9)
+    x, y = (cells @ turned).T
+    least, most, half = (_in_cells(length) for length in (x_min, x_max, half_width))
+    inside = (x >= least - 1e-9) & (x <= most + 1e-9) & (np.abs(y) <= half + 1e-9)
     return [tuple(cell) for cell in cells[inside].tolist()]
 
 
 def _cell(position: np.ndarray) -> tuple[int, int]:
     """Cell (relative) of a position in metres relative to the centre of the base's cell; ties go outward."""
-    scaled = np.asarray(position) / ABSTRACT_RESOLUTION
+    scaled = abstract_steps([*position, 0.0])[:2]
     x, y = np.copysign(np.floor(np.abs(scaled) + 0.5 + 1e-9), scaled).astype(int).tolist()
     return x, y
 
 
 def _one_cell(values: np.ndarray, x: int, y: int) -> np.ndarray:
     return values[..., x, y]
+
+
+def _in_cells(length: float) -> float:
+    return float(abstract_steps((length, 0.0, 0.0))[0])
 
 
 def _take(poses: _Poses, take, *arguments) -> _Poses:
@@ -244,7 +250,7 @@ class _Margin:
     """Reads maps at an offset from each cell, with a margin for what lies outside."""
 
     def __init__(self, features: Features, reach: float):
-        self.cells = int(np.ceil(reach / ABSTRACT_RESOLUTION)) + 1
+        self.cells = math.ceil(_in_cells(reach)) + 1
         self.shape = features.ground.shape[-2:]
 
     def of(self, values: np.ndarray, outside) -> np.ndarray:

@@ -1,0 +1,20 @@
+"""Pictures, as PNG files. Importing this package loads matplotlib, which nothing else in `hdsp` does."""
+
+from hdsp.viz.charts import save_planning_bars, save_quality_bars, save_training_curves
+from hdsp.viz.patches import save_example_patches
+from hdsp.viz.path import draw_path, save_planned_path
+from hdsp.viz.robot import draw_pose, draw_robot, foot_positions
+from hdsp.viz.style import draw_terrain
+
+__all__ = [
+    "draw_path",
+    "draw_pose",
+    "draw_robot",
+    "draw_terrain",
+    "foot_positions",
+    "save_example_patches",
+    "save_planned_path",
+    "save_planning_bars",
+    "save_quality_bars",
+    "save_training_curves",
+]

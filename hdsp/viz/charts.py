@@ -1,0 +1,166 @@
+"""Charts of numbers: training curves, abstraction quality, planning experiment."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import to_rgb
+
+from hdsp.errors import InputError
+from hdsp.viz.style import BLUE, GREEN, METHODS, NAMES, ORANGE, PURPLE, SKY, VERMILLION, figure, quiet, save
+
+_SETS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+
+
+def save_training_curves(history: Sequence[Mapping[str, Any]], path: str | os.PathLike) -> Path:
+    """Feasibility accuracy, cost error, losses and loss weights over the epochs of a training.
+
+    Args:
+        history: one mapping per epoch with `epoch` (from 0), `feasibility_accuracy/{set}`, `cost_error/{set}`,
+            `loss/{feasibility,cost}`, `loss_weight/{feasibility,cost}`; what is absent is left out.
+        path: of the PNG.
+
+    Raises:
+        InputError: the history is empty.
+    """
+    if not history:
+        raise InputError("training curves: the history has no epoch")
+    epochs = np.array([row["epoch"] for row in history]) + 1
+    made = figure(9, 6)
+    (accuracy, error), (losses, weights) = made.subplots(2, 2, sharex=True)
+    panels = (
+        (accuracy, "feasibility_accuracy/", "feasibility correct (%)", 100.0),
+        (error, "cost_error/", "mean cost error", 1.0),
+        (losses, "loss/", "training loss, before weighting", 1.0),
+        (weights, "loss_weight/", "loss weight", 1.0),
+    )
+    for axes, prefix, label, scale in panels:
+        names = [name for name in history[0] if name.startswith(prefix)]
+        for name, color in zip(names, _SETS, strict=False):
+            values = scale * np.array([_value(row.get(name)) for row in history])
+            drawstyle = "steps-mid" if axes is weights else "default"
+            marker = "o" if len(epochs) < 30 else ""
+            axes.plot(
+                epochs, values, color=color, drawstyle=drawstyle, linewidth=1.5, marker=marker, markersize=3,
+                label=name.removeprefix(prefix),
+            )  # fmt: skip
+        axes.set_ylabel(label)
+        quiet(axes)
+        if names:
+            axes.legend(fontsize=8, frameon=False)
+    error.set_ylim(bottom=0)
+    losses.set_ylim(bottom=0)
+    weights.set_yscale("log")
+    for axes in (losses, weights):
+        axes.set_xlabel("epoch")
+        axes.xaxis.get_major_locator().set_params(integer=True)
+    return save(made, path)
+
+
+def save_quality_bars(sets: Mapping[str, Mapping[str, Any]], path: str | os.PathLike) -> Path:
+    """Table I as bars: feasibility accuracy and cost error of each method on each set that has figures.
+
+    Args:
+        sets: by the name of the set what `hdsp.evaluation.evaluate_set` returns; without `methods` it is left out.
+        path: of the PNG.
+
+    Raises:
+        InputError: no set has figures.
+    """
+    shown = {name: figures for name, figures in sets.items() if figures.get("methods")}
+    if not shown:
+        raise InputError("abstraction quality: no set has figures")
+    methods = list(dict.fromkeys(method for figures in shown.values() for method in figures["methods"]))
+    made = figure(max(6.5, 1.5 + 1.6 * len(shown) * 2), 3.4)
+    panels = zip(
+        made.subplots(1, 2),
+        ("feasibility_accuracy", "cost_error"),
+        ("feasibility correct (%)", "mean cost error"),
+        (100.0, 1.0),
+        ("{:.1f}", "{:.3f}"),
+        strict=True,
+    )
+    width = 0.8 / len(methods)
+    for axes, figure_name, label, scale, digits in panels:
+        for index, method in enumerate(methods):
+            values = [_value(figures["methods"].get(method, {}).get(figure_name)) * scale for figures in shown.values()]
+            places = np.arange(len(shown)) + (index - (len(methods) - 1) / 2) * width
+            look = {"color": METHODS.get(method, PURPLE), "label": NAMES.get(method, method)}
+            bars = axes.bar(places, values, width * 0.92, **look)
+            axes.bar_label(bars, ["" if np.isnan(v) else digits.format(v) for v in values], fontsize=7, padding=1)
+        axes.set_xticks(range(len(shown)), [f"{name}\n{figures['tasks']:,} tasks" for name, figures in shown.items()])
+        axes.set_ylabel(label)
+        axes.margins(y=0.08)
+        quiet(axes)
+    made.axes[0].set_ylim(0, 108)
+    _legend_above(made, len(methods))
+    return save(made, path)
+
+
+def save_planning_bars(runs: Sequence[Mapping[str, Any]], path: str | os.PathLike) -> Path:
+    """Planning times (logarithmic) and path costs of each task, heuristic and weight: the paper's figure of Sec. VI-B.
+
+    The time of a search that ended by a limit is a lower bound, marked ≥; it has no cost, marked ×.
+
+    Args:
+        runs: mappings with `pair`, `heuristic`, `weight`, `status`, `seconds`, `cost` (None if unsolved).
+        path: of the PNG.
+
+    Raises:
+        InputError: there are no runs.
+    """
+    if not runs:
+        raise InputError("planning bars: there are no runs")
+    pairs = list(dict.fromkeys(run["pair"] for run in runs))
+    series = list(dict.fromkeys((run["heuristic"], run["weight"]) for run in runs))
+    found = {(run["pair"], run["heuristic"], run["weight"]): run for run in runs}
+    made = figure(max(7.0, 1.5 + 0.14 * len(pairs) * len(series)), 5.6)
+    time, cost = made.subplots(2, 1, sharex=True)
+    width = 0.84 / len(series)
+    for index, (heuristic, weight) in enumerate(series):
+        color = _tint(METHODS.get(heuristic, PURPLE), [w for h, w in series if h == heuristic].index(weight))
+        for place, pair in enumerate(pairs):
+            run = found.get((pair, heuristic, weight))
+            if run is None:
+                continue
+            solved = run["status"] == "solved"
+            label = f"{NAMES.get(heuristic, heuristic)}, W = {weight:g}" if place == 0 else None
+            x = place + (index - (len(series) - 1) / 2) * width
+            look = {"color": color, "edgecolor": "black", "linewidth": 0.4}
+            time.bar(x, run["seconds"], width * 0.92, label=label, **look)
+            if solved:
+                cost.bar(x, run["cost"], width * 0.92, **look)
+            else:
+                time.text(x, run["seconds"], "≥", ha="center", va="bottom", fontsize=9)
+                cost.text(x, 0, "×", ha="center", va="bottom", fontsize=9)
+    time.set_yscale("log")
+    time.set_ylabel("planning time (s)")
+    cost.set_ylabel("path cost (unitless)")
+    cost.set_xlabel("task")
+    cost.set_xticks(range(len(pairs)), [str(pair) for pair in pairs])
+    for axes in (time, cost):
+        quiet(axes)
+    all_solved = all(run["status"] == "solved" for run in runs)
+    _legend_above(made, 3, None if all_solved else "≥ and ×: ended without a path, the time is a lower bound")
+    return save(made, path)
+
+
+def _legend_above(made, columns: int, note: str | None = None) -> None:
+    entries = made.axes[0].get_legend_handles_labels()
+    made.legend(
+        *entries, loc="outside upper center", ncols=columns, fontsize=8, frameon=False, title=note, title_fontsize=8
+    )
+
+
+def _tint(color: str, step: int) -> tuple[float, float, float]:
+    """The colour, lighter with each step."""
+    share = (1.0, 0.6, 0.3, 0.15)[min(step, 3)]
+    return tuple(1 - share * (1 - channel) for channel in to_rgb(color))
+
+
+def _value(value: Any) -> float:
+    return float("nan") if value is None else float(value)

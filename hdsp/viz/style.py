@@ -1,0 +1,82 @@
+"""What all figures share: colours, size of type, how they are made and saved.
+
+Figures are made without pyplot, so that they need no display, share no state and never open a window.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LightSource, LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+from hdsp.files import replacing
+from hdsp.heightmap import HeightMap
+
+# Okabe and Ito's colours, which people with any of the usual colour deficiencies tell apart.
+BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
+GREY = "#8A8A8A"
+
+START, GOAL = BLUE, VERMILLION
+METHODS = {"learned": BLUE, "manual": ORANGE, "flat": GREY, "geometric": BLACK, "paper": "#FFFFFF"}
+NAMES = {"learned": "learned", "manual": "manually tuned", "flat": "flat ground", "geometric": "geometric"}
+FEET = (SKY, GREEN, YELLOW, PURPLE)
+
+UNKNOWN = "#F3D9E4"
+HEIGHTS = LinearSegmentedColormap.from_list(
+    "heights", ["#F7F7F4", "#CFCBBE", "#9E9683", "#6B6455", "#3B362E"]
+).with_extremes(bad=UNKNOWN)
+
+_DPI = 130
+_TYPE = 9
+
+
+def figure(width: float, height: float) -> Figure:
+    """An empty figure of a size in inches."""
+    made = Figure(figsize=(width, height), dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(made)
+    return made
+
+
+def save(made: Figure, path: str | os.PathLike) -> Path:
+    """Writes the figure as PNG, whole or not at all; raises InputError where the place cannot be written to."""
+    with replacing(path) as temporary:
+        made.savefig(temporary, format="png", facecolor="white")
+    return Path(path)
+
+
+def quiet(axes, grid: str | None = "y") -> None:
+    """Takes away what does not inform: upper and right frame, strong grid lines, large type."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=_TYPE - 1)
+    axes.xaxis.label.set_size(_TYPE)
+    axes.yaxis.label.set_size(_TYPE)
+    axes.title.set_size(_TYPE + 1)
+    if grid:
+        axes.grid(axis=grid, color="#DDDDDD", linewidth=0.6)
+        axes.set_axisbelow(True)
+
+
+def draw_terrain(axes, terrain: HeightMap, lowest: float | None = None, highest: float | None = None):
+    """Draws heights in metres, shaded so that edges show; returns what a colour bar needs.
+
+    Convention: x to the right, y up, equal scales, world coordinates of the map. Unknown cells are pink.
+    """
+    (x, y), (length, width) = terrain.origin, terrain.size
+    known = terrain.heights[np.isfinite(terrain.heights)]
+    lowest = float(known.min(initial=0.0)) if lowest is None else lowest
+    highest = max(float(known.max(initial=0.0)) if highest is None else highest, lowest + 0.1)
+    placed = {"origin": "lower", "extent": (x, x + length, y, y + width), "interpolation": "nearest"}
+    image = axes.imshow(terrain.heights.T, cmap=HEIGHTS, vmin=lowest, vmax=highest, **placed)
+    light = LightSource(azdeg=315, altdeg=45)
+    shade = light.hillshade(np.nan_to_num(terrain.heights.T), dx=terrain.resolution, dy=terrain.resolution)
+    darker = np.zeros((*shade.shape, 4))
+    darker[..., 3] = np.clip(0.7071 - shade, 0, 1) * 0.5  # flat ground has a shade of sin 45 degrees
+    axes.imshow(darker, **placed)
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=_TYPE - 1)
+    return image

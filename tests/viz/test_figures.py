@@ -1,0 +1,147 @@
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hdsp.errors import InputError
+from hdsp.heightmap import HeightMap
+from hdsp.lattice import robot_frame_goals
+from hdsp.robot import Robot
+from hdsp.tasks import FIELDS, TaskSet
+from hdsp.viz import (
+    draw_terrain,
+    foot_positions,
+    save_example_patches,
+    save_planned_path,
+    save_planning_bars,
+    save_quality_bars,
+    save_training_curves,
+)
+from hdsp.viz.patches import JUDGEMENTS, spread
+from hdsp.viz.style import figure
+
+MOMARO = Robot.load("momaro")
+
+
+def is_picture(path, least_side=200):
+    from matplotlib.image import imread
+
+    pixels = imread(path)[..., :3]
+    return min(pixels.shape[:2]) >= least_side and pixels.std() > 0.02
+
+
+def some_tasks(categories, share=0.5):
+    rng = np.random.default_rng(1)
+    n = len(categories)
+    arrays = {name: np.zeros((n, *shape), dtype) for name, (dtype, shape) in FIELDS.items()}
+    arrays["heights"][:, 50:60, 10:40] = 0.3
+    arrays["heights"][:, :8, :8] = np.nan
+    arrays["goals"] = np.stack([robot_frame_goals(k % 4) for k in range(n)])
+    arrays["feasible"] = rng.random((n, 22)) < share
+    arrays["cost"] = np.where(arrays["feasible"], 0.3, 0)
+    return TaskSet(category=categories, **arrays)
+
+
+def test_feet_stand_where_the_state_says():
+    x, y = MOMARO.feet.neutral_x, MOMARO.feet.neutral_y
+    feet = foot_positions([1.0, 2.0, 0.0, 0.1, 0.0, 0.0, 0.0], MOMARO)
+    np.testing.assert_allclose(feet, [(1 + x + 0.1, 2 + y), (1 - x, 2 + y), (1 - x, 2 - y), (1 + x, 2 - y)])
+    turned = foot_positions([0.0, 0.0, np.pi / 2, 0.1, 0.0, 0.0, 0.0], MOMARO)
+    np.testing.assert_allclose(turned[0], (-y, x + 0.1), atol=1e-12)
+
+
+def test_x_is_to_the_right_and_y_up():
+    heights = np.zeros((40, 20), np.float32)
+    heights[35:, :3] = 1.0  # large x, small y
+    axes = figure(4, 4).subplots()
+    image = draw_terrain(axes, HeightMap(heights, origin=(1.0, 2.0)))
+    assert image.get_extent() == pytest.approx((1.0, 2.0, 2.0, 2.5))
+    assert image.origin == "lower"
+    pixels = image.get_array()
+    assert pixels.shape == (20, 40)
+    assert pixels[0, -1] == 1.0 and pixels[-1, 0] == 0.0
+    assert axes.get_aspect() == 1.0
+
+
+def test_unknown_ground_has_its_own_colour():
+    heights = np.zeros((4, 4), np.float32)
+    heights[0, 0] = np.nan
+    image = draw_terrain(figure(3, 3).subplots(), HeightMap(heights))
+    colors = image.to_rgba(image.get_array())
+    assert tuple(colors[0, 0]) != tuple(colors[1, 1])
+
+
+def test_training_curves(tmp_path):
+    history = [
+        {"epoch": epoch, "loss/cost": 0.3, "loss_weight/cost": 0.2**epoch, "cost_error/val": [None, 0.05][epoch > 0]}
+        for epoch in range(4)
+    ]
+    assert is_picture(save_training_curves(history, tmp_path / "new" / "curves.png"))
+    with pytest.raises(InputError, match="no epoch"):
+        save_training_curves([], tmp_path / "none.png")
+    assert not (tmp_path / "none.png").exists()
+
+
+def test_quality_bars_leave_out_sets_without_figures(tmp_path):
+    methods = {
+        "learned": {"feasibility_accuracy": 0.95, "cost_error": 0.03},
+        "flat": {"feasibility_accuracy": 0.6, "cost_error": None},
+    }
+    sets = {"random": {"tasks": 220, "methods": methods}, "real": {"available": False, "reason": "no scans"}}
+    assert is_picture(save_quality_bars(sets, tmp_path / "bars.png"))
+    with pytest.raises(InputError, match="no set"):
+        save_quality_bars({"real": sets["real"]}, tmp_path / "none.png")
+
+
+def test_planning_bars_show_solved_and_unsolved_searches(tmp_path):
+    runs = [
+        {
+            "pair": pair,
+            "heuristic": heuristic,
+            "weight": weight,
+            "status": "solved",
+            "seconds": 0.1 * weight,
+            "cost": 3.0,
+        }
+        for pair in (0, 1)
+        for heuristic in ("geometric", "learned")
+        for weight in (1.0, 2.0)
+    ]
+    runs[0] |= {"status": "time_limit", "cost": None}
+    assert is_picture(save_planning_bars(runs, tmp_path / "planning.png"))
+    with pytest.raises(InputError, match="no runs"):
+        save_planning_bars([], tmp_path / "none.png")
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_example_patches(tmp_path, count):
+    tasks = some_tasks(["wall_1", "staircase", "cuboid_1"])
+    judged = ~tasks.feasible, np.full(tasks.cost.shape, 0.4)
+    assert is_picture(save_example_patches(tasks, judged, tmp_path / "examples.png", count))
+
+
+def test_examples_are_spread_over_categories_and_show_mixed_tasks():
+    tasks = some_tasks(["a"] * 3 + ["b"] * 3 + ["c"] * 3)
+    tasks.feasible[[0, 3, 4]] = True
+    assert spread(tasks, 3).tolist() == [1, 5, 6]
+    assert spread(tasks, 2).tolist() == [1, 6]
+    assert spread(tasks, 100).tolist() == list(range(9))
+    assert len({color for color, _ in JUDGEMENTS.values()}) == 4
+
+
+def test_a_planned_path_with_steps(tmp_path):
+    terrain = HeightMap.flat((80, 60))
+    states = np.zeros((12, 7))
+    states[:, 0] = np.linspace(0.4, 1.5, 12)
+    states[:, 1] = 0.7
+    states[6:, 3] = 0.2
+    plan = SimpleNamespace(states=states, actions=["drive"] * 5 + ["step front_left +0.200"] + ["drive"] * 5)
+    assert is_picture(save_planned_path(terrain, plan, MOMARO, tmp_path / "path.png", "a step"))
+
+
+def test_without_a_path_start_and_goal_are_drawn(tmp_path):
+    terrain, plan = HeightMap.flat((80, 60)), SimpleNamespace(states=None, actions=[])
+    picture = tmp_path / "none.png"
+    with pytest.raises(InputError, match="start"):
+        save_planned_path(terrain, plan, MOMARO, picture)
+    assert is_picture(save_planned_path(terrain, plan, MOMARO, picture, start=(0.5, 0.5, 0.0), goal=(1.5, 1.0, 1.0)))
