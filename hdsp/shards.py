@@ -1,8 +1,8 @@
 """Shards: labelled tasks in HDF5 files that are whole or absent, and that name what their labels depend on.
 
 The file is plain HDF5 (heights: chunk = one map, LZF). Its user block, the first 512 bytes, which HDF5 leaves to
-applications, holds a magic word, the schema version and the SHA-256 of the rest, so that any damage is found before HDF5
-parses the file.
+applications, holds a magic word, the schema version and the SHA-256 of the rest, so that any damage is found before
+HDF5 parses the file.
 """
 
 import hashlib
@@ -65,8 +65,8 @@ def write_shard(path: str | os.PathLike, tasks: TaskSet, attributes: Attributes)
     with replacing(path) as temporary:
         with h5py.File(temporary, "w", userblock_size=_USER_BLOCK, libver=("v110", "v110")) as file:
             for name, array in sorted(arrays.items()):
-                maps = 1 if name == "heights" else _MAPS_PER_CHUNK
-                layout = {"chunks": (min(maps, len(array)), *array.shape[1:]), "compression": "lzf"} if len(array) else {}
+                maps = min(1 if name == "heights" else _MAPS_PER_CHUNK, len(array))
+                layout = {"chunks": (maps, *array.shape[1:]), "compression": "lzf"} if maps else {}
                 file.create_dataset(name, data=array, track_times=False, **layout)
             file.attrs["schema_version"] = SCHEMA_VERSION
             file.attrs[_CATEGORY_NAMES] = np.array(names, dtype=h5py.string_dtype())
