@@ -163,11 +163,15 @@ class Scene:
         x, y = np.moveaxis(grid.center(np.stack(np.indices(shape), axis=-1) - center_cell) - grid.center((0, 0)), -1, 0)
         turn = lattice.rotation(-angle)
         x, y = turn[0, 0] * x + turn[0, 1] * y, turn[1, 0] * x + turn[1, 1] * y
-        heights = np.zeros(shape, np.float32)
+        return HeightMap(self.heights_at(x, y), origin=tuple(-offset))
+
+    def heights_at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Heights at points (x, y) of the scene, m; float32 of their shape."""
+        heights = np.zeros(np.shape(x), np.float32)
         for obstacle in self.obstacles:
             for block in obstacle.blocks():
                 np.maximum(heights, np.float32(block.height), out=heights, where=block.covers(x, y))
-        return HeightMap(heights, origin=tuple(-offset))
+        return heights
 
 
 def random_scene(seed: int, category: str, index: int, settings: TerrainSettings | None = None) -> Scene:
