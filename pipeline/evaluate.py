@@ -9,6 +9,7 @@ from omegaconf import DictConfig
 
 from hdsp.errors import InputError
 from hdsp.files import replacing
+from hdsp.robot import Robot
 from pipeline.abstractions import task_predictor
 from pipeline.config import plain
 from pipeline.data import read_set
@@ -45,7 +46,7 @@ def evaluate(config: DictConfig, folders: Folders) -> None:
     save_quality_bars(sets, folders.write("reports", "figures", "abstraction_quality.png"))
     judged = predict(next(iter(predictors.values())), example)
     picture = folders.write("reports", "figures", "example_patches.png")
-    save_example_patches(example, judged, picture, config.evaluation.examples)
+    save_example_patches(example, judged, picture, config.evaluation.examples, Robot.load(plain(config.robot)))
 
 
 def _digits(value: float | None) -> str:

@@ -30,8 +30,7 @@ def log(mlflow: Any, abstraction_dir: Path, tasks: TaskSet) -> None:
     example = {"heights": tasks.heights[:1], "goals": tasks.goals[:1]}
     predictions = predict(LearnedAbstraction.from_pretrained(abstraction_dir), example)
     with warnings.catch_warnings():
-        # Advice on type hints and input examples; the signature says it all.
-        warnings.simplefilter("ignore", UserWarning)
+        warnings.simplefilter("ignore", UserWarning)  # asks for an input example; the signature says it all
         mlflow.pyfunc.log_model(
             name=NAME,
             python_model=str(Path(__file__)),
@@ -49,22 +48,23 @@ def predict(abstraction: Any, inputs: dict[str, np.ndarray]) -> dict[str, np.nda
     return {"feasible": feasible, "cost": cost}
 
 
+class _Judge:
+    """What the served model does. Beside `PythonModel` and not in a subclass of it, which MLflow would wrap with checks of
+    type hints; the signature checks inputs."""
+
+    def load_context(self, context: Any) -> None:
+        from hdsp.learning import LearnedAbstraction
+
+        self.abstraction = LearnedAbstraction.from_pretrained(context.artifacts[NAME])
+
+    def predict(self, context: Any, model_input: dict[str, np.ndarray], params: Any = None) -> dict[str, np.ndarray]:
+        return predict(self.abstraction, model_input)
+
+
 def _define() -> None:
     import mlflow
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # advice on type hints, which know no arrays
-
-        class Served(mlflow.pyfunc.PythonModel):
-            def load_context(self, context):
-                from hdsp.learning import LearnedAbstraction
-
-                self.abstraction = LearnedAbstraction.from_pretrained(context.artifacts[NAME])
-
-            def predict(self, context, model_input, params=None):
-                return predict(self.abstraction, model_input)
-
-        mlflow.models.set_model(Served())
+    mlflow.models.set_model(type("Served", (_Judge, mlflow.pyfunc.PythonModel), {})())
 
 
 if __name__ not in ("pipeline.served_model", "__main__"):  # MLflow runs this file under a name of its own
