@@ -12,7 +12,6 @@ centre of patch cell ``(c, c)``. Sampling takes the nearest cell; outside the ma
 import functools
 import math
 import os
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,10 +20,8 @@ import numpy as np
 
 from hdsp import lattice
 from hdsp.errors import InputError
-from hdsp.files import existing_file, replacing
 from hdsp.lattice import PATCH_CELLS, RESOLUTION
-
-HDF5_SUFFIXES = (".h5", ".hdf5")
+from hdsp.map_files import read_map, write_map
 
 #: Positions this close (in cells) to the border between two cells count as on the border, whatever rounding error says.
 TIE = 1e-6
@@ -80,15 +77,7 @@ class HeightMap:
         Raises:
             InputError: if the file is missing, damaged, of another kind, or holds no valid map.
         """
-        path = existing_file(path, "height map")
-        read = _by_suffix(path, npz=_read_npz, hdf5=_read_hdf5)
-        try:
-            fields = read(path)
-        except KeyError as error:
-            raise InputError(f"height map {path}: no entry {error.args[0]!r}") from None
-        except (OSError, EOFError, ValueError, zipfile.BadZipFile) as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise InputError(f"height map {path} cannot be read: {reason}") from error
+        fields = read_map(path)
         try:
             return cls(*fields)
         except InputError as error:
@@ -100,9 +89,7 @@ class HeightMap:
         Raises:
             InputError: if the suffix is another one or the place cannot be written to.
         """
-        write = _by_suffix(Path(path), npz=_write_npz, hdf5=_write_hdf5)
-        with replacing(path) as temporary:
-            write(temporary, self)
+        write_map(path, self.heights, self.origin, self.resolution)
         return Path(path)
 
     @property
@@ -284,35 +271,3 @@ def _positive(cells: int) -> int:
     if cells < 1:
         raise InputError(f"patch of {cells} cells; need at least 1")
     return cells
-
-
-def _by_suffix(path: Path, npz, hdf5):
-    if path.suffix == ".npz":
-        return npz
-    if path.suffix in HDF5_SUFFIXES:
-        return hdf5
-    raise InputError(f"height map {path}: suffix {path.suffix!r}; need .npz, .h5 or .hdf5")
-
-
-def _read_npz(path: Path):
-    with np.load(path, allow_pickle=False) as file:
-        return file["heights"], file["origin"], file["resolution"]
-
-
-def _write_npz(path: Path, terrain: HeightMap):
-    np.savez_compressed(path, heights=terrain.heights, origin=terrain.origin, resolution=terrain.resolution)
-
-
-def _read_hdf5(path: Path):
-    import h5py
-
-    with h5py.File(path) as file:
-        return file["heights"][()], file.attrs["origin"], file.attrs["resolution"]
-
-
-def _write_hdf5(path: Path, terrain: HeightMap):
-    import h5py
-
-    with h5py.File(path, "w") as file:
-        file.create_dataset("heights", data=terrain.heights, compression="lzf", fletcher32=True)
-        file.attrs.update(origin=terrain.origin, resolution=terrain.resolution)

@@ -6,6 +6,7 @@ HDF5 parses the file.
 """
 
 import hashlib
+import io
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -62,21 +63,20 @@ def write_shard(path: str | os.PathLike, tasks: TaskSet, attributes: Attributes)
         raise InputError(f"shard {path}: {len(names)} categories; at most 256 fit")
     arrays = {name: tasks.arrays()[name] for name in FIELDS}
     arrays["category"] = np.searchsorted(names, tasks.category).astype(np.uint8)
+    # Through memory: a full disk is then an ordinary OSError, which HDF5 reports in ways of its own.
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", userblock_size=_USER_BLOCK, libver=("v110", "v110")) as file:
+        for name, array in sorted(arrays.items()):
+            maps = min(1 if name == "heights" else _MAPS_PER_CHUNK, len(array))
+            layout = {"chunks": (maps, *array.shape[1:]), "compression": "lzf"} if maps else {}
+            file.create_dataset(name, data=array, track_times=False, **layout)
+        file.attrs["schema_version"] = SCHEMA_VERSION
+        file.attrs[_CATEGORY_NAMES] = np.array(names, dtype=h5py.string_dtype())
+        for name, value in attributes.items():
+            file.attrs[name] = value
+    body = buffer.getvalue()[_USER_BLOCK:]
     with replacing(path) as temporary:
-        with h5py.File(temporary, "w", userblock_size=_USER_BLOCK, libver=("v110", "v110")) as file:
-            for name, array in sorted(arrays.items()):
-                maps = min(1 if name == "heights" else _MAPS_PER_CHUNK, len(array))
-                layout = {"chunks": (maps, *array.shape[1:]), "compression": "lzf"} if maps else {}
-                file.create_dataset(name, data=array, track_times=False, **layout)
-            file.attrs["schema_version"] = SCHEMA_VERSION
-            file.attrs[_CATEGORY_NAMES] = np.array(names, dtype=h5py.string_dtype())
-            for name, value in attributes.items():
-                file.attrs[name] = value
-        with temporary.open("r+b") as file:
-            file.seek(_USER_BLOCK)
-            header = _header(SCHEMA_VERSION, file.read())
-            file.seek(0)
-            file.write(header)
+        temporary.write_bytes(_header(SCHEMA_VERSION, body) + body)
     return Path(path)
 
 
