@@ -49,15 +49,15 @@ def predict(abstraction: Any, inputs: dict[str, np.ndarray]) -> dict[str, np.nda
 
 
 class _Judge:
-    """What the served model does. Beside `PythonModel` and not in a subclass of it, which MLflow would wrap with checks of
-    type hints; the signature checks inputs."""
+    """What the served model does. Not itself a `PythonModel`, whose methods MLflow wraps with checks of type hints; here
+    the signature checks inputs."""
 
-    def load_context(self, context: Any) -> None:
+    def load_context(self, context):
         from hdsp.learning import LearnedAbstraction
 
         self.abstraction = LearnedAbstraction.from_pretrained(context.artifacts[NAME])
 
-    def predict(self, context: Any, model_input: dict[str, np.ndarray], params: Any = None) -> dict[str, np.ndarray]:
+    def predict(self, context, model_input, params=None):
         return predict(self.abstraction, model_input)
 
 
