@@ -1,4 +1,4 @@
-"""Cost-to-go over the abstract graph: a backward one-to-any Dijkstra search (paper, Sec. IV-E).
+"""Cost-to-go over the abstract graph: a backward one-to-any Dijkstra search (paper, Sec. V-D).
 
 One goal, every state: a single search from the goal over predecessors gives each abstract state the cost of its
 cheapest way to the goal. The kernel uses a ring of buckets instead of a heap: with buckets no wider than the cheapest
@@ -18,6 +18,7 @@ from hdsp.abstract.prefetch import prefetch
 from hdsp.errors import InputError
 from hdsp.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, DRIVE_MOVES, N_ABSTRACT_ACTIONS
 
+AHEAD = 3  # visits between the request of a row of costs and its use
 N_DRIVE = len(DRIVE_MOVES)  # the abstract actions are these moves, then the turns
 MAX_BUCKETS = 256  # a power of two; more of them take memory, fewer only repeat a few visits
 
@@ -125,7 +126,7 @@ class _Queue(NamedTuple):
     def starting_at(cls, goal: int, states: int, margin: int, buckets: int) -> _Queue:
         distance = np.full(states + 2 * margin, np.inf)
         distance[goal + margin] = 0.0
-        entries = np.empty((buckets, max(2 * N_ABSTRACT_ACTIONS, states // buckets)), np.uint32)
+        entries = np.empty((buckets, max(2 * N_ABSTRACT_ACTIONS, 2 * states // buckets)), np.uint32)
         entries[0, 0] = goal + margin
         filled = np.zeros(buckets, np.int64)
         filled[0] = 1
@@ -192,8 +193,8 @@ def _search(incoming, offsets, queue, margin, per_width):
                     return False
             state = np.uint64(entries[np.uint64(current), np.uint64(place)])
             place += 1
-            if place + 1 < last:
-                ahead = (np.uint64(entries[np.uint64(current), np.uint64(place + 1)]) - np.uint64(margin)) * count
+            if place + AHEAD < last:
+                ahead = (np.uint64(entries[np.uint64(current), np.uint64(place + AHEAD)]) - np.uint64(margin)) * count
                 prefetch(incoming, ahead)
                 prefetch(incoming, ahead + count - np.uint64(1))
             if visited[state]:
