@@ -35,7 +35,7 @@ def read_map(path: str | os.PathLike) -> MapFields:
     except KeyError as error:
         missing = [name for name in MapFields._fields if name in str(error)] or MapFields._fields
         raise InputError(f"height map {path}: entry {missing[0]} is missing") from None
-    except (OSError, EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+    except (OSError, EOFError, ValueError, TypeError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"height map {path} cannot be read: {reason}") from error
 
@@ -69,7 +69,7 @@ def _read_hdf5(path: Path) -> dict[str, np.ndarray]:
 def _write_hdf5(buffer: io.BytesIO, **entries: np.ndarray) -> None:
     import h5py
 
-    with h5py.File(buffer, "w") as file:
+    with h5py.File(buffer, "w", libver=("v110", "v110")) as file:  # metadata with checksums
         for name, array in entries.items():
             layout = {"compression": "lzf", "fletcher32": True} if array.ndim == 2 else {}
             file.create_dataset(name, data=array, **layout)
