@@ -32,11 +32,13 @@ class CostMaps(NamedTuple):
     Attributes:
         height_difference: float32, m; 0 where unknown.
         unevenness: float32, m; S of the module's docstring.
+        edge: bool; whether no wheel passes the cell: too large a height difference, or unknown.
         standable: bool; whether a foot can stand on (and roll over) the cell.
     """
 
     height_difference: np.ndarray
     unevenness: np.ndarray
+    edge: np.ndarray
     standable: np.ndarray
 
     def foot_cost(self, robot: Robot) -> np.ndarray:
@@ -50,18 +52,22 @@ def cost_maps(terrain: HeightMap, robot: Robot) -> CostMaps:
     heights = terrain.heights
     difference = _height_difference(heights)
     unevenness = _unevenness(difference, _disc_weights(cells(robot.drive.unevenness_radius)))
-    blocked = np.isnan(heights) | (difference > np.float32(robot.drive.max_height_difference))
-    standable = ~_near(blocked, _disc(cells(robot.feet.clearance)))
-    return CostMaps(difference, unevenness, standable)
+    edge = np.isnan(heights) | (difference > np.float32(robot.drive.max_height_difference))
+    standable = ~_near(edge, _disc(cells(robot.feet.clearance)))
+    return CostMaps(difference, unevenness, edge, standable)
+
+
+def disc_mask(radius: float) -> np.ndarray:
+    """The cells whose centres lie within ``radius`` cells of the middle one, bool [2 r + 1, 2 r + 1]."""
+    reach = math.floor(radius + 1e-9)
+    span = np.arange(-reach, reach + 1)
+    return np.hypot(span[:, None], span[None, :]) <= radius + 1e-9
 
 
 def _disc(radius: float) -> np.ndarray:
-    """Offsets (dx, dy), int64 [n, 2], of the cells whose centres lie within ``radius`` cells."""
-    reach = math.floor(radius + 1e-9)
-    span = np.arange(-reach, reach + 1)
-    dx, dy = np.meshgrid(span, span, indexing="ij")
-    inside = np.hypot(dx, dy) <= radius + 1e-9
-    return np.stack([dx[inside], dy[inside]], axis=1)
+    """The cells of ``disc_mask`` as offsets (dx, dy), int64 [n, 2]."""
+    mask = disc_mask(radius)
+    return np.argwhere(mask) - len(mask) // 2
 
 
 def _disc_weights(radius: float) -> np.ndarray:

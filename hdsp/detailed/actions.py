@@ -10,12 +10,13 @@ import numpy as np
 from numba import njit
 
 from hdsp.detailed.states import BASE_BACKWARD, BASE_FORWARD, FOOT_MOVE, STEP, TURN_LEFT, TURN_RIGHT, pack, unpack
-from hdsp.detailed.world import base_term, cell_index, step_fits
+from hdsp.detailed.world import base_term, cell_index, compute_base_term, step_fits
 from hdsp.lattice import HEADINGS, RESOLUTION
 
 MAX_SUCCESSORS = 160
 
 _INF = np.inf
+_ONE = np.float32(1)
 
 
 class Rules(NamedTuple):
@@ -38,27 +39,19 @@ def foot_row(tables, heading, foot, offset):
     return ((heading * 4 + foot) * tables.n_offsets + offset) * tables.n_samples
 
 
-@njit(cache=True, inline="always")
-def sampled_cost(world, p, base, r0, r1, r2, r3):
-    """State cost C with the base's term ``base``, the base at flat cell ``p`` and the feet at table rows ``r``."""
-    feet = world.tables.feet
-    s0, s1 = world.foot[p + feet[r0]], world.foot[p + feet[r1]]
-    s2, s3 = world.foot[p + feet[r2]], world.foot[p + feet[r3]]
-    largest = max(max(s0, s1), max(max(s2, s3), base))
-    return 1.0 + world.constants.unevenness * (np.float64(largest) + (np.float64(s0) + s1) + (np.float64(s2) + s3))
-
-
 @njit(cache=True, error_model="numpy")
 def state_cost(world, key):
     """State cost C of a packed state; inf if a foot cannot stand there or the body collides."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     p = cell_index(world, ix, iy)
     t = world.tables
-    rows = foot_row(t, heading, 0, o0), foot_row(t, heading, 1, o1), foot_row(t, heading, 2, o2), foot_row(t, heading, 3, o3)
-    return sampled_cost(world, p, base_term(world, heading, p), rows[0], rows[1], rows[2], rows[3])
+    foot, feet = world.foot, t.feet
+    s0, s1 = foot[p + feet[foot_row(t, heading, 0, o0)]], foot[p + feet[foot_row(t, heading, 1, o1)]]
+    s2, s3 = foot[p + feet[foot_row(t, heading, 2, o2)]], foot[p + feet[foot_row(t, heading, 3, o3)]]
+    return merged_cost(world.constants.unevenness, base_term(world, heading, p), s0, s1, s2, s3)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def feet_unevenness(world, p, r0, r1, r2, r3):
     """Sum of S under the four feet; inf if one cannot stand."""
     feet = world.tables.feet
@@ -66,14 +59,15 @@ def feet_unevenness(world, p, r0, r1, r2, r3):
     return s + (np.float64(world.foot[p + feet[r2]]) + world.foot[p + feet[r3]])
 
 
-@njit(cache=True, error_model="numpy")
-def separated(tables, constants, o0, o1, o2, o3):
-    """Whether front and rear foot of each side keep their distance."""
+@njit(cache=True, error_model="numpy", inline="always")
+def separated(constants, key):
+    """Whether front and rear foot of each side keep their distance in a packed state."""
     apart = 2 * constants.neutral_x - constants.min_separation
+    _, _, _, o0, o1, o2, o3 = unpack(key)
     return o1 - o0 <= apart and o2 - o3 <= apart
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def supported(constants, lowest, lifted, o0, o1, o2, o3):
     """Whether the base centre lies in the triangle of the three feet that stay, ``support_margin`` cells inside its edges."""
     x, y = constants.neutral_x + lowest, constants.neutral_y
@@ -106,49 +100,83 @@ def successors(world, rules, key, out_key, out_cost, out_action):
     n = _drives(world, key, out_key, out_cost, out_action, 0)
     n = _turns(world, rules, key, out_key, out_cost, out_action, n)
     t = world.tables
+    foot, feet, steps = world.foot, t.feet, world.steps
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     p = cell_index(world, ix, iy)
-    r0, r1 = foot_row(t, heading, 0, o0), foot_row(t, heading, 1, o1)
-    r2, r3 = foot_row(t, heading, 2, o2), foot_row(t, heading, 3, o3)
-    ways = world.steps[p + t.feet[r0]] | world.steps[p + t.feet[r1]] | world.steps[p + t.feet[r2]] | world.steps[p + t.feet[r3]]
+    p0, p1 = p + feet[foot_row(t, heading, 0, o0)], p + feet[foot_row(t, heading, 1, o1)]
+    p2, p3 = p + feet[foot_row(t, heading, 2, o2)], p + feet[foot_row(t, heading, 3, o3)]
+    ways = steps[p0] | steps[p1] | steps[p2] | steps[p3]
     behind = (heading + HEADINGS // 2) % HEADINGS
     can_step = ((ways >> np.uint64(heading)) | (ways >> np.uint64(behind))) & np.uint64(1)
     neutral = -t.lowest
     if can_step == 0 and o0 == neutral and o1 == neutral and o2 == neutral and o3 == neutral:
         return n
-    cost = sampled_cost(world, p, base_term(world, heading, p), r0, r1, r2, r3)
-    n = _foot_moves(world, key, cost, out_key, out_cost, out_action, n)
-    n = _base_shifts(world, key, cost, out_key, out_cost, out_action, n)
+    unevenness = foot[p0], foot[p1], foot[p2], foot[p3]
+    under = base_term(world, heading, p)
+    n = _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n)
+    n = _base_shifts(world, key, under, unevenness, out_key, out_cost, out_action, n)
     if can_step != 0:
-        n = _steps(world, key, cost, out_key, out_cost, out_action, n)
+        n = _steps(world, key, under, unevenness, out_key, out_cost, out_action, n)
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
+def merged_cost(k, under, s0, s1, s2, s3):
+    """State cost C from the largest S under the body and the S of the feet (unitless)."""
+    largest = max(max(s0, s1), max(max(s2, s3), under))
+    return 1.0 + k * (np.float64(largest) + s0 + s1 + s2 + s3)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def with_foot(unevenness, i, value):
+    """The four values with the one of foot ``i`` replaced."""
+    s0, s1, s2, s3 = unevenness
+    return (
+        value if i == 0 else s0, value if i == 1 else s1,
+        value if i == 2 else s2, value if i == 3 else s3,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", inline="always")
 def _drives(world, key, out_key, out_cost, out_action, n):
+    # The innermost loop of every search: arrays are named once, because each access through a tuple counts references.
     t = world.tables
+    foot, feet, base, size = world.foot, t.feet, world.base, len(world.foot)
+    flat, first, count, base_sample = t.move_flat, t.move_first, t.move_count, t.base_sample
+    move_dx, move_dy, length, deviation = t.move_dx, t.move_dy, t.move_length, t.deviation
+    k = world.constants.unevenness
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     p = cell_index(world, ix, iy)
+    b0 = heading * size
     r0, r1 = foot_row(t, heading, 0, o0), foot_row(t, heading, 1, o1)
     r2, r3 = foot_row(t, heading, 2, o2), foot_row(t, heading, 3, o3)
+    p0, p1, p2, p3 = p + feet[r0], p + feet[r1], p + feet[r2], p + feet[r3]
     for m in range(20):
-        q = p + t.move_flat[m]
-        total = sampled_cost(world, q, base_term(world, heading, q), r0, r1, r2, r3)
+        step = flat[m]
+        s0, s1, s2, s3 = foot[p0 + step], foot[p1 + step], foot[p2 + step], foot[p3 + step]
+        largest = max(max(s0, s1), max(s2, s3))
+        if largest == _INF:
+            continue
+        under = base[b0 + p + step]
+        if under == 0:
+            under = compute_base_term(world, heading, p + step)
+        total = np.float64(max(largest, under - _ONE)) + s0 + s1 + s2 + s3
+        for s in range(first[m], first[m] + count[m]):
+            s0, s1, s2, s3 = foot[p + feet[r0 + s]], foot[p + feet[r1 + s]], foot[p + feet[r2 + s]], foot[p + feet[r3 + s]]
+            under = base[b0 + p + base_sample[s]]
+            if under == 0:
+                under = compute_base_term(world, heading, p + base_sample[s])
+            total += np.float64(max(max(max(s0, s1), max(s2, s3)), under - _ONE)) + s0 + s1 + s2 + s3
         if total == _INF:
             continue
-        for s in range(t.move_first[m], t.move_first[m] + t.move_count[m]):
-            base = base_term(world, heading, p + t.base_sample[s])
-            total += sampled_cost(world, p, base, r0 + s, r1 + s, r2 + s, r3 + s)
-        if total == _INF:
-            continue
-        out_key[n] = key + (np.int64(t.move_dx[m]) << 42) + (np.int64(t.move_dy[m]) << 26)
-        out_cost[n] = t.move_length[m] * t.deviation[heading, m] * total / (t.move_count[m] + 1)
+        out_key[n] = key + (move_dx[m] << 42) + (move_dy[m] << 26)
+        out_cost[n] = length[m] * deviation[heading, m] * (1.0 + k * total / (count[m] + 1))
         out_action[n] = m
         n += 1
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def _turns(world, rules, key, out_key, out_cost, out_action, n):
     t = world.tables
     c = world.constants
@@ -175,96 +203,103 @@ def _turns(world, rules, key, out_key, out_cost, out_action, n):
     return n
 
 
-@njit(cache=True, error_model="numpy")
-def _foot_moves(world, key, cost, out_key, out_cost, out_action, n):
+@njit(cache=True, error_model="numpy", inline="always")
+def _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n):
     t = world.tables
-    for foot in range(4):
-        shift = 15 - 5 * foot
+    foot, feet, k, price = world.foot, t.feet, world.constants.unevenness, world.constants.foot_move
+    ix, iy, heading, _, _, _, _ = unpack(key)
+    p = cell_index(world, ix, iy)
+    cost = merged_cost(k, under, unevenness[0], unevenness[1], unevenness[2], unevenness[3])
+    for i in range(4):
+        shift = 15 - 5 * i
         offset = (key >> shift) & 0x1F
         for backward in range(2):
             change = 1 - 2 * backward
             if offset + change < 0 or offset + change >= t.n_offsets:
                 continue
-            new = key + (np.int64(change) << shift)
-            _, _, _, o0, o1, o2, o3 = unpack(new)
-            if not separated(t, world.constants, o0, o1, o2, o3):
-                continue
-            reached = state_cost(world, new)
+            reached = foot[p + feet[foot_row(t, heading, i, offset + change)]]
             if reached == _INF:
                 continue
+            new = key + (np.int64(change) << shift)
+            if not separated(world.constants, new):
+                continue
+            s0, s1, s2, s3 = with_foot(unevenness, i, reached)
             out_key[n] = new
-            out_cost[n] = world.constants.foot_move * 0.5 * (cost + reached)
-            out_action[n] = FOOT_MOVE + 2 * foot + backward
+            out_cost[n] = price * 0.5 * (cost + merged_cost(k, under, s0, s1, s2, s3))
+            out_action[n] = FOOT_MOVE + 2 * i + backward
             n += 1
     return n
 
 
-@njit(cache=True, error_model="numpy")
-def _base_shifts(world, key, cost, out_key, out_cost, out_action, n):
+@njit(cache=True, error_model="numpy", inline="always")
+def _base_shifts(world, key, under, unevenness, out_key, out_cost, out_action, n):
     t = world.tables
+    foot, feet, k, price = world.foot, t.feet, world.constants.unevenness, world.constants.base_shift
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
+    cost = merged_cost(k, under, unevenness[0], unevenness[1], unevenness[2], unevenness[3])
     for action in (BASE_FORWARD, BASE_BACKWARD):
         sign = 1 if action == BASE_FORWARD else -1
         dx, dy, by = sign * t.shifts[heading, 0], sign * t.shifts[heading, 1], sign * t.shifts[heading, 2]
         lowest, highest = min(min(o0, o1), min(o2, o3)) - by, max(max(o0, o1), max(o2, o3)) - by
-        if lowest < 0 or highest >= t.n_offsets or not (0 <= ix + dx < world.nx and 0 <= iy + dy < world.ny):
+        if lowest < 0 or highest >= t.n_offsets:
             continue
-        new = pack(ix + dx, iy + dy, heading, o0 - by, o1 - by, o2 - by, o3 - by)
-        reached = state_cost(world, new)
+        q = cell_index(world, ix + dx, iy + dy)
+        there = base_term(world, heading, q)
+        s0, s1 = foot[q + feet[foot_row(t, heading, 0, o0 - by)]], foot[q + feet[foot_row(t, heading, 1, o1 - by)]]
+        s2, s3 = foot[q + feet[foot_row(t, heading, 2, o2 - by)]], foot[q + feet[foot_row(t, heading, 3, o3 - by)]]
+        reached = merged_cost(k, there, s0, s1, s2, s3)
         if reached == _INF:
             continue
-        out_key[n] = new
-        out_cost[n] = world.constants.base_shift * np.sqrt(np.float64(dx * dx + dy * dy)) * 0.5 * (cost + reached)
+        out_key[n] = pack(ix + dx, iy + dy, heading, o0 - by, o1 - by, o2 - by, o3 - by)
+        out_cost[n] = price * np.sqrt(np.float64(dx * dx + dy * dy)) * 0.5 * (cost + reached)
         out_action[n] = action
         n += 1
     return n
 
 
-@njit(cache=True, error_model="numpy")
-def _steps(world, key, cost, out_key, out_cost, out_action, n):
+@njit(cache=True, error_model="numpy", inline="always")
+def _steps(world, key, under, unevenness, out_key, out_cost, out_action, n):
     t = world.tables
     c = world.constants
+    foot, feet, height, swing, edge = world.foot, t.feet, world.height, world.swing, world.edge
+    line, steps = t.line, world.steps
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     p = cell_index(world, ix, iy)
-    offsets = (o0, o1, o2, o3)
-    for foot in range(4):
-        at = p + t.feet[foot_row(t, heading, foot, offsets[foot])]
-        possible = world.steps[at]
-        if possible == 0 or not supported(c, t.lowest, foot, o0, o1, o2, o3):
+    cost = merged_cost(c.unevenness, under, unevenness[0], unevenness[1], unevenness[2], unevenness[3])
+    for i in range(4):
+        shift = 15 - 5 * i
+        offset = (key >> shift) & 0x1F
+        at = p + feet[foot_row(t, heading, i, offset)]
+        possible = steps[at]
+        if possible == 0 or not supported(c, t.lowest, i, o0, o1, o2, o3):
             continue
-        before = world.height[at]
-        shift = 15 - 5 * foot
+        before = height[at]
         for sign in (1, -1):
             toward = heading if sign == 1 else (heading + HEADINGS // 2) % HEADINGS
             if (possible >> np.uint64(toward)) & np.uint64(1) == 0:
                 continue
-            edge = False
+            crossed = False
             highest = before
-            for length in range(1, t.line.shape[1]):
-                offset = offsets[foot] + sign * length
-                if offset < 0 or offset >= t.n_offsets:
+            for length in range(1, line.shape[1]):
+                to = offset + sign * length
+                if to < 0 or to >= t.n_offsets:
                     break
-                on_line = at + t.line[toward, length]
-                highest = max(highest, world.height[on_line])
-                if world.foot[on_line] == _INF:
-                    edge = True
+                highest = max(highest, swing[at + line[toward, length]])
+                crossed = crossed or edge[at + line[toward, length]]
+                landing = p + feet[foot_row(t, heading, i, to)]
+                reached = foot[landing]
+                if not crossed or reached == _INF:
                     continue
-                if not edge:
-                    continue
-                new = key + (np.int64(sign * length) << shift)
-                landing = p + t.feet[foot_row(t, heading, foot, offset)]
-                after = world.height[landing]
+                after = height[landing]
                 if not step_fits(before, after, max(highest, after), c.step_max_height, c.step_max_clearance):
                     continue
-                _, _, _, n0, n1, n2, n3 = unpack(new)
-                if not separated(t, c, n0, n1, n2, n3):
+                new = key + (np.int64(sign * length) << shift)
+                if not separated(c, new):
                     continue
-                reached = state_cost(world, new)
-                if reached == _INF:
-                    continue
+                s0, s1, s2, s3 = with_foot(unevenness, i, reached)
                 effort = c.step + c.step_per_metre * length * RESOLUTION + c.step_per_height * abs(after - before)
                 out_key[n] = new
-                out_cost[n] = effort * 0.5 * (cost + reached)
-                out_action[n] = STEP + 32 * foot + 16 + sign * length
+                out_cost[n] = effort * 0.5 * (cost + merged_cost(c.unevenness, under, s0, s1, s2, s3))
+                out_action[n] = STEP + 32 * i + 16 + sign * length
                 n += 1
     return n

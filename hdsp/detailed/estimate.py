@@ -56,7 +56,7 @@ def _feet(e, o0, o1, o2, o3):
     return abs(max(hi1, hi2) - min(lo1, lo2)) + abs(min(hi1, hi2) - max(lo1, lo2))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def estimate(e, key):
     """Estimated cost from a packed state to the goal, float64."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)

@@ -98,10 +98,9 @@ def find(store, key):
 
 
 @njit(cache=True, inline="always")
-def _push(store, f, node):
-    heap_f, heap_node = store.heap_f, store.heap_node
-    i = store.count[HEAP]
-    store.count[HEAP] = i + 1
+def _push(heap_f, heap_node, n, f, node):
+    """Put an entry into a 4-ary heap of ``n`` entries."""
+    i = n
     while i > 0:
         parent = (i - 1) >> 2
         if heap_f[parent] <= f:
@@ -114,11 +113,9 @@ def _push(store, f, node):
 
 
 @njit(cache=True, inline="always")
-def _pop(store):
-    heap_f, heap_node = store.heap_f, store.heap_node
-    top_f, top_node = heap_f[0], heap_node[0]
-    n = store.count[HEAP] - 1
-    store.count[HEAP] = n
+def _remove_top(heap_f, heap_node, n):
+    """Take the top entry off a heap of ``n`` entries, which leaves ``n - 1``."""
+    n -= 1
     f, node = heap_f[n], heap_node[n]
     i = 0
     while True:
@@ -136,7 +133,6 @@ def _pop(store):
         i = best
     heap_f[i] = f
     heap_node[i] = node
-    return top_f, top_node
 
 
 @njit(cache=True, error_model="numpy")
@@ -147,17 +143,8 @@ def insert_start(store, heuristic, weight, key):
     store.action[0] = START
     store.slot[_hash(key, len(store.slot) - 1)] = 0
     store.count[NODES] = 1
-    _push(store, np.float32(weight * estimate(heuristic, key)), 0)
-
-
-@njit(cache=True, error_model="numpy")
-def rebuild_heap(store, heuristic, weight):
-    """Give every open entry its f under a changed heuristic, keeping only up-to-date ones (once each)."""
-    n = store.count[HEAP]
-    nodes = np.unique(store.heap_node[:n])
-    store.count[HEAP] = 0
-    for node in nodes:
-        _push(store, np.float32(store.g[node] + weight * estimate(heuristic, store.key[node])), node)
+    store.count[HEAP] = 1
+    _push(store.heap_f, store.heap_node, 0, np.float32(weight * estimate(heuristic, key)), 0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -178,49 +165,63 @@ def run(world, rules, heuristic, store, weight, goals, goal_cost, cost_limit, ex
     Returns:
         RUNNING, SOLVED (all goals settled), EXHAUSTED (nothing left to expand), OVER_COST_LIMIT or FULL.
     """
-    until = store.count[EXPANDED] + expansions
-    mask = len(store.slot) - 1
-    while store.count[HEAP] > 0:
-        if store.count[NODES] + MAX_SUCCESSORS > len(store.key) or store.count[HEAP] + MAX_SUCCESSORS > len(store.heap_f):
-            return FULL
-        if store.count[EXPANDED] >= until:
-            return RUNNING
-        f, node = _pop(store)
-        key = store.key[node]
-        g = np.float64(store.g[node])
+    # Arrays are named once: each access through a tuple counts references, which costs more than the work in this loop.
+    keys, costs, actions, slots = store.key, store.g, store.action, store.slot
+    heap_f, heap_node, count = store.heap_f, store.heap_node, store.count
+    out_key, out_cost, out_action = store.out_key, store.out_cost, store.out_action
+    mask = len(slots) - 1
+    n_nodes, n_heap, expanded = count[NODES], count[HEAP], count[EXPANDED]
+    until = expanded + expansions
+    outcome = EXHAUSTED
+    while n_heap > 0:
+        if n_nodes + MAX_SUCCESSORS > len(keys) or n_heap + MAX_SUCCESSORS > len(heap_f):
+            outcome = FULL
+            break
+        if expanded >= until:
+            outcome = RUNNING
+            break
+        f, node = heap_f[0], heap_node[0]
+        if f > weight * cost_limit:
+            outcome = OVER_COST_LIMIT
+            break
+        _remove_top(heap_f, heap_node, n_heap)
+        n_heap -= 1
+        key = keys[node]
+        g = np.float64(costs[node])
         if f != np.float32(g + weight * estimate(heuristic, key)):
             continue
-        if f > weight * cost_limit:
-            _push(store, f, node)
-            return OVER_COST_LIMIT
         for k in range(len(goals)):
             if goals[k] == key and goal_cost[k] == np.inf:
                 goal_cost[k] = g
-                store.count[GOALS_LEFT] -= 1
-        if store.count[GOALS_LEFT] == 0:
-            return SOLVED
-        store.count[EXPANDED] += 1
-        n = successors(world, rules, key, store.out_key, store.out_cost, store.out_action)
+                count[GOALS_LEFT] -= 1
+        if count[GOALS_LEFT] == 0:
+            outcome = SOLVED
+            break
+        expanded += 1
+        n = successors(world, rules, key, out_key, out_cost, out_action)
         for k in range(n):
-            new = store.out_key[k]
-            cost = np.float32(g + store.out_cost[k])
+            new = out_key[k]
+            cost = np.float32(g + out_cost[k])
             s = _hash(new, mask)
-            while store.slot[s] >= 0 and store.key[store.slot[s]] != new:
+            at = np.int64(slots[s])
+            while at >= 0 and keys[at] != new:
                 s = (s + 1) & mask
-            at = store.slot[s]
+                at = np.int64(slots[s])
             if at < 0:
-                at = store.count[NODES]
-                store.count[NODES] = at + 1
-                store.slot[s] = at
-                store.key[at] = new
-            elif cost >= store.g[at]:
+                at = n_nodes
+                n_nodes += 1
+                slots[s] = at
+                keys[at] = new
+            elif cost >= costs[at]:
                 continue
-            store.g[at] = cost
-            store.action[at] = store.out_action[k]
+            costs[at] = cost
+            actions[at] = out_action[k]
             h = estimate(heuristic, new)
             if h < np.inf:
-                _push(store, np.float32(np.float64(cost) + weight * h), at)
-    return EXHAUSTED
+                _push(heap_f, heap_node, n_heap, np.float32(np.float64(cost) + weight * h), at)
+                n_heap += 1
+    count[NODES], count[HEAP], count[EXPANDED] = n_nodes, n_heap, expanded
+    return outcome
 
 
 @njit(cache=True)

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from scipy.ndimage import maximum_filter
 
-from hdsp.costs import CostMaps, cost_maps
+from hdsp.costs import CostMaps, cost_maps, disc_mask
 from hdsp.detailed.geometry import (
     MOVE_SAMPLES,
     base_cells,
@@ -79,8 +79,10 @@ class World(NamedTuple):
     foot: np.ndarray  # float32 flat: S where a foot can stand, inf elsewhere
     uneven: np.ndarray  # float32 flat: S everywhere, 0 outside
     height: np.ndarray  # float32 flat; -inf where unknown
+    swing: np.ndarray  # float32 flat: highest cell within the clearance of a foot, inf next to unknown cells
     window_height: np.ndarray  # float32 flat: highest cell within the body's reach
     window_uneven: np.ndarray  # float32 flat: largest S within the body's reach
+    edge: np.ndarray  # bool flat: no wheel passes
     steps: np.ndarray  # uint64 flat: bit h set if a foot here can step toward heading h
     base: np.ndarray  # float32 [64 * cells]: 1 + largest S under the body, inf on collision, 0 = not yet computed
     tables: Tables
@@ -110,9 +112,13 @@ def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) 
     constants = _constants(robot)
     height, foot_flat = padded(heights, -np.inf), padded(foot, np.inf)
     longest = 2 * tables.line.shape[1] - 1
-    near_edge = np.pad(maximum_filter(~maps.standable, longest, mode="constant", cval=False), pad).ravel()
+    near_edge = np.pad(maximum_filter(maps.edge, longest, mode="constant", cval=False), pad).ravel()
+    edge = np.pad(maps.edge, pad).ravel()
     limits = constants.step_max_height, constants.step_max_clearance
-    steps = _possible_steps(foot_flat, height, near_edge, tables.line, *limits)
+    lifted = np.where(np.isnan(terrain.heights), np.inf, terrain.heights).astype(np.float32)
+    disc = disc_mask(cells(robot.feet.clearance))
+    swing = padded(maximum_filter(lifted, footprint=disc, mode="constant", cval=-np.inf), np.inf)
+    steps = _possible_steps(foot_flat, height, swing, edge, near_edge, tables.line, *limits)
     return World(
         nx=nx,
         ny=ny,
@@ -121,6 +127,8 @@ def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) 
         foot=foot_flat,
         uneven=padded(maps.unevenness, 0.0),
         height=height,
+        swing=swing,
+        edge=edge,
         window_height=padded(maximum_filter(heights, window, mode="constant", cval=-np.inf), -np.inf),
         window_uneven=padded(maximum_filter(maps.unevenness, window, mode="constant", cval=0.0), 0.0),
         steps=steps,
@@ -199,7 +207,7 @@ def _tables(robot: Robot, stride: int) -> Tables:
 
 
 @njit(cache=True, error_model="numpy")
-def _possible_steps(foot, height, near_edge, line, max_height, max_clearance):
+def _possible_steps(foot, height, swing, edge, near_edge, line, max_height, max_clearance):
     """For each cell the headings toward which a foot that stands there can step over an edge; uint64 flat."""
     n_headings, reach = line.shape
     result = np.zeros(len(foot), dtype=np.uint64)
@@ -208,14 +216,13 @@ def _possible_steps(foot, height, near_edge, line, max_height, max_clearance):
         if not near_edge[p] or foot[p] == np.inf:
             continue
         for h in range(n_headings):
-            edge = False
+            crossed = False
             highest = height[p]
             for n in range(1, reach):
                 q = p + line[h, n]
-                highest = max(highest, height[q])
-                if foot[q] == np.inf:
-                    edge = True
-                elif edge and step_fits(height[p], height[q], highest, max_height, max_clearance):
+                highest = max(highest, swing[q])
+                crossed = crossed or edge[q]
+                if crossed and foot[q] < np.inf and step_fits(height[p], height[q], highest, max_height, max_clearance):
                     result[p] |= np.uint64(1) << np.uint64(h)
                     break
     return result
@@ -227,19 +234,25 @@ def step_fits(before, after, highest, max_height, max_clearance):
     return abs(after - before) <= max_height and highest - min(before, after) <= max_clearance
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inline="always")
 def base_term(world, heading, p):
     """Largest S under the body at flat cell ``p``, or inf where the body collides or leaves the map."""
-    slot = heading * len(world.foot) + p
-    known = world.base[slot]
+    known = world.base[heading * len(world.foot) + p]
     if known == 0:
-        known = np.float32(1) + _compute_base_term(world, heading, p)
-        world.base[slot] = known
+        known = compute_base_term(world, heading, p)
     return known - np.float32(1)
 
 
 @njit(cache=True, error_model="numpy")
-def _compute_base_term(world, heading, p):
+def compute_base_term(world, heading, p):
+    """Compute and keep an entry of ``world.base``: 1 + largest S under the body, or inf."""
+    known = np.float32(1) + _largest_under_body(world, heading, p)
+    world.base[heading * len(world.foot) + p] = known
+    return known
+
+
+@njit(cache=True, error_model="numpy")
+def _largest_under_body(world, heading, p):
     ground = world.height[p]
     tables = world.tables
     if ground == -np.inf:
