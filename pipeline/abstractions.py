@@ -8,7 +8,7 @@ from omegaconf import DictConfig
 
 from hdsp.errors import InputError
 from hdsp.robot import Robot
-from pipeline.config import plain
+from pipeline.config import plain, settings
 from pipeline.stage import Folders
 
 if TYPE_CHECKING:
@@ -33,9 +33,9 @@ def task_predictor(name: str, config: DictConfig, folders: Folders) -> TaskPredi
         hardware.apply_threads()
         return LearnedAbstraction.from_pretrained(folders.read("models", "abstraction"), robot, hardware)
     if name == "manual":
-        from hdsp.abstract import ManualCosts
+        from hdsp.abstract import ManualCosts, ManualSettings
 
-        return ManualCosts(robot)
+        return ManualCosts(robot, settings(ManualSettings, config.abstraction, "abstraction"))
     if name == "flat":
         from hdsp.abstract import FlatCosts
 
