@@ -149,9 +149,15 @@ def _maps(path: Path, lines: list[str]) -> Iterator[tuple[int, np.ndarray, np.nd
             raise InputError(f"published labels {path}, line {number}: {len(values)} numbers; need {count}: {what}")
         return values
 
-    for position in range(int(numbers(1, "the number of maps")[0])):
+    def whole(what: str) -> int:
+        value = numbers(1, what)[0]
+        if value < 0 or value % 1 != 0:  # NaN as well as a fraction
+            raise InputError(f"published labels {path}: {what} is {value}; need a whole number")
+        return int(value)
+
+    for position in range(whole("the number of maps")):
         what = f"map {position} of the file"
-        index = int(numbers(1, f"number of {what}")[0])
+        index = whole(f"number of {what}")
         heights = numbers(PATCH_CELLS**2, f"heights of {what}")
         tasks = np.array([numbers(4, f"x y yaw cost of goal {k} of {what}") for k in range(N_ABSTRACT_ACTIONS)])
         if np.isnan(tasks).any() or (tasks[:, 3] < 0).any():
