@@ -61,8 +61,8 @@ class ManualSettings:
         foot_reach: how far (m) ahead of and behind its neutral position a foot may look for a drivable cell.
     """
 
-    unevenness_cost: float = 7.5
-    margin: float = 0.15
+    unevenness_cost: float = 12.0
+    margin: float = 0.2
     step_cost: float = 0.1
     step_deviation: float = 0.3
     foot_reach: float = 0.1

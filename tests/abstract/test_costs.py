@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -168,3 +170,10 @@ def test_wrong_settings_and_shapes_are_named(manual, flat):
     for costs in (manual, flat):
         with pytest.raises(InputError, match=r"\(2, 71, 72\)"):
             costs.predict(np.zeros((2, 71, 72), np.float32), goals_of([0, 0]))
+
+
+def test_the_constants_in_conf_are_the_defaults():
+    import yaml
+
+    path = Path(__file__).parents[2] / "conf" / "abstraction" / "manual.yaml"
+    assert ManualSettings(**yaml.safe_load(path.read_text())) == ManualSettings()
