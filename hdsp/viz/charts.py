@@ -57,6 +57,7 @@ def save_training_curves(history: Sequence[Mapping[str, Any]], path: str | os.Pa
     weights.set_yscale("log")
     for axes in (losses, weights):
         axes.set_xlabel("epoch")
+        axes.set_xlim(0.5, epochs[-1] + 0.5)
         axes.xaxis.get_major_locator().set_params(integer=True)
     return save(made, path)
 
@@ -104,7 +105,7 @@ def save_quality_bars(sets: Mapping[str, Mapping[str, Any]], path: str | os.Path
 def save_planning_bars(runs: Sequence[Mapping[str, Any]], path: str | os.PathLike) -> Path:
     """Planning times (logarithmic) and path costs of each task, heuristic and weight: the paper's figure of Sec. VI-B.
 
-    The time of a search that ended by a limit is a lower bound, marked ≥; it has no cost, marked ×.
+    A search without a path is marked × in place of its cost, and ≥ if a limit ended it: its time is a lower bound then.
 
     Args:
         runs: mappings with `pair`, `heuristic`, `weight`, `status`, `seconds`, `cost` (None if unsolved).
@@ -135,7 +136,8 @@ def save_planning_bars(runs: Sequence[Mapping[str, Any]], path: str | os.PathLik
             if solved:
                 cost.bar(x, run["cost"], width * 0.92, **look)
             else:
-                time.text(x, run["seconds"], "≥", ha="center", va="bottom", fontsize=9)
+                if run["status"].endswith("_limit"):
+                    time.text(x, run["seconds"], "≥", ha="center", va="bottom", fontsize=9)
                 cost.text(x, 0, "×", ha="center", va="bottom", fontsize=9)
     time.set_yscale("log")
     time.set_ylabel("planning time (s)")
@@ -145,7 +147,7 @@ def save_planning_bars(runs: Sequence[Mapping[str, Any]], path: str | os.PathLik
     for axes in (time, cost):
         quiet(axes)
     all_solved = all(run["status"] == "solved" for run in runs)
-    _legend_above(made, 3, None if all_solved else "≥ and ×: ended without a path, the time is a lower bound")
+    _legend_above(made, 3, None if all_solved else "×: no path; ≥: ended by a limit, the time is a lower bound")
     return save(made, path)
 
 
