@@ -32,6 +32,8 @@ CATEGORIES = tuple(_CONTENTS)
 
 Range = tuple[float, float]
 
+_ON_SIDE = 1e-9  # m; a point computed to lie on a side does so whatever rounding error says
+
 
 @dataclass(frozen=True)
 class TerrainSettings:
@@ -100,11 +102,11 @@ class Block:
         return (self,)
 
     def covers(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Whether points (x, y) lie on the block; bool, of their shape."""
+        """Whether points (x, y) lie on the block, its sides included; bool, of their shape."""
         turn = lattice.rotation(-self.yaw)
         along = turn[0, 0] * (x - self.x) + turn[0, 1] * (y - self.y)
         across = turn[1, 0] * (x - self.x) + turn[1, 1] * (y - self.y)
-        return (np.abs(along) <= self.length / 2) & (np.abs(across) <= self.width / 2)
+        return (np.abs(along) <= self.length / 2 + _ON_SIDE) & (np.abs(across) <= self.width / 2 + _ON_SIDE)
 
 
 @dataclass(frozen=True)

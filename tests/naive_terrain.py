@@ -25,7 +25,7 @@ def block_covers(block, x, y):
     ahead = math.cos(block.yaw), math.sin(block.yaw)
     along = (x - block.x) * ahead[0] + (y - block.y) * ahead[1]
     across = (y - block.y) * ahead[0] - (x - block.x) * ahead[1]
-    return abs(along) <= block.length / 2 and abs(across) <= block.width / 2
+    return abs(along) <= block.length / 2 + 1e-9 and abs(across) <= block.width / 2 + 1e-9
 
 
 def staircase_height(stairs, x, y):
