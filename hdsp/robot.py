@@ -31,6 +31,7 @@ class Feet:
     offset_max: float
     clearance: float
     min_separation: float
+    neutral_preference: float
 
 
 @dataclass(frozen=True)

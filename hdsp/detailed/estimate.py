@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from hdsp.detailed.states import unpack
-from hdsp.lattice import HEADINGS
+from hdsp.lattice import HEADINGS, RESOLUTION
 
 
 class Estimate(NamedTuple):
@@ -76,3 +76,44 @@ def estimate(e, key):
     if e.foot > 0:
         h += e.foot * _feet(e, o0, o1, o2, o3)
     return h
+
+
+def geometric_estimate(world, goal) -> Estimate:
+    """The admissible geometric heuristic: distance, difference of headings and of foot configurations, each at the least
+    it can cost on even ground (paper, Sec. VI-B).
+
+    Args:
+        world: terrain and robot.
+        goal: int64 [7], lattice units.
+    """
+    c = world.constants
+    return Estimate(
+        distance=min(RESOLUTION * float(world.tables.deviation.min()), c.base_shift),
+        turn=c.turn,
+        goal_x=int(goal[0]),
+        goal_y=int(goal[1]),
+        goal_heading=int(goal[2]),
+        foot=_least_foot_cost(world),
+        goal_feet=np.asarray(goal[3:], dtype=np.int64) - world.tables.lowest,
+        table=NO_TABLE,
+        table_nx=0,
+        table_ny=0,
+        cells=1,
+        heading_steps=1,
+        outside=0.0,
+    )
+
+
+def pose_estimate(world, to_go: np.ndarray, feet) -> Estimate:
+    """Costs-to-go of the relaxed problem, float32 [64, nx, ny], plus the feet that still have to reach ``feet`` [4]."""
+    goal = np.array([0, 0, 0, *feet], dtype=np.int64)
+    table = np.ascontiguousarray(to_go, dtype=np.float32).ravel()
+    return geometric_estimate(world, goal)._replace(
+        distance=0.0, turn=0.0, table=table, table_nx=to_go.shape[1], table_ny=to_go.shape[2], outside=np.inf
+    )
+
+
+def _least_foot_cost(world) -> float:
+    """Least cost per cell by which one foot moves relative to the others."""
+    c, longest = world.constants, world.tables.line.shape[1] - 1
+    return min(c.foot_move, c.step_per_metre * RESOLUTION + c.step / max(longest, 1))

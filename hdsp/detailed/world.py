@@ -67,6 +67,7 @@ class Constants(NamedTuple):
     neutral_x: float
     neutral_y: float
     min_separation: int
+    neutral_penalty: float  # in units of S, per step off the neutral position
 
 
 class World(NamedTuple):
@@ -159,6 +160,7 @@ def _constants(robot: Robot) -> Constants:
         support_margin=cells(step.support_margin),
         neutral_x=cells(robot.feet.neutral_x),
         neutral_y=cells(robot.feet.neutral_y),
+        neutral_penalty=robot.feet.neutral_preference * RESOLUTION / robot.drive.unevenness_cost,
         min_separation=math.ceil(cells(robot.feet.min_separation) - 1e-9),
     )
 
