@@ -1,0 +1,291 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hdsp.errors import InputError
+from hdsp.labelling_run import LabelRun, SplitSettings, label_split, summary
+from hdsp.robot import Robot
+from hdsp.shards import read_shard, read_tasks, shard_paths, write_shard
+from hdsp.tasks import TaskSet
+from hdsp.terrain import CATEGORIES, TerrainSettings, random_map
+from tests.task_sets import (
+    assert_same_tasks,
+    failing_label,
+    fake_label,
+    modules_label,
+    random_tasks,
+    slow_fake_label,  # noqa: F401 - the scripts of the killed runs take it from here
+    suicidal_label,
+)
+
+linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes through /proc")
+ROOT = Path(__file__).resolve().parents[1]
+ROBOT = Robot.load("momaro")
+SPLIT = SplitSettings(seed=1, maps_per_category=4, heading_residues=(0, 1), maps_per_shard=8)  # 36 maps, 5 shards
+
+
+@dataclass(frozen=True)
+class FakeSettings:
+    """What a label function may be told."""
+
+    folder: str = ""
+
+
+def label(folder, split=SPLIT, workers=1, function=fake_label, settings=None):
+    """`label_split` with all but the interesting arguments given."""
+    settings = settings or FakeSettings()
+    return label_split(
+        split, ROBOT, TerrainSettings(), settings, folder, workers=workers, progress=False, label=function
+    )
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_all_maps_of_a_split_are_labelled_and_described(tmp_path):
+    label(tmp_path)
+    tasks = read_tasks(tmp_path)
+    assert len(shard_paths(tmp_path)) == 5
+    for row in range(len(tasks)):
+        category, index, heading = tasks.category[row], int(tasks.index[row]), int(tasks.heading[row])
+        assert heading == 4 * (index % 2)
+        cells = 72 if heading == 0 else 104
+        terrain = random_map(1, category, index, cells=cells, heading=heading)
+        expected = fake_label(terrain, ROBOT, None, heading)
+        np.testing.assert_array_equal(tasks.heights[row], expected.heights)
+        np.testing.assert_allclose(tasks.cost[row], expected.cost, rtol=1e-6)
+    kept = {(category, index) for category, index in zip(tasks.category.tolist(), tasks.index.tolist(), strict=True)}
+    run = LabelRun(SPLIT, ROBOT, TerrainSettings(), FakeSettings())
+    for number in range(SPLIT.maps):
+        category, index, heading = run.map_of(number)
+        dropped = fake_label(run.terrain_of(number), ROBOT, None, heading) is None
+        assert ((category, index) in kept) != dropped
+
+
+def test_the_summary_counts_what_was_kept_and_dropped(tmp_path):
+    found = label(tmp_path)
+    tasks = read_tasks(tmp_path)
+    assert found["maps"] == len(tasks) and found["maps"] + found["maps_dropped"] == 36
+    assert found["tasks"] == len(tasks) * 22
+    assert set(found["maps_per_category"]) == set(CATEGORIES)
+    for category in CATEGORIES:
+        assert found["maps_per_category"][category] + found["maps_dropped_per_category"][category] == 4
+    cost = tasks.cost[tasks.feasible].astype(float)
+    assert found["feasible_share"] == pytest.approx(tasks.feasible.mean())
+    assert (found["cost_mean"], found["cost_std"]) == (pytest.approx(cost.mean()), pytest.approx(cost.std()))
+    assert found["share_per_reason"] == pytest.approx(
+        {"solved": tasks.feasible.mean(), "infeasible": 1 - tasks.feasible.mean()}
+    )
+    assert summary(SPLIT, [TaskSet.empty()])["feasible_share"] is None
+
+
+def test_several_workers_give_the_same_bytes_as_one(tmp_path):
+    one = label(tmp_path / "one")
+    assert label(tmp_path / "two", workers=2) == one
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+
+
+def test_a_second_run_labels_nothing(tmp_path):
+    first = label(tmp_path)
+    before = contents(tmp_path)
+    assert label(tmp_path, function=failing_label) == first
+    assert contents(tmp_path) == before
+
+
+def test_more_maps_keep_the_full_shards_that_are_there(tmp_path):
+    label(tmp_path / "grown")
+    times = {path.name: path.stat().st_mtime_ns for path in shard_paths(tmp_path / "grown")}
+    label(tmp_path / "grown", replace(SPLIT, maps_per_category=6))
+    kept = [path for path in shard_paths(tmp_path / "grown") if path.stat().st_mtime_ns == times.get(path.name)]
+    assert len(kept) == 4, "all but the last, which was not full"
+    label(tmp_path / "fresh", replace(SPLIT, maps_per_category=6))
+    assert contents(tmp_path / "grown") == contents(tmp_path / "fresh")
+    assert_same_tasks(read_tasks(tmp_path / "grown"), read_tasks(tmp_path / "fresh"))
+
+
+def test_damaged_and_foreign_shards_are_named_and_made_again(tmp_path, capsys):
+    label(tmp_path)
+    good = contents(tmp_path)
+    first, second, third, *_ = shard_paths(tmp_path)
+    first.write_bytes(first.read_bytes()[:-10])
+    content = bytearray(second.read_bytes())
+    content[3000] ^= 1
+    second.write_bytes(content)
+    write_shard(third, random_tasks(3), {"labels_hash": "of other settings", "maps": 8})
+    write_shard(tmp_path / "foreign.h5", random_tasks(2), {"labels_hash": "0"})
+    (tmp_path / ".00000-abc.77-ff.tmp.h5").write_bytes(b"half")
+    label(tmp_path)
+    assert contents(tmp_path) == good
+    said = capsys.readouterr().err
+    for name in (first.name, second.name, third.name, "foreign.h5", ".00000-abc.77-ff.tmp.h5"):
+        assert f"{name}" in said
+    assert "damaged" in said and "other settings" in said
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"split": replace(SPLIT, seed=2)},
+        {"split": replace(SPLIT, heading_residues=(0,))},
+        {"robot": Robot.load({**ROBOT.to_dict(), "turn": {"cost": 0.5, "unevenness_cost": 0.1}})},
+        {"terrain": TerrainSettings(area=1.0)},
+        {"settings": FakeSettings("other")},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_the_hash_covers_all_that_labels_depend_on(change):
+    run = LabelRun(SPLIT, ROBOT, TerrainSettings(), FakeSettings())
+    assert replace(run, **change).inputs() != run.inputs()
+
+
+def test_labels_of_other_settings_are_replaced(tmp_path):
+    label(tmp_path)
+    label(tmp_path, replace(SPLIT, seed=9))
+    assert len(shard_paths(tmp_path)) == 5
+    assert set(read_tasks(tmp_path).seed) == {9}
+    hashes = {read_shard(path).attributes["labels_hash"][:12] for path in shard_paths(tmp_path)}
+    assert {path.stem[-12:] for path in shard_paths(tmp_path)} == hashes
+
+
+@linux
+def test_a_run_killed_in_the_middle_leaves_whole_shards_and_is_continued(tmp_path):
+    split = replace(SPLIT, maps_per_category=8)
+    label(tmp_path / "undisturbed", split)
+    folder = tmp_path / "killed"
+    script = (
+        "from tests.test_labelling_run import *; from pathlib import Path; "
+        f"label(Path({str(folder)!r}), {split!r}, 2, slow_fake_label)"
+    )
+    run = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT)
+    deadline = time.time() + 60
+    while len(shard_paths(folder)) < 2 and time.time() < deadline:
+        time.sleep(0.02)
+    workers = children(run.pid)
+    os.kill(run.pid, signal.SIGKILL)
+    run.wait()
+    done = shard_paths(folder)
+    assert 2 <= len(done) < 9, "killed in the middle"
+    kept = {path.name: (path.stat().st_mtime_ns, len(read_shard(path).tasks)) for path in done}
+    assert workers and wait_for(lambda: not any(alive(pid) for pid in workers)), "workers end with their parent"
+    label(folder, split)
+    assert contents(folder) == contents(tmp_path / "undisturbed")
+    assert all((folder / name).stat().st_mtime_ns == time_ns for name, (time_ns, _) in kept.items())
+
+
+@linux
+def test_an_interrupt_ends_a_run_and_its_workers(tmp_path):
+    script = (
+        "from tests.test_labelling_run import *; from pathlib import Path; "
+        f"label(Path({str(tmp_path)!r}), replace(SPLIT, maps_per_category=60), 2, slow_fake_label)"
+    )
+    run = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, start_new_session=True, stderr=subprocess.PIPE)
+    assert wait_for(lambda: shard_paths(tmp_path))
+    workers = children(run.pid)
+    os.killpg(run.pid, signal.SIGINT)  # as Ctrl-C does: to all processes
+    _, said = run.communicate(timeout=20)
+    assert run.returncode != 0
+    assert b"KeyboardInterrupt" in said and b"Process Spawn" not in said, "one process reports, not all"
+    assert wait_for(lambda: not any(alive(pid) for pid in workers))
+    assert all(read_shard(path) for path in shard_paths(tmp_path))
+    assert len(shard_paths(tmp_path)) == len(list(tmp_path.iterdir()))
+
+
+def test_a_worker_imports_neither_torch_nor_mlflow(tmp_path):
+    (tmp_path / "modules").mkdir()
+    label(tmp_path / "labels", workers=2, function=modules_label, settings=FakeSettings(str(tmp_path / "modules")))
+    imported = [set(path.read_text().split()) for path in (tmp_path / "modules").iterdir()]
+    assert len(imported) == 2
+    for modules in imported:
+        assert "hdsp.terrain" in modules
+        assert not modules & {"torch", "mlflow", "lightning", "matplotlib", "h5py.tests"}
+
+
+def test_a_fault_in_the_search_names_the_map(tmp_path):
+    for workers in (1, 2):
+        with pytest.raises(RuntimeError, match="seed 1, category cuboid_1, index 0, heading 0: a fault in the search"):
+            label(tmp_path, workers=workers, function=failing_label)
+
+
+def test_a_killed_worker_ends_the_run_with_advice(tmp_path):
+    with pytest.raises(InputError, match="fewer workers"):
+        label(tmp_path, workers=2, function=suicidal_label)
+
+
+def test_a_place_that_cannot_be_written_to_is_named_before_work_begins(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"cannot write labels to .*file/labels"):
+        label(tmp_path / "file" / "labels", function=failing_label)
+
+
+def test_a_full_disk_keeps_finished_shards(tmp_path):
+    label(tmp_path / "all")
+    sizes = [path.stat().st_size for path in shard_paths(tmp_path / "all")]
+    assert max(sizes) > sizes[0], "the limit lets the first shard through, and stops a later one"
+    script = (
+        "import resource, signal; from tests.test_labelling_run import *; from pathlib import Path\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({sizes[0]}, resource.RLIM_INFINITY))\n"
+        f"try: label(Path({str(tmp_path / 'full')!r}))\n"
+        "except InputError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
+    assert "cannot write" in done.stdout and "File too large" in done.stdout, done.stderr
+    assert done.stdout.count("\n") == 1
+    kept = contents(tmp_path / "full")
+    assert 0 < len(kept) < 5
+    assert kept.items() <= contents(tmp_path / "all").items()
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"seed": -1}, "seed is -1"),
+        ({"maps_per_category": 0}, "maps_per_category is 0"),
+        ({"maps_per_shard": 2.5}, "maps_per_shard is 2.5"),
+        ({"heading_residues": (16,)}, "heading_residues is .*0 to 15"),
+        ({"heading_residues": ()}, "heading_residues"),
+        ({"categories": ("ramp",)}, "categories is .*need some of cuboid_1"),
+    ],
+)
+def test_wrong_splits_are_refused_by_name(values, words):
+    with pytest.raises(InputError, match=words):
+        SplitSettings(**{"seed": 1, "maps_per_category": 1, **values})
+    with pytest.raises(InputError, match="workers is 0"):
+        label("unused", workers=0)
+
+
+def test_the_bar_shows_speed_and_the_infeasible_share(tmp_path, capsys):
+    label_split(SPLIT, ROBOT, TerrainSettings(), FakeSettings(), tmp_path, workers=1, label=fake_label)
+    shown = capsys.readouterr().err
+    assert "task/s" in shown and "% infeasible" in shown and "maps dropped" in shown and "792/792" in shown
+
+
+def children(pid: int) -> list[int]:
+    found = []
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        found += [int(child) for child in (task / "children").read_text().split()]
+    return found
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def wait_for(condition, seconds: float = 30) -> bool:
+    deadline = time.time() + seconds
+    while time.time() < deadline:
+        if condition():
+            return True
+        time.sleep(0.05)
+    return False
