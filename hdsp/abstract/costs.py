@@ -37,7 +37,9 @@ class AbstractCosts(Protocol):
     know only this. An implementation is bound to one robot and keeps no state of any map.
     """
 
-    def edges(self, height_map: HeightMap, region: Region | None = None) -> np.ndarray:
+    def edges(
+        self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None
+    ) -> np.ndarray:
         """Costs of the 22 abstract actions from every abstract state.
 
         Convention: the result is indexed `[heading, ix, iy, action]`, states and actions in the frame of the map (not
@@ -49,13 +51,15 @@ class AbstractCosts(Protocol):
                 the upper borders belongs to none.
             region: compute only the states in this rectangle of abstract cells; None = the whole map. Actions may lead
                 out of the region.
+            mask: bool, shape of the result without actions: the states worth evaluating, for instance those at which
+                the robot can stand. From all others every action is infeasible. None = all.
 
         Returns:
             float32 [16, nx, ny, 22], `(nx, ny) = abstract_shape(height_map.shape)` or the size of the region. Costs are
             >= 0 and never NaN; inf = infeasible. Actions that lead off the map are infeasible.
 
         Raises:
-            InputError: the region is empty or not within the map.
+            InputError: the region is empty or not within the map, or the mask has another shape.
         """
         ...
 
@@ -95,11 +99,14 @@ class FlatCosts:
         #: Float32 [16, 22], cost of each action from each heading.
         self.table = flat_table(self.robot)
 
-    def edges(self, height_map: HeightMap, region: Region | None = None) -> np.ndarray:
+    def edges(
+        self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None
+    ) -> np.ndarray:
         """See `AbstractCosts.edges`."""
         first_x, first_y, end_x, end_y = checked_region(height_map, region)
         shape = (ABSTRACT_HEADINGS, end_x - first_x, end_y - first_y, N_ABSTRACT_ACTIONS)
         edges = np.broadcast_to(self.table[:, None, None], shape).copy()
+        close_states(edges, mask)
         close_exits(edges, height_map, region)
         return edges
 
@@ -164,6 +171,24 @@ def close_exits(edges: np.ndarray, height_map: HeightMap, region: Region | None 
     to_x = np.arange(first_x, end_x)[:, None] + ABSTRACT_ACTIONS[:, 0]
     to_y = np.arange(first_y, end_y)[:, None] + ABSTRACT_ACTIONS[:, 1]
     edges[:, ((to_x < 0) | (to_x >= nx))[:, None, :] | ((to_y < 0) | (to_y >= ny))[None, :, :]] = np.inf
+
+
+def close_states(edges: np.ndarray, mask: np.ndarray | None) -> None:
+    """Makes all actions infeasible that start where ``mask`` is false. ``edges`` is changed.
+
+    Raises:
+        InputError: the mask does not have the shape of the states.
+    """
+    if mask is not None:
+        edges[~checked_mask(mask, edges.shape[:3])] = np.inf
+
+
+def checked_mask(mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """The mask as bool array; raises InputError where its shape is not that of the abstract states."""
+    mask = np.asarray(mask, bool)
+    if mask.shape != tuple(shape):
+        raise InputError(f"mask: shape {mask.shape} is not that of the abstract states, {tuple(shape)}")
+    return mask
 
 
 def checked_tasks(patches: np.ndarray, goals: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from hdsp.abstract.costs import FlatCosts, Region, checked_region, checked_tasks, close_exits
+from hdsp.abstract.costs import FlatCosts, Region, checked_region, checked_tasks, close_exits, close_states
 from hdsp.errors import InputError
 from hdsp.heightmap import HeightMap
 from hdsp.lattice import (
@@ -100,7 +100,9 @@ class ManualCosts:
         self.settings = settings or ManualSettings()
         self._flat = FlatCosts(self.robot)
 
-    def edges(self, height_map: HeightMap, region: Region | None = None) -> np.ndarray:
+    def edges(
+        self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None
+    ) -> np.ndarray:
         """See `AbstractCosts.edges`."""
         first_x, first_y, end_x, end_y = checked_region(height_map, region)
         features = coarse_features(height_map.heights)
@@ -115,6 +117,7 @@ class ManualCosts:
                     met.append(poses[(heading + turn) % ABSTRACT_HEADINGS])
                 edges[heading, :, :, action] = self._cost(goal, met)
         edges = np.ascontiguousarray(edges[:, first_x:end_x, first_y:end_y])
+        close_states(edges, mask)
         close_exits(edges, height_map, region)
         return edges
 
