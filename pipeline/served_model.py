@@ -49,8 +49,8 @@ def predict(abstraction: Any, inputs: dict[str, np.ndarray]) -> dict[str, np.nda
 
 
 class _Judge:
-    """What the served model does. Not itself a `PythonModel`, whose methods MLflow wraps with checks of type hints; here
-    the signature checks inputs."""
+    """What the served model does. Not itself a `PythonModel`, whose methods MLflow wraps with checks of type hints:
+    here the signature checks inputs."""
 
     def load_context(self, context):
         from hdsp.learning import LearnedAbstraction

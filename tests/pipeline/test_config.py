@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+from hdsp.arena import ArenaSettings
 from hdsp.errors import InputError
+from hdsp.labelling import LabelSettings
 from hdsp.terrain import TerrainSettings
 from pipeline.config import compose, expand_choices, flatten, plain, settings, write_params
 
@@ -98,6 +100,14 @@ def test_each_robot_file_exists_once():
 
 def test_the_configured_terrain_is_that_of_the_authors_generator():
     assert settings(TerrainSettings, compose().terrain, "terrain") == TerrainSettings()
+
+
+def test_the_configured_label_rules_are_the_defaults_of_the_library():
+    assert settings(LabelSettings, compose().labelling.settings, "labelling.settings") == LabelSettings()
+
+
+def test_the_configured_arena_is_the_default_of_the_library():
+    assert settings(ArenaSettings, compose().arena.contents, "arena.contents") == ArenaSettings()
 
 
 def test_an_unknown_key_of_a_settings_group_is_named():
