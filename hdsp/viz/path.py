@@ -43,6 +43,11 @@ def save_planned_path(
     Raises:
         InputError: there is neither a path nor a start to draw.
     """
+    return save(planned_path_figure(terrain, plan, robot, title, start, goal), path)
+
+
+def planned_path_figure(terrain: HeightMap, plan: Plan, robot: Robot, title: str | None = None, start=None, goal=None):
+    """Draws a plan as a matplotlib figure; see `save_planned_path` for the arguments."""
     states = np.asarray(plan.states if plan.states is not None else [], float).reshape(-1, 7)
     start = states[0] if start is None and len(states) else start
     goal = states[-1] if goal is None and len(states) else goal
@@ -64,7 +69,7 @@ def save_planned_path(
     bar.set_label("height (m)", fontsize=9)
     bar.ax.tick_params(labelsize=8)
     made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
-    return save(made, path)
+    return made
 
 
 def draw_path(axes, states: np.ndarray, actions: list[str], robot: Robot, spacing: float = 0.6) -> None:

@@ -1,0 +1,20 @@
+"""Hybrid driving-stepping planning: a detailed 7D planner and learned abstractions as its heuristic.
+
+    import hdsp
+
+    terrain = hdsp.HeightMap.load("arena.npz")
+    plan = hdsp.Planner(terrain, robot="momaro").plan(start=(1.0, 2.0, 0.0), goal=(4.0, 3.0, 1.57), weight=1.25)
+    print(plan.explain())
+
+Importing this package imports neither torch nor matplotlib; learned abstractions are in ``hdsp.learning``, pictures in
+``hdsp.viz``.
+"""
+
+from hdsp.detailed.solve import Status
+from hdsp.errors import InputError
+from hdsp.heightmap import HeightMap
+from hdsp.planner import Plan, Planner
+from hdsp.robot import Robot
+from hdsp.shards import read_tasks
+
+__all__ = ["HeightMap", "InputError", "Plan", "Planner", "Robot", "Status", "read_tasks"]

@@ -1,0 +1,43 @@
+"""Why a detailed state is not valid, in words for a robot operator."""
+
+import numpy as np
+
+from hdsp.detailed.actions import foot_row
+from hdsp.detailed.world import World, base_term, cell_index
+from hdsp.lattice import Grid
+from hdsp.robot import FEET, Robot
+
+
+def problems(world: World, grid: Grid, robot: Robot, state: np.ndarray) -> list[str]:
+    """What is wrong with a detailed state, one phrase each; empty if it is valid.
+
+    Args:
+        world: terrain and robot, compiled.
+        grid: where the terrain lies in the world.
+        robot: for its limits.
+        state: int64 [7], lattice units.
+    """
+    found = []
+    base = int(cell_index(world, state[0], state[1]))
+    low, high = robot.offset_range()
+    offsets = np.clip(state[3:], low, high)
+    for foot, name in enumerate(FEET):
+        if offsets[foot] != state[3 + foot]:
+            limits = f"{robot.feet.offset_min:g} to {robot.feet.offset_max:g} m"
+            found.append(f"the {name} foot is out of its reach of {limits}")
+            continue
+        cell = base + int(world.tables.feet[foot_row(world.tables, int(state[2]), foot, int(offsets[foot]) - low)])
+        if not np.isinf(world.foot[cell]):
+            continue
+        x, y = grid.center((cell // world.stride - world.pad, cell % world.stride - world.pad))
+        if world.height[cell] == -np.inf:
+            why = "the ground there is unknown or off the map"
+        else:
+            why = f"an edge higher than {robot.drive.max_height_difference:g} m is within {robot.feet.clearance:g} m"
+        found.append(f"the {name} foot cannot stand at ({x:.2f}, {y:.2f}) m: {why}")
+    if np.isinf(base_term(world, int(state[2]), base)):
+        if world.height[base] == -np.inf:
+            found.append("the ground under the base is unknown")
+        else:
+            found.append("the body would hit what rises from the ground around it")
+    return found

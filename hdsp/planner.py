@@ -1,0 +1,232 @@
+"""What users call: a planner for one terrain and robot, and the plans it returns."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hdsp.abstract.costs import AbstractCosts
+from hdsp.abstract.transform import feet_at
+from hdsp.detailed.solve import Limits, Status, solve
+from hdsp.detailed.states import action_name
+from hdsp.detailed.validity import problems
+from hdsp.detailed.world import build_world
+from hdsp.errors import InputError
+from hdsp.heightmap import HeightMap
+from hdsp.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
+from hdsp.lattice import RESOLUTION, Grid, heading_index
+from hdsp.robot import Robot
+
+
+@dataclass
+class Plan:
+    """The outcome of a planning query.
+
+    Convention: metres and radians in the world frame; feet in the order of ``hdsp.robot.FEET``.
+
+    Attributes:
+        status: how the search ended.
+        cost: of the plan, unitless; inf if there is none.
+        states: float64 [n, 7] from start to goal: base x, y (m), heading (rad), four foot offsets (m); [0, 7] if none.
+        actions: the n - 1 actions between them, e.g. ``drive``, ``turn_left``, ``step front_left +0.250``.
+        action_costs: float64 [n - 1]; they add up to ``cost``.
+        stats: expansions, states seen, bytes of memory, seconds (heuristic included), weight, heuristic.
+        problems: what is wrong with start or goal, in words.
+    """
+
+    status: Status
+    cost: float
+    states: np.ndarray
+    actions: list[str]
+    action_costs: np.ndarray
+    stats: dict[str, Any]
+    problems: list[str] = field(default_factory=list)
+    terrain: HeightMap | None = field(default=None, repr=False)
+    robot: Robot | None = field(default=None, repr=False)
+
+    @property
+    def solved(self) -> bool:
+        return self.status == Status.SOLVED
+
+    def explain(self) -> str:
+        """In one sentence, what came out and why."""
+        if self.solved:
+            return f"solved: {len(self.actions)} actions, cost {self.cost:.3f}"
+        if self.status in (Status.INVALID_START, Status.INVALID_GOAL):
+            which = "start" if self.status == Status.INVALID_START else "goal"
+            return f"the robot cannot stand at the {which}: " + "; ".join(self.problems)
+        endings = {
+            Status.INFEASIBLE: "there is no way: everything that can be reached from the start was searched",
+            Status.COST_LIMIT: "there is no plan within the cost limit",
+            Status.EXPANSION_LIMIT: f"not decided: stopped after {self.stats['expansions']:,} expansions",
+            Status.MEMORY_LIMIT: f"not decided: stopped at {self.stats['memory'] / 2**20:,.0f} MiB of states",
+            Status.TIME_LIMIT: f"not decided: stopped after {self.stats['seconds']:.1f} s",
+        }
+        return endings[self.status]
+
+    def show(self, path: str | Path | None = None):
+        """Draw the plan on its terrain: saved as PNG if a path is given, else returned as a matplotlib figure."""
+        from hdsp.viz import planned_path_figure, save_planned_path
+
+        if path is None:
+            return planned_path_figure(self.terrain, self, self.robot)
+        return save_planned_path(self.terrain, self, self.robot, path)
+
+
+class Planner:
+    """Plans hybrid driving-stepping locomotion on one terrain.
+
+    Args:
+        terrain: height map at the detailed resolution.
+        robot: a ``Robot``, the name of a preset, or the path of a YAML file.
+        heuristic: ``"geometric"``, ``"manual"``, ``"learned:FOLDER"`` (a folder with a trained abstraction), any
+            ``AbstractCosts`` (learned, manual, ...), or a ``Heuristic`` made for the same terrain and robot.
+
+    Raises:
+        InputError: for another resolution, an unknown robot or heuristic.
+    """
+
+    def __init__(
+        self,
+        terrain: HeightMap,
+        robot: str | Path | dict | Robot = "momaro",
+        heuristic: str | AbstractCosts | Heuristic = "geometric",
+    ):
+        if abs(terrain.resolution - RESOLUTION) > 1e-9:
+            raise InputError(f"terrain has cells of {terrain.resolution:g} m; the planner needs {RESOLUTION:g} m")
+        self.terrain, self.robot = terrain, Robot.load(robot)
+        self.grid = Grid(terrain.origin, terrain.shape)
+        self.world = build_world(terrain, self.robot)
+        self.heuristic = self._make_heuristic(heuristic)
+
+    def _make_heuristic(self, heuristic) -> Heuristic:
+        if isinstance(heuristic, Heuristic):
+            return heuristic
+        if isinstance(heuristic, AbstractCosts):
+            return AbstractHeuristic(self.world, self.terrain, heuristic, type(heuristic).__name__)
+        if heuristic == "geometric":
+            return GeometricHeuristic(self.world)
+        if heuristic == "manual":
+            from hdsp.abstract.manual import ManualCosts
+
+            return AbstractHeuristic(self.world, self.terrain, ManualCosts(self.robot), "manual")
+        if isinstance(heuristic, str) and heuristic.startswith("learned:"):
+            from hdsp.learning import LearnedAbstraction, LearnedCosts
+
+            abstraction = LearnedAbstraction.from_pretrained(heuristic.removeprefix("learned:"), self.robot)
+            return AbstractHeuristic(self.world, self.terrain, LearnedCosts(abstraction), "learned")
+        raise InputError(
+            f"heuristic {heuristic!r}: need 'geometric', 'manual', 'learned:FOLDER', an AbstractCosts or a Heuristic"
+        )
+
+    def prepare(self) -> Planner:
+        """Compute what the heuristic needs of the whole map now instead of at the first query; returns the planner."""
+        if isinstance(self.heuristic, AbstractHeuristic):
+            _ = self.heuristic.graph
+        return self
+
+    def valid(self, pose) -> bool:
+        """Whether the robot can stand at a world pose (x, y, theta) with some feet, or in a state of 7 values.
+
+        Raises:
+            InputError: if a value is not finite.
+        """
+        return not self._locate(pose, "pose")[1]
+
+    def plan(
+        self,
+        start,
+        goal,
+        weight: float = 1.0,
+        *,
+        cost: float = np.inf,
+        expansions: int = Limits.expansions,
+        memory: int = Limits.memory,
+        time: float = Limits.time,
+        progress=None,
+    ) -> Plan:
+        """Plan from start to goal.
+
+        Args:
+            start: world pose (x, y, theta) in m and rad, or 7 values with the four foot offsets in m. Values are taken
+                to the nearest lattice state. Without feet, the least-cost feet closest to neutral are chosen (T_a->d).
+            goal: the same.
+            weight: W >= 1 of weighted A*. With an admissible heuristic the cost is at most W times optimal.
+            cost: look for no plan that costs more.
+            expansions, memory, time: give up after so many expanded states, bytes of states, seconds.
+            progress: called now and then with (expansions, seconds).
+
+        Returns:
+            A plan; ``status`` says how it ended, ``explain()`` in words. A start or goal at which the robot cannot
+            stand is reported there.
+
+        Raises:
+            InputError: if a value is not a number, a pose lies off the map, or weight < 1.
+        """
+        if not (np.isfinite(weight) and weight >= 1):
+            raise InputError(f"weight is {weight}; it must be a finite number >= 1")
+        began = _now()
+        ends = {}
+        for status, pose, name in ((Status.INVALID_START, start, "start"), (Status.INVALID_GOAL, goal, "goal")):
+            state, wrong = self._locate(pose, name)
+            if wrong:
+                return self._without_path(status, wrong, weight, _now() - began)
+            ends[name] = state
+        kernel_view = self.heuristic.set_goal(ends["goal"])
+        prepared = _now() - began
+        limits = Limits(cost=cost, expansions=expansions, memory=memory, time=time)
+        goals = ends["goal"][None]
+        result = solve(self.world, ends["start"], goals, kernel_view, weight=weight, limits=limits, progress=progress)
+        stats = {
+            "heuristic": self.heuristic.name,
+            "weight": float(weight),
+            "expansions": result.expansions,
+            "seen": result.seen,
+            "memory": result.memory,
+            "heuristic_seconds": prepared,
+            "search_seconds": result.seconds,
+            "seconds": _now() - began,
+        }
+        states = result.states[0] if result.states and result.states[0] is not None else np.empty((0, 7))
+        codes = result.actions[0] if result.states and result.actions[0] is not None else []
+        costs = result.edge_costs[0] if result.states and result.edge_costs[0] is not None else np.empty(0)
+        return Plan(
+            status=result.status[0],
+            cost=float(result.cost[0]),
+            states=self.grid.to_world(states) if len(states) else states,
+            actions=[action_name(int(code)) for code in codes],
+            action_costs=costs,
+            stats=stats,
+            terrain=self.terrain,
+            robot=self.robot,
+        )
+
+    def _without_path(self, status: Status, wrong: list[str], weight: float, seconds: float) -> Plan:
+        stats = {
+            "heuristic": self.heuristic.name, "weight": float(weight), "expansions": 0, "seen": 0, "memory": 0,
+            "heuristic_seconds": 0.0, "search_seconds": 0.0, "seconds": seconds,
+        }  # fmt: skip
+        empty = np.empty((0, 7))
+        return Plan(status, np.inf, empty, [], np.empty(0), stats, wrong, self.terrain, self.robot)
+
+    def _locate(self, pose, name: str) -> tuple[np.ndarray, list[str]]:
+        """The detailed state of a pose, int64 [7], and what is wrong with it."""
+        try:
+            values = np.asarray(pose, dtype=float)
+        except (TypeError, ValueError):
+            values = np.empty(0)
+        if values.shape not in ((3,), (7,)) or not np.isfinite(values).all():
+            raise InputError(f"{name} {pose!r}: need (x, y, theta) or these and 4 foot offsets, all finite numbers")
+        state = self.grid.to_lattice(values[:3], values[3:] if len(values) == 7 else (0.0,) * 4)
+        if len(values) == 3:
+            chosen = feet_at(self.world, (int(state[0]), int(state[1]), int(heading_index(values[2]))))
+            if chosen is not None:
+                return chosen, []
+        return state, problems(self.world, self.grid, self.robot, state)
+
+
+_now = time.perf_counter
