@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from hdsp.errors import InputError
 
 if TYPE_CHECKING:
-    from hdsp.shards import TaskSet
+    from hdsp.tasks import TaskSet
 
 
 @dataclass(frozen=True)

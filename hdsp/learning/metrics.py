@@ -3,6 +3,10 @@
 import torch
 from torch import Tensor
 
+#: Lower bound on predicted costs, for use and for metrics. A network may predict zero or less; a search needs positive
+#: edges.
+MINIMUM_COST = 1e-3
+
 
 class TaskMetrics:
     """Sums over batches; ``compute`` gives the metrics of all tasks seen since ``reset``.
@@ -25,7 +29,7 @@ class TaskMetrics:
         self.tasks += feasible.numel()
         self.correct += int((judged == feasible).sum())
         self.both_feasible += int(both.sum())
-        ours, theirs = cost[both].double(), labelled_cost[both].double()
+        ours, theirs = cost[both].double().clamp_min(MINIMUM_COST), labelled_cost[both].double()
         self.detailed_cost += float(theirs.sum())
         self.abstract_cost += float(ours.sum())
         self.error += float((ours - theirs).abs().sum())

@@ -25,14 +25,12 @@ from hdsp.costs import COST_MODEL_VERSION
 from hdsp.errors import InputError
 from hdsp.files import existing_file
 from hdsp.learning.hardware import HardwareSettings, autocast
+from hdsp.learning.metrics import MINIMUM_COST
 from hdsp.learning.networks import ModelSettings, TaskNetwork, build_network
 from hdsp.learning.settings import settings_from
 from hdsp.robot import Robot
 
 FORMAT_VERSION = 1
-
-#: Lower bound on predicted costs. A network may predict zero or less; a search needs positive edges.
-MINIMUM_COST = 1e-3
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import logging
+import math
 import shutil
 import time
 import warnings
@@ -29,7 +30,7 @@ from hdsp.learning.pretrained import LearnedAbstraction, Provenance
 from hdsp.learning.settings import settings_from
 
 if TYPE_CHECKING:
-    from hdsp.shards import TaskSet
+    from hdsp.tasks import TaskSet
 
 #: Maps in a validation batch; it has no influence on results.
 VALIDATION_BATCH = BatchSettings(by="map", size=64)
@@ -133,7 +134,8 @@ def train(
         quiet: no line per epoch.
 
     Raises:
-        InputError: on unknown configuration keys, wrong values, an empty task set, or a missing selection set.
+        InputError: on unknown configuration keys, wrong values, an empty task set, a missing selection set, or if no
+            epoch gave a network that finds feasible tasks.
     """
     config = settings_from(TrainingConfig, config, "config")
     trainer_settings, out_dir = config.trainer, Path(out_dir)
@@ -158,7 +160,9 @@ def train(
     if trainer_settings.losses.rule != "constant":
         rule = LOSS_WEIGHT_RULES[trainer_settings.losses.rule]
         own_callbacks.append(rule(trainer_settings.losses.factor, trainer_settings.losses.patience))
-    with _without_lightning_chatter():
+    # Loaders and layers with dropout draw from the global generator; the caller's is left as it was.
+    with _without_lightning_chatter(), torch.random.fork_rng():
+        torch.manual_seed(trainer_settings.seed)
         trainer = pl.Trainer(
             accelerator=config.hardware.device().type,
             devices=1,
@@ -174,6 +178,11 @@ def train(
         )
         trainer.fit(module, train_loader, val_loaders, ckpt_path=last, weights_only=False if last else None)
 
+    if not math.isfinite(min(row["score"] for row in history.rows)):
+        rate = trainer_settings.optimizer.lr
+        raise InputError(
+            f"training diverged: no epoch has a finite score, try a smaller trainer.optimizer.lr than {rate}"
+        )
     best_path = checkpoints / "best.ckpt"
     state = torch.load(best_path, map_location="cpu", weights_only=False)
     module.load_state_dict(state["state_dict"])

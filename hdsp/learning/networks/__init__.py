@@ -14,12 +14,14 @@ from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork, count_parameters, initialise_he
 from hdsp.learning.networks.compact import Compact, CompactOptions
 from hdsp.learning.networks.klamt2019 import Klamt2019, Klamt2019Options
+from hdsp.learning.networks.swept import Swept, SweptOptions
 from hdsp.learning.settings import settings_from
 
 #: name -> (network class, dataclass of its options)
 ARCHITECTURES: dict[str, tuple[type[TaskNetwork], type]] = {
     "klamt2019": (Klamt2019, Klamt2019Options),
     "compact": (Compact, CompactOptions),
+    "swept": (Swept, SweptOptions),
 }
 
 

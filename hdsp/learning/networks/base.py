@@ -11,8 +11,8 @@ class TaskNetwork(nn.Module):
     """Cost and feasibility of the tasks of a patch.
 
     A subclass implements ``map_part`` (all that depends on the patch alone, evaluated once per patch) and ``goal_part``
-    (what depends on the goal too, evaluated for each goal). Heights go in as they are, in metres with NaN for unknown
-    cells; the encoding belongs to the network.
+    (what depends on the goal too, evaluated for each goal), and has its last linear layer, with two outputs, as
+    ``heads``. Heights go in as they are, in metres with NaN for unknown cells; the encoding belongs to the network.
     """
 
     def __init__(self, encoding: HeightEncoding):
@@ -64,8 +64,8 @@ class MapGoalLinear(nn.Linear):
         return of_map[:, None, :] + functional.linear(goal_features, goal_weight)
 
 
-def initialise_he(network: nn.Module) -> None:
-    """He initialisation of all convolutions and linear layers, zero biases.
+def initialise_he(network: "TaskNetwork") -> None:
+    """He initialisation of all convolutions and linear layers, zero biases, and heads that start near zero.
 
     PyTorch's default leaves the last convolution of the published network nearly constant over its inputs (0.9 %
     variation against 20 %), and it takes long to leave that plateau.
@@ -75,6 +75,9 @@ def initialise_he(network: nn.Module) -> None:
             nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
             if module.bias is not None:
                 nn.init.zeros_(module.bias)
+    # Costs and logits are of order one half; the first epochs need not be spent on bringing down random ones.
+    with torch.no_grad():
+        network.heads.weight.mul_(0.1)
 
 
 def count_parameters(network: nn.Module) -> int:

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from hdsp.errors import InputError
 from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
+from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
 
 
 @dataclass(frozen=True)
@@ -66,20 +67,6 @@ class Compact(TaskNetwork):
         scale, shift = self.of_goal(goal_features(goals)).chunk(2, dim=-1)
         cost, logits = self.heads(self.rest(features[:, None, :] * (1 + scale) + shift)).unbind(-1)
         return cost, logits
-
-
-GOAL_FEATURES = 7
-
-
-def goal_features(goals: Tensor) -> Tensor:
-    """(dx, dy, dtheta), distance, direction and whether it is a turn; [..., 3] to [..., 7], order of magnitude one.
-
-    The cost of a goal on flat ground depends on distance times a function of direction, which these make easy to learn.
-    """
-    position = goals[..., :2]
-    distance = position.norm(dim=-1, keepdim=True)
-    direction = position / distance.clamp_min(1e-6)
-    return torch.cat([goals, distance, direction, (distance < 1e-3).to(goals.dtype)], dim=-1)
 
 
 class ResidualBlock(nn.Module):

@@ -1,0 +1,80 @@
+"""Heights as networks see them."""
+
+import math
+
+import pytest
+import torch
+
+from hdsp.errors import InputError
+from hdsp.learning.encoding import HeightEncoding, greatest_difference
+
+
+def patch(value=0.0):
+    return torch.full((1, 1, 72, 72), value)
+
+
+def test_heights_pass_unchanged_by_default_within_the_clip():
+    heights = torch.rand(2, 1, 72, 72)
+    torch.testing.assert_close(HeightEncoding()(heights), heights)
+
+
+def test_unknown_cells_become_the_configured_height_after_the_reference():
+    heights = patch(0.5)
+    heights[..., 3, 4] = math.nan
+    encoded = HeightEncoding(reference="base", unknown=0.7, scale=2.0)(heights)
+    assert encoded[0, 0, 3, 4] == pytest.approx(1.4)
+    assert encoded[0, 0, 36, 36] == 0
+
+
+def test_the_base_cell_is_the_reference():
+    heights = patch(0.0)
+    heights[..., 36, 36] = 0.25
+    encoded = HeightEncoding(reference="base")(heights)
+    assert encoded[0, 0, 36, 36] == 0
+    assert encoded[0, 0, 0, 0] == pytest.approx(-0.25)
+
+
+def test_lifting_the_whole_map_changes_nothing_with_the_base_as_reference():
+    heights = torch.rand(2, 1, 72, 72)
+    encoding = HeightEncoding(reference="base", channels=("height", "edge"))
+    torch.testing.assert_close(encoding(heights + 0.3), encoding(heights), atol=1e-6, rtol=0)
+
+
+def test_an_unknown_base_cell_leaves_the_other_heights_as_they_are():
+    heights = patch(0.5)
+    heights[..., 36, 36] = math.nan
+    encoded = HeightEncoding(reference="base", unknown=1.0)(heights)
+    assert encoded[0, 0, 0, 0] == 0.5
+    assert encoded[0, 0, 36, 36] == 1.0
+
+
+def test_edges_are_the_greatest_difference_to_the_eight_neighbours():
+    heights = torch.rand(1, 1, 9, 8)
+    result = greatest_difference(heights)[0, 0]
+    plain = heights[0, 0]
+    for x in range(9):
+        for y in range(8):
+            around = plain[max(x - 1, 0) : x + 2, max(y - 1, 0) : y + 2]
+            assert result[x, y] == pytest.approx(float((around - plain[x, y]).abs().max()))
+
+
+def test_the_edge_channel_is_one_half_at_its_scale():
+    heights = patch()
+    heights[..., 40:, :] = 0.1
+    encoded = HeightEncoding(channels=("height", "edge"), edge_scale=0.1)(heights)
+    assert encoded.shape == (1, 2, 72, 72)
+    assert encoded[0, 1, 40, 10] == pytest.approx(0.5)
+    assert encoded[0, 1, 20, 10] == 0
+
+
+def test_encoding_survives_its_mapping():
+    encoding = HeightEncoding(reference="base", clip=(-0.5, 1.0), channels=("edge",), edge_scale=0.2)
+    assert HeightEncoding.from_config(encoding.to_dict()) == encoding
+
+
+@pytest.mark.parametrize(
+    "faulty", [{"channels": ["slope"]}, {"channels": []}, {"edge_scale": 0}, {"reference": "mean"}]
+)
+def test_wrong_encodings_are_refused(faulty):
+    with pytest.raises(InputError, match=r"encoding\."):
+        HeightEncoding.from_config(faulty)

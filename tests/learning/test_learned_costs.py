@@ -1,0 +1,99 @@
+"""Abstract costs of whole maps."""
+
+import numpy as np
+import pytest
+import torch
+
+from hdsp.abstract.costs import AbstractCosts, TaskPredictor
+from hdsp.errors import InputError
+from hdsp.heightmap import HeightMap
+from hdsp.lattice import ABSTRACT_ACTIONS, robot_frame_goals
+from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, ModelSettings, build_network
+from hdsp.learning.costs import distinct_patches
+from hdsp.learning.settings import settings_from
+from tests.learning.synthetic import TINY_MODEL
+
+
+@pytest.fixture(scope="module")
+def costs():
+    torch.manual_seed(2)
+    model = settings_from(ModelSettings, TINY_MODEL, "model")
+    network = build_network(model)
+    # A random network of one opinion would leave half of the code untried.
+    with torch.no_grad():
+        network.heads.weight[1] *= 20
+    return LearnedCosts(LearnedAbstraction(network, model, hardware=HardwareSettings("cpu", "32")))
+
+
+@pytest.fixture(scope="module")
+def terrain():
+    heights = np.zeros((66, 53), np.float32)
+    heights[20:30, 10:40] = 0.3
+    heights[45:, 30:33] = 1.0
+    heights[50, 5] = np.nan
+    return HeightMap(heights)
+
+
+@pytest.fixture(scope="module")
+def edges(costs, terrain):
+    return costs.edges(terrain)
+
+
+def test_it_fulfils_both_contracts(costs):
+    assert isinstance(costs, AbstractCosts)
+    assert isinstance(costs, TaskPredictor)
+
+
+def test_each_edge_is_the_prediction_for_the_patch_of_its_state(costs, terrain, edges):
+    assert edges.shape == (16, 16, 13, 22)
+    assert edges.dtype == np.float32
+    inside = np.isfinite(edges)
+    assert 0.05 < inside.mean() < 0.95
+    random = np.random.default_rng(0)
+    for k, a, b, m in zip(*(random.integers(0, n, 300) for n in edges.shape), strict=True):
+        patch = terrain.crop_cells(4 * a + 2, 4 * b + 2, 4 * k).heights
+        feasible, cost = costs.predict(patch[None], robot_frame_goals(k)[None])
+        to_x, to_y = a + ABSTRACT_ACTIONS[m, 0], b + ABSTRACT_ACTIONS[m, 1]
+        if feasible[0, m] and 0 <= to_x < 16 and 0 <= to_y < 13:
+            assert edges[k, a, b, m] == pytest.approx(cost[0, m], abs=1e-4)
+        else:
+            assert np.isinf(edges[k, a, b, m])
+
+
+def test_no_action_leads_off_the_map(edges):
+    for m, (dx, dy, _) in enumerate(ABSTRACT_ACTIONS):
+        for a in (0, 15):
+            for b in range(13):
+                if not (0 <= a + dx < 16 and 0 <= b + dy < 13):
+                    assert np.isinf(edges[:, a, b, m]).all()
+
+
+def test_a_region_is_cut_out_of_the_whole(costs, terrain, edges):
+    np.testing.assert_allclose(costs.edges(terrain, region=(2, 3, 9, 13)), edges[:, 2:9, 3:13], atol=1e-5)
+
+
+def test_masked_states_are_infeasible_and_the_others_unchanged(costs, terrain, edges):
+    mask = np.random.default_rng(1).random(edges.shape[:3]) < 0.3
+    masked = costs.edges(terrain, mask=mask)
+    assert np.isinf(masked[~mask]).all()
+    np.testing.assert_allclose(masked[mask], edges[mask], atol=1e-5)
+
+
+def test_progress_reaches_the_end(costs, terrain):
+    calls = []
+    costs.edges(terrain, progress=lambda done, total: calls.append((done, total)))
+    assert calls[-1] == (16 * 16 * 13, 16 * 16 * 13)
+    assert [done for done, _ in calls] == sorted(done for done, _ in calls)
+
+
+def test_equal_patches_are_evaluated_once(costs):
+    patches = np.random.default_rng(0).random((4, 72, 72)).astype(np.float32)[[0, 1, 0, 2, 1, 3]]
+    patches[[0, 2], 5, 5] = np.nan
+    first, which = distinct_patches(patches)
+    assert first.tolist() == [0, 1, 3, 5]
+    assert np.array_equal(patches[first][which], patches, equal_nan=True)
+
+
+def test_a_wrong_mask_is_named(costs, terrain):
+    with pytest.raises(InputError, match="mask: shape"):
+        costs.edges(terrain, mask=np.ones((16, 4, 4), bool))

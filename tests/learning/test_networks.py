@@ -1,0 +1,124 @@
+"""Networks: the published architecture, and sharing the trunk changes no result."""
+
+import pytest
+import torch
+from torch import nn
+
+from hdsp.errors import InputError
+from hdsp.lattice import robot_frame_goals
+from hdsp.learning.networks import ARCHITECTURES, build_network, count_parameters
+
+
+class TextbookKlamt2019(nn.Module):
+    """The published layer list, one task at a time: trunk, flatten, append the goal, fully connected, two heads."""
+
+    def __init__(self):
+        super().__init__()
+        self.convolutions = nn.Sequential(
+            nn.Conv2d(1, 3, 3, padding=1), nn.ReLU(),
+            nn.Conv2d(3, 5, 7, padding=3), nn.ReLU(),
+            nn.Conv2d(5, 28, 14), nn.ReLU(),
+            nn.Conv2d(28, 31, 4), nn.ReLU(), nn.MaxPool2d(2),
+            nn.Conv2d(31, 34, 3), nn.ReLU(), nn.MaxPool2d(2),
+            nn.Conv2d(34, 36, 3), nn.ReLU(),
+            nn.Conv2d(36, 38, 3), nn.ReLU(),
+            nn.Conv2d(38, 40, 3), nn.ReLU(),
+        )  # fmt: skip
+        self.fully_connected = nn.Sequential(
+            nn.Linear(1963, 500), nn.ReLU(),
+            nn.Linear(500, 150), nn.ReLU(),
+            nn.Linear(150, 50), nn.ReLU(),
+            nn.Linear(50, 20), nn.ReLU(),
+        )  # fmt: skip
+        self.cost, self.feasibility = nn.Linear(20, 1), nn.Linear(20, 1)
+
+    def forward(self, patch, goal):
+        features = self.fully_connected(torch.cat([self.convolutions(patch[None, None]).flatten(), goal])[None])
+        return self.cost(features).squeeze(), torch.sigmoid(self.feasibility(features)).squeeze()
+
+    def load_from(self, network):
+        """The weights of our network, in the order of layers; the two heads are one layer there."""
+        *layers, heads_weight, heads_bias = network.state_dict().values()
+        layers += [heads_weight[:1], heads_bias[:1], heads_weight[1:], heads_bias[1:]]
+        names = list(self.state_dict())
+        assert len(names) == len(layers)
+        self.load_state_dict(dict(zip(names, layers, strict=True)))
+        return self
+
+
+@pytest.fixture
+def patches():
+    return torch.randn(3, 1, 72, 72, generator=torch.Generator().manual_seed(0)).clamp(-1.4, 1.4)
+
+
+@pytest.fixture
+def goals():
+    return torch.from_numpy(robot_frame_goals(1)).expand(3, 22, 3)
+
+
+def test_klamt2019_has_the_published_number_of_parameters():
+    assert count_parameters(build_network({"architecture": "klamt2019"})) == 1_154_561
+
+
+def test_klamt2019_with_shared_trunk_equals_the_textbook_network_task_by_task(patches, goals):
+    network = build_network({"architecture": "klamt2019"}).eval()
+    twin = TextbookKlamt2019().load_from(network)
+    with torch.no_grad():
+        cost, logits = network(patches, goals)
+        for i in range(len(patches)):
+            for j in range(0, 22, 3):
+                twin_cost, twin_probability = twin(patches[i, 0], goals[i, j])
+                assert abs(cost[i, j] - twin_cost) < 1e-4
+                assert abs(logits[i, j].sigmoid() - twin_probability) < 1e-4
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_shared_evaluation_equals_one_task_at_a_time(architecture, patches, goals):
+    network = build_network({"architecture": architecture}).eval()
+    with torch.no_grad():
+        shared = torch.stack(network(patches, goals))
+        single = torch.stack(
+            [torch.stack(network(patches[i : i + 1], goals[i : i + 1, j : j + 1])) for i in range(3) for j in range(22)]
+        )
+    torch.testing.assert_close(shared.reshape(2, 66).T, single.reshape(66, 2), atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_every_parameter_learns(architecture, patches, goals):
+    network = build_network({"architecture": architecture})
+    with torch.no_grad():  # one common offset keeps the rectifiers of a random network from all being closed
+        for parameter in network.parameters():
+            parameter.add_(0.01)
+    cost, logits = network(patches, goals)
+    (cost.square().sum() + logits.square().sum()).backward()
+    assert all(parameter.grad.abs().sum() > 0 for parameter in network.parameters())
+
+
+def test_he_initialisation_makes_the_trunk_depend_on_the_map():
+    def variation(initialisation):
+        torch.manual_seed(0)
+        network = build_network({"architecture": "klamt2019", "initialisation": initialisation}).eval()
+        with torch.no_grad():
+            features = network.map_part(torch.rand(16, 1, 72, 72))
+        return features.std(0).mean() / features.mean()
+
+    assert variation("he") > 3 * variation("default")
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"architecture": "klamt"}, "model.architecture: 'klamt' is not one of klamt2019, compact"),
+        ({"architcture": "compact"}, "model: unknown key 'architcture'"),
+        ({"architecture": "compact", "options": {"width": 3}}, "model.options: unknown key 'width'"),
+        ({"architecture": "klamt2019", "options": {"hidden": 3}}, "model.options: unknown key 'hidden'"),
+        ({"initialisation": "zeros"}, "model.initialisation: 'zeros' is not one of he, default"),
+        ({"architecture": "compact", "options": {"widths": [8]}}, "widths [8] and blocks [1, 1, 1]"),
+        ({"encoding": {"clip": [1, 0]}}, "encoding.clip"),
+    ],
+)
+def test_wrong_configurations_are_named(config, message):
+    with pytest.raises(InputError) as error:
+        build_network(config)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)

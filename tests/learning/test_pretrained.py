@@ -1,0 +1,153 @@
+"""Pretrained abstractions: what was saved is what is read, and nothing that does not fit is read."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from hdsp.errors import InputError
+from hdsp.learning import HardwareSettings, LearnedAbstraction, ModelSettings, Provenance, build_network, example_input
+from hdsp.learning.metrics import MINIMUM_COST
+from hdsp.learning.settings import settings_from
+from hdsp.robot import Robot
+from tests.learning.synthetic import TINY_MODEL, synthetic_tasks
+
+EXACT = HardwareSettings(accelerator="cpu", precision="32")
+
+
+@pytest.fixture
+def abstraction():
+    torch.manual_seed(0)
+    model = settings_from(ModelSettings, TINY_MODEL, "model")
+    provenance = Provenance.of(Robot.load("momaro"), "0123", maps=3)
+    return LearnedAbstraction(build_network(model), model, provenance, {"cost_error/val": 0.1}, EXACT)
+
+
+@pytest.fixture
+def saved(abstraction, tmp_path):
+    return abstraction.save_pretrained(tmp_path / "model")
+
+
+def edit(folder, change):
+    path = folder / "config.json"
+    config = json.loads(path.read_text())
+    change(config)
+    path.write_text(json.dumps(config))
+
+
+def test_a_round_trip_changes_no_prediction(abstraction, saved):
+    tasks = synthetic_tasks(5)
+    read = LearnedAbstraction.from_pretrained(saved, hardware=EXACT)
+    for ours, theirs in zip(
+        abstraction.predict(tasks.heights, tasks.goals), read.predict(tasks.heights, tasks.goals), strict=True
+    ):
+        assert np.array_equal(ours, theirs)
+    assert (read.model.to_dict(), read.provenance, read.metrics) == (
+        abstraction.model.to_dict(), abstraction.provenance, abstraction.metrics,
+    )  # fmt: skip
+
+
+def test_predictions_do_not_depend_on_the_batch(abstraction):
+    tasks = synthetic_tasks(7)
+    probability, cost = abstraction.predict_probability(tasks.heights, tasks.goals, batch=7)
+    again, cost_again = abstraction.predict_probability(tasks.heights, tasks.goals, batch=2)
+    np.testing.assert_allclose(again, probability, atol=1e-5)
+    np.testing.assert_allclose(cost_again, cost, atol=1e-5)
+    assert (cost >= MINIMUM_COST).all()
+
+
+def test_goals_may_be_shared_by_all_patches(abstraction):
+    tasks = synthetic_tasks(3)
+    _, shared = abstraction.predict(tasks.heights, tasks.goals[0])
+    _, each = abstraction.predict(tasks.heights, np.stack([tasks.goals[0]] * 3))
+    assert np.array_equal(shared, each)
+
+
+def test_no_patches_give_no_tasks(abstraction):
+    feasible, cost = abstraction.predict(np.zeros((0, 72, 72), np.float32), np.zeros((0, 22, 3), np.float32))
+    assert feasible.shape == cost.shape == (0, 22)
+
+
+def test_unknown_cells_give_finite_predictions(abstraction):
+    probability, cost = abstraction.predict_probability(np.full((2, 72, 72), np.nan), synthetic_tasks(2).goals)
+    assert np.isfinite(probability).all()
+    assert np.isfinite(cost).all()
+
+
+def test_saving_again_replaces_the_whole_folder(abstraction, saved):
+    abstraction.metrics["cost_error/val"] = 0.05
+    abstraction.save_pretrained(saved)
+    assert LearnedAbstraction.from_pretrained(saved).metrics == {"cost_error/val": 0.05}
+    assert [path.name for path in saved.parent.iterdir()] == ["model"]
+
+
+def test_a_folder_with_other_files_is_not_replaced(abstraction, tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match="not replaced"):
+        abstraction.save_pretrained(tmp_path)
+    assert (tmp_path / "thesis.tex").exists()
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("resolution", 0.05), ("patch_cells", 64), ("abstract_headings", 8), ("abstract_actions", [[1, 0, 0]])],
+)
+def test_another_lattice_is_refused(saved, key, value):
+    edit(saved, lambda config: config["lattice"].update({key: value}))
+    with pytest.raises(InputError, match=f"lattice.{key}"):
+        LearnedAbstraction.from_pretrained(saved)
+
+
+def test_another_cost_model_is_refused(saved):
+    edit(saved, lambda config: config["provenance"].update(cost_model_version=-1))
+    with pytest.raises(InputError, match="cost_model_version is -1"):
+        LearnedAbstraction.from_pretrained(saved)
+
+
+def test_another_robot_is_refused(saved):
+    robot = Robot.load("momaro")
+    LearnedAbstraction.from_pretrained(saved, robot)
+    changed = robot.to_dict()
+    changed["feet"]["neutral_x"] += 0.025
+    with pytest.raises(InputError, match="trained for another robot"):
+        LearnedAbstraction.from_pretrained(saved, Robot.load(changed))
+
+
+def test_damage_is_noticed(saved):
+    weights = saved / "model.safetensors"
+    whole = weights.read_bytes()
+    for damaged in (whole[:-10], whole[:500] + bytes([whole[500] ^ 1]) + whole[501:], b""):
+        weights.write_bytes(damaged)
+        with pytest.raises(InputError, match=r"model\.safetensors: damaged"):
+            LearnedAbstraction.from_pretrained(saved)
+    weights.unlink()
+    with pytest.raises(InputError, match=r"model\.safetensors: no such file"):
+        LearnedAbstraction.from_pretrained(saved)
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"format_version": 1'])
+def test_a_damaged_configuration_is_noticed(saved, text):
+    (saved / "config.json").write_text(text)
+    with pytest.raises(InputError, match=r"config\.json"):
+        LearnedAbstraction.from_pretrained(saved)
+
+
+def test_weights_of_another_architecture_are_refused(saved):
+    edit(saved, lambda config: config["model"]["options"].update(hidden=64))
+    with pytest.raises(InputError, match="does not fit compact"):
+        LearnedAbstraction.from_pretrained(saved)
+
+
+@pytest.mark.parametrize(
+    ("patches", "goals"), [((2, 64, 72), (2, 22, 3)), ((2, 72, 72), (3, 22, 3)), ((2, 72, 72), (2, 22, 2))]
+)
+def test_wrong_shapes_are_named(abstraction, patches, goals):
+    with pytest.raises(InputError, match="shape"):
+        abstraction.predict(np.zeros(patches), np.zeros(goals))
+
+
+def test_the_example_input_is_what_the_network_takes(abstraction):
+    example = {name: torch.from_numpy(array) for name, array in example_input().items()}
+    cost, logits = abstraction.network(**example)
+    assert cost.shape == logits.shape == (1, 22)

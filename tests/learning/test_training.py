@@ -1,0 +1,153 @@
+"""Training: it learns, keeps the best state, resumes, and says what is wrong."""
+
+import csv
+import json
+
+import lightning.pytorch as pl
+import numpy as np
+import pytest
+import torch
+
+from hdsp.errors import InputError
+from hdsp.learning import HardwareSettings, LearnedAbstraction, train
+from hdsp.learning.metrics import combined_score
+from tests.learning.synthetic import synthetic_tasks, tiny_config
+
+
+@pytest.fixture(scope="module")
+def tasks():
+    return synthetic_tasks(96)
+
+
+@pytest.fixture(scope="module")
+def val():
+    return synthetic_tasks(48, seed=1)
+
+
+def test_a_small_network_learns_a_simple_rule(tasks, val, tmp_path):
+    result = train(tiny_config(epochs=12, mirror=True), tasks, {"val": val}, tmp_path, quiet=True)
+    always_feasible = val.feasible.mean()
+    assert result.metrics["feasibility_accuracy/val"] > (1 + always_feasible) / 2
+    assert result.metrics["cost_error/val"] < val.cost[val.feasible].std() / 2
+
+
+def test_the_best_epoch_is_saved_and_gives_its_metrics_again(tasks, val, tmp_path):
+    # A learning rate this high makes late epochs worse than early ones now and then.
+    config = tiny_config(epochs=5, optimizer={"name": "adamw", "lr": 0.03}, schedule={"name": "constant"})
+    result = train(config, tasks, {"val": val, "other": tasks}, tmp_path, quiet=True)
+    scores = [combined_score(row["feasibility_accuracy/val"], row["cost_error/val"]) for row in result.history]
+    assert result.best_epoch == int(np.argmin(scores))
+    hardware = HardwareSettings(**config["hardware"])
+    abstraction = LearnedAbstraction.from_pretrained(result.model_dir, hardware=hardware)
+    feasible, cost = abstraction.predict(val.heights, val.goals)
+    both = feasible & val.feasible
+    assert (feasible == val.feasible).mean() == pytest.approx(result.metrics["feasibility_accuracy/val"], abs=1e-6)
+    assert np.abs(cost - val.cost)[both].mean() == pytest.approx(result.metrics["cost_error/val"], rel=1e-3)
+
+
+def test_history_is_written_and_told(tasks, val, tmp_path, capsys):
+    told = []
+    result = train(
+        tiny_config(), tasks, {"val": val}, tmp_path, on_epoch=lambda epoch, metrics: told.append((epoch, metrics))
+    )
+    assert [epoch for epoch, _ in told] == [0, 1, 2]
+    names = {
+        "loss/feasibility", "loss/cost", "loss_weight/feasibility", "loss_weight/cost",
+        "feasibility_accuracy/val", "cost_error/val",
+    }  # fmt: skip
+    assert names <= set(told[0][1])
+    assert json.loads((tmp_path / "history.json").read_text()) == result.history
+    with (tmp_path / "history.csv").open() as file:
+        assert [int(row["epoch"]) for row in csv.DictReader(file)] == [0, 1, 2]
+    assert len(capsys.readouterr().out.splitlines()) == 3
+
+
+class StopAfter(pl.Callback):
+    """Ends the training as an interruption would, after the checkpoint of an epoch."""
+
+    def __init__(self, epoch):
+        self.epoch = epoch
+
+    def on_train_epoch_start(self, trainer, module):
+        if trainer.current_epoch > self.epoch:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("rule", ["plateau", "published"])
+def test_an_interrupted_training_ends_like_an_undisturbed_one(tasks, val, tmp_path, rule):
+    # A falling weight is part of what has to survive: at this learning rate losses are noise and rise now and then.
+    config = tiny_config(
+        epochs=6,
+        mirror=True,
+        optimizer={"name": "adamw", "lr": 1e-5},
+        schedule={"name": "cosine"},
+        losses={"rule": rule, "patience": 1},
+    )
+    whole = train(config, tasks, {"val": val}, tmp_path / "whole", quiet=True)
+    with pytest.raises((KeyboardInterrupt, SystemExit)):
+        train(config, tasks, {"val": val}, tmp_path / "parts", callbacks=[StopAfter(2)], quiet=True)
+    resumed = train(config, tasks, {"val": val}, tmp_path / "parts", quiet=True)
+    assert resumed.resumed_from == 3
+    assert whole.history[-1]["loss_weight/feasibility"] < 1
+    timeless = [[{k: v for k, v in row.items() if k != "seconds"} for row in r.history] for r in (whole, resumed)]
+    assert timeless[0] == timeless[1]
+    weights = [(path.model_dir / "model.safetensors").read_bytes() for path in (whole, resumed)]
+    assert weights[0] == weights[1]
+
+
+def test_a_diverged_training_is_named(tasks, val, tmp_path):
+    config = tiny_config(epochs=2, optimizer={"name": "sgd", "lr": 1e6}, schedule={"name": "constant"})
+    with pytest.raises(InputError, match=r"diverged.*trainer\.optimizer\.lr than 1000000"):
+        train(config, tasks, {"val": val}, tmp_path, quiet=True)
+
+
+def test_another_training_does_not_resume(tasks, val, tmp_path):
+    train(tiny_config(epochs=1), tasks, {"val": val}, tmp_path, quiet=True)
+    assert train(tiny_config(epochs=2), tasks, {"val": val}, tmp_path, quiet=True).resumed_from == 0
+    assert train(tiny_config(epochs=2), val, {"val": val}, tmp_path, quiet=True).resumed_from == 0
+
+
+def test_single_tasks_and_the_papers_optimiser_work(tasks, val, tmp_path):
+    config = tiny_config(
+        epochs=1,
+        batch={"by": "task", "size": 8},
+        optimizer={"name": "sgd", "lr": 1e-4, "momentum": 0.9},
+        schedule={"name": "constant"},
+        losses={"rule": "plateau"},
+    )
+    result = train(config, tasks[:8], {"val": val}, tmp_path, quiet=True)
+    assert result.history[0]["learning_rate"] == 1e-4
+    assert np.isfinite(result.history[0]["loss/cost"])
+
+
+def test_bfloat16_agrees_with_float32(tasks, val, tmp_path):
+    config = tiny_config(epochs=8)
+    exact = train(config, tasks, {"val": val}, tmp_path / "exact", quiet=True)
+    config["hardware"]["precision"] = "bf16"
+    coarse = train(config, tasks, {"val": val}, tmp_path / "coarse", quiet=True)
+    for metric in ("feasibility_accuracy/val", "cost_error/val"):
+        assert coarse.metrics[metric] == pytest.approx(exact.metrics[metric], abs=0.05)
+
+
+def test_training_leaves_the_global_random_state_alone(tasks, val, tmp_path):
+    torch.manual_seed(5)
+    expected = torch.rand(1)
+    torch.manual_seed(5)
+    train(tiny_config(epochs=1), tasks[:16], {"val": val[:8]}, tmp_path, quiet=True)
+    assert torch.rand(1) == expected
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        ({"selection": {"set": "test"}}, "trainer.selection.set: 'test' is not one of the validation sets val"),
+        ({"epochs": 0}, "trainer.epochs: 0 is below 1"),
+        ({"optimiser": {}}, "config.trainer: unknown key 'optimiser'"),
+        ({"batch": {"by": "patch"}}, "config.trainer.batch.by: 'patch' is not one of map, task"),
+        ({"optimizer": {"lr": "high"}}, "config.trainer.optimizer.lr: need float, got 'high'"),
+    ],
+)
+def test_wrong_configurations_are_named(tasks, val, tmp_path, part, message):
+    with pytest.raises(InputError) as error:
+        train(tiny_config(**part), tasks, {"val": val}, tmp_path)
+    assert message in str(error.value)
