@@ -32,11 +32,20 @@ PLACES = ("published/simulated_test_data_set.txt", "published/simulated_even.txt
 #: `TaskSet.category` of all maps of the file.
 CATEGORY = "published"
 
+#: Numbers of the maps that are flat, and of those with stairs or other edges to step over; the rest is for driving.
+FLAT_MAPS = frozenset({22, 23, 24})
+STAIRS_MAPS = frozenset({44, 45, *range(47, 57)})
+
 #: Axes of the heights in a line, slowest first: height number ``ix * 72 + iy`` belongs to cell ``[ix, iy]``.
 AXES = "xy"
 
 _SOLVED = 0  # hdsp.detailed.solve.Status.SOLVED; importing that here would load the planner
 _DIGITS = 6
+
+
+def terrain_kind(number: int) -> str:
+    """``flat``, ``stairs`` or ``driving``: what map ``number`` of the authors' file is for."""
+    return "flat" if number in FLAT_MAPS else "stairs" if number in STAIRS_MAPS else "driving"
 
 
 def find_published(data_dir: str | os.PathLike | None = None, timeout: float = 30.0) -> tuple[Path | None, str]:

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from scipy.ndimage import maximum_filter
 
 from hdsp.costs import CostMaps, cost_maps, disc_mask
 from hdsp.detailed.geometry import (
@@ -98,6 +97,8 @@ def cell_index(world, ix, iy):
 
 def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) -> World:
     """Compile a terrain for a robot. ``maps`` saves computing the cost maps again."""
+    from scipy.ndimage import maximum_filter  # half a second to import, and ``import hdsp`` shall be quick
+
     maps = maps or cost_maps(terrain, robot)
     nx, ny = terrain.heights.shape
     pad = math.ceil(cells(robot.reach())) + 4
