@@ -50,4 +50,4 @@ def _imports(tree: ast.Module) -> list[str]:
 def _drop_docstrings(tree: ast.Module) -> None:
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
-            node.body[0] = ast.Expr(ast.Constant(None))
+            node.body[:1] = [] if len(node.body) > 1 else [ast.Pass()]
