@@ -133,7 +133,7 @@ def flat_table(robot: Robot) -> np.ndarray:
     # Here, not above: labelling stands on this package.
     from hdsp.labelling import LabelSettings, label_map
 
-    terrain = HeightMap.flat((2 * PATCH_CELLS, 2 * PATCH_CELLS))
+    terrain = HeightMap.flat((PATCH_CELLS, PATCH_CELLS))
     table = np.empty((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), np.float32)
     quarter = ABSTRACT_HEADINGS // 4
     for heading in range(quarter):
