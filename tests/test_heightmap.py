@@ -182,6 +182,11 @@ def test_one_heading_serves_all_patches_and_wrong_shapes_are_refused():
     heights = numbered(120, 120).heights
     bases = np.array([[60, 60], [59, 61]])
     np.testing.assert_array_equal(crop_patches(heights, bases, 16), crop_patches(heights, bases, [16, 80]))
+    out = np.zeros((2, 72, 72), np.float32)
+    assert crop_patches(heights, bases, 16, out=out) is out
+    np.testing.assert_array_equal(out, crop_patches(heights, bases, 16))
+    with pytest.raises(InputError, match="out is float32"):
+        crop_patches(heights, bases, 16, out=out[:1])
     with pytest.raises(InputError, match=r"bases \(2,\)"):
         crop_patches(heights, np.array([60, 60]), 0)
 
