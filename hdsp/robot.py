@@ -163,7 +163,8 @@ class Robot:
     def reach(self) -> float:
         """Distance (m) from the base centre beyond which no part of the robot, nor a foothold, ever is."""
         x = self.feet.neutral_x + max(self.feet.offset_max, -self.feet.offset_min) + self.step.max_length
-        corners = [math.hypot(max(abs(b.x_min), abs(b.x_max)), b.half_width) for b in (*self.body.boxes, self.body.unevenness)]
+        rectangles = (*self.body.boxes, self.body.unevenness)
+        corners = [math.hypot(max(abs(r.x_min), abs(r.x_max)), r.half_width) for r in rectangles]
         return max(math.hypot(x, self.feet.neutral_y), *corners)
 
 
@@ -176,7 +177,8 @@ def _read_yaml(source: str | Path) -> dict:
     elif str(source) in Robot.presets():
         text = resources.files("hdsp.robots").joinpath(f"{source}.yaml").read_text()
     else:
-        raise InputError(f"unknown robot {str(source)!r}: presets are {', '.join(Robot.presets())}, or give a .yaml file")
+        presets = ", ".join(Robot.presets())
+        raise InputError(f"unknown robot {str(source)!r}: presets are {presets}, or give a .yaml file")
     return yaml.safe_load(text)
 
 

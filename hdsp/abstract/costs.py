@@ -12,6 +12,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from hdsp.abstract.oracle import LabelSettings, task_costs
+from hdsp.abstract.transform import feet_at
+from hdsp.detailed.world import build_world
 from hdsp.errors import InputError
 from hdsp.heightmap import HeightMap
 from hdsp.lattice import (
@@ -20,6 +23,7 @@ from hdsp.lattice import (
     HEADINGS_PER_ABSTRACT,
     N_ABSTRACT_ACTIONS,
     PATCH_CELLS,
+    PATCH_CENTER,
     abstract_shape,
     robot_frame_goals,
 )
@@ -130,17 +134,15 @@ def flat_table(robot: Robot) -> np.ndarray:
 
     A turn of the robot by 90 degrees only permutes the actions, so that four headings are searched.
     """
-    # Here, not above: labelling stands on this package.
-    from hdsp.labelling import LabelSettings, label_map
-
-    terrain = HeightMap.flat((PATCH_CELLS, PATCH_CELLS))
+    world = build_world(HeightMap.flat((PATCH_CELLS, PATCH_CELLS)), robot)
     table = np.empty((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), np.float32)
     quarter = ABSTRACT_HEADINGS // 4
     for heading in range(quarter):
-        tasks = label_map(terrain, robot, LabelSettings(), start_heading=heading * HEADINGS_PER_ABSTRACT)
-        if tasks is None or not tasks.feasible.all():
+        start = feet_at(world, (PATCH_CENTER, PATCH_CENTER, heading * HEADINGS_PER_ABSTRACT))
+        costs = np.full(N_ABSTRACT_ACTIONS, np.inf) if start is None else task_costs(world, start, LabelSettings())[1]
+        if np.isinf(costs).any():
             raise InputError(f"robot {robot.name}: some abstract action is infeasible even on flat ground")
-        table[heading] = tasks.cost
+        table[heading] = costs
     index = {tuple(action): m for m, action in enumerate(ABSTRACT_ACTIONS.tolist())}
     for heading in range(quarter, ABSTRACT_HEADINGS):
         # What this action is to this heading, the action turned back by 90 degrees is to the heading before.
