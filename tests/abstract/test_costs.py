@@ -177,3 +177,15 @@ def test_the_constants_in_conf_are_the_defaults():
 
     path = Path(__file__).parents[2] / "conf" / "abstraction" / "manual.yaml"
     assert ManualSettings(**yaml.safe_load(path.read_text())) == ManualSettings()
+
+
+@pytest.mark.parametrize("costs", ["flat", "manual"])
+def test_states_outside_the_mask_are_closed_and_others_unchanged(costs, request):
+    costs = request.getfixturevalue(costs)
+    terrain = HeightMap.flat((100, 80))
+    mask = np.random.default_rng(0).random((16, 25, 20)) < 0.5
+    whole, masked = costs.edges(terrain), costs.edges(terrain, mask=mask)
+    np.testing.assert_array_equal(masked[mask], whole[mask])
+    assert np.isinf(masked[~mask]).all()
+    with pytest.raises(InputError, match="mask"):
+        costs.edges(terrain, mask=mask[:, 1:])
