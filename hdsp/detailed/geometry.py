@@ -1,8 +1,8 @@
 """Where a robot's feet and body are on the lattice, as flat integer tables for the kernels.
 
 Convention: a foot is in the cell nearest to ``base + t * move + R(theta) * (neutral + offset)``. A position exactly between
-two cells goes forward along x and toward the body along y, in the frame of the robot, so that mirrored and quarter-turned
-worlds get mirrored and quarter-turned cells.
+two cells goes forward along x and toward the body along y, in the frame of the robot, and forward where these two pull
+apart (on diagonal headings), so that mirrored and quarter-turned worlds get mirrored and quarter-turned cells.
 """
 
 import math
@@ -59,7 +59,7 @@ def foot_cells(robot: Robot) -> np.ndarray:
     for heading in range(HEADINGS):
         turn = rotation(float(heading_angle(heading)))
         for foot, (x, y) in enumerate(neutral):
-            inward = turn @ np.array([_NUDGE, -_NUDGE * np.sign(y)])
+            inward = turn @ np.array([2 * _NUDGE, -_NUDGE * np.sign(y)])
             at = np.stack([x + offsets, np.full(len(offsets), y)], axis=1) @ turn.T + inward
             table[heading, foot] = np.floor(at[:, None, :] + MOVE_SAMPLES.displacement[None] + 0.5)
     table.flags.writeable = False

@@ -1,0 +1,381 @@
+"""Textbook twin of the detailed planner: plain Python from the documented rules, slow and obvious.
+
+Convention: lengths in cells unless a name says metres; a state is a tuple (ix, iy, heading, f0, f1, f2, f3) in lattice
+units with signed foot offsets; an action is ("drive", dx, dy), ("turn", +-1), ("foot", i, +-1), ("shift", +-1) or
+("step", i, length).
+"""
+
+import heapq
+import itertools
+import math
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+CELL = 0.025
+HEADINGS = 64
+MOVES = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0) and not abs(x) == abs(y) == 2]
+INF = math.inf
+REMEMBERED = ["difference", "edge", "unevenness", "standable", "foot_cell", "under_body", "cost_at", "lifted_over",
+              "can_step", "deviation"]  # fmt: skip
+
+
+def angle(heading):
+    return 2 * math.pi * heading / HEADINGS
+
+
+def rotated(heading, x, y):
+    """(x, y) turned from the robot's frame into the world's."""
+    c, s = math.cos(angle(heading)), math.sin(angle(heading))
+    return c * x - s * y, s * x + c * y
+
+
+def nearest(value, direction):
+    """The integer nearest to a value; halfway between two, the one that lies in the direction."""
+    below = math.floor(value)
+    if abs(value - below - 0.5) < 1e-9:
+        return below + 1 if direction > 0 else below
+    return math.floor(value + 0.5)
+
+
+@cache
+def disc(radius):
+    """Offsets (dx, dy) of the cells whose centres lie within a radius, with their distances."""
+    reach = math.floor(radius + 1e-9)
+    cells = itertools.product(range(-reach, reach + 1), repeat=2)
+    return [(dx, dy, math.hypot(dx, dy)) for dx, dy in cells if math.hypot(dx, dy) <= radius + 1e-9]
+
+
+@cache
+def rectangle_offsets(rectangle, heading):
+    """Offsets (dx, dy) of the cells whose centres lie in a rectangle of a robot that is turned to a heading."""
+    reach = math.ceil(math.hypot(max(abs(rectangle.x_min), abs(rectangle.x_max)), rectangle.half_width) / CELL)
+    found = []
+    for dx, dy in itertools.product(range(-reach, reach + 1), repeat=2):
+        x, y = rotated(-heading, dx * CELL, dy * CELL)
+        if rectangle.x_min - 1e-9 <= x <= rectangle.x_max + 1e-9 and abs(y) <= rectangle.half_width + 1e-9:
+            found.append((dx, dy))
+    return found
+
+
+def turned(heading, other):
+    """Heading steps between two headings, the short way round."""
+    off = abs(heading - other) % HEADINGS
+    return min(off, HEADINGS - off)
+
+
+class Naive:
+    """A terrain and a robot. Nothing is prepared; answers are only remembered.
+
+    Args:
+        heights: float32 [nx, ny], m, NaN = unknown.
+        robot: an `hdsp.Robot`.
+        center, window, turn_factor: the rules of labelling (`hdsp.detailed.actions.Rules`).
+    """
+
+    def __init__(self, heights, robot, center=0, window=HEADINGS, turn_factor=1.0):
+        self.heights = [[np.float32(h) for h in row] for row in heights]
+        self.shape = len(self.heights), len(self.heights[0])
+        self.robot = robot
+        self.center, self.window, self.turn_factor = center, window, turn_factor
+        for name in REMEMBERED:
+            setattr(self, name, cache(getattr(self, name)))
+
+    # --- terrain ----------------------------------------------------------------------------------------------------
+
+    def inside(self, cell):
+        return 0 <= cell[0] < self.shape[0] and 0 <= cell[1] < self.shape[1]
+
+    def height(self, cell):
+        return self.heights[cell[0]][cell[1]]
+
+    def known(self, cell):
+        return self.inside(cell) and not math.isnan(self.height(cell))
+
+    def around(self, cell, radius):
+        """Cells of the map whose centres lie within a radius, with their distances."""
+        for dx, dy, distance in disc(radius):
+            other = cell[0] + dx, cell[1] + dy
+            if self.inside(other):
+                yield other, distance
+
+    def difference(self, cell):
+        """Height difference dH: the largest to the known among eight neighbours, m."""
+        if not self.known(cell):
+            return 0.0
+        neighbours = [other for other, _ in self.around(cell, 1.5) if self.known(other)]
+        return max(float(abs(self.height(other) - self.height(cell))) for other in neighbours)
+
+    def edge(self, cell):
+        """Whether no wheel passes a cell of the map."""
+        return not self.known(cell) or self.difference(cell) > np.float32(self.robot.drive.max_height_difference)
+
+    def unevenness(self, cell):
+        """S of a cell, m."""
+        radius = self.robot.drive.unevenness_radius / CELL
+        return sum(self.difference(other) * max(0.0, 1 - r / radius) for other, r in self.around(cell, radius))
+
+    def standable(self, cell):
+        if not self.inside(cell):
+            return False
+        return not any(self.edge(other) for other, _ in self.around(cell, self.robot.feet.clearance / CELL))
+
+    # --- robot on the terrain ---------------------------------------------------------------------------------------
+
+    def foot_cell(self, heading, foot, offset, dx=0.0, dy=0.0):
+        """Cell of a foot relative to the cell in which the base was (dx, dy) ago; ties go forward and to the body."""
+        x, y = self.neutral(foot)
+        at = rotated(heading, x + offset, y)
+        tie = rotated(heading, 2.0, -math.copysign(1.0, y))  # where the two pull apart, forward wins
+        return nearest(at[0] + dx, tie[0]), nearest(at[1] + dy, tie[1])
+
+    def neutral(self, foot):
+        feet = self.robot.feet
+        x, y = feet.neutral_x / CELL, feet.neutral_y / CELL
+        return (x if foot in (0, 3) else -x), (y if foot in (0, 1) else -y)
+
+    def foothold(self, state, foot):
+        dx, dy = self.foot_cell(state[2], foot, state[3 + foot])
+        return state[0] + dx, state[1] + dy
+
+    def in_rectangle(self, base, heading, rectangle):
+        """Cells whose centres lie in a rectangle of the robot, on the map or not."""
+        return [(base[0] + dx, base[1] + dy) for dx, dy in rectangle_offsets(rectangle, heading)]
+
+    def under_body(self, base, heading):
+        """Largest S under the body; inf where it collides, or where the ground under its centre is not known."""
+        if not self.known(base):
+            return INF
+        for box in self.robot.body.boxes:
+            limit = self.height(base) + np.float32(box.above)
+            if any(self.known(c) and self.height(c) > limit for c in self.in_rectangle(base, heading, box)):
+                return INF
+        cells = self.in_rectangle(base, heading, self.robot.body.unevenness)
+        return max((self.unevenness(c) for c in cells if self.inside(c)), default=0.0)
+
+    def cost_at(self, base, heading, footholds):
+        """State cost C with the base in a cell and the feet in four; inf where that is not valid."""
+        if not all(self.standable(cell) for cell in footholds):
+            return INF
+        uneven = [self.unevenness(cell) for cell in footholds]
+        return 1 + self.robot.drive.unevenness_cost * (max([*uneven, self.under_body(base, heading)]) + sum(uneven))
+
+    def state_cost(self, state):
+        return self.cost_at(state[:2], state[2], tuple(self.foothold(state, i) for i in range(4)))
+
+    def valid(self, state):
+        low, high = self.robot.offset_range()
+        return all(low <= offset <= high for offset in state[3:]) and self.state_cost(state) < INF
+
+    def separated(self, state):
+        """Whether front and rear foot of each side keep their distance."""
+        apart = 2 * self.robot.feet.neutral_x / CELL
+        least = self.robot.feet.min_separation / CELL - 1e-9
+        return apart + state[3] - state[4] >= least and apart + state[6] - state[5] >= least
+
+    # --- actions ----------------------------------------------------------------------------------------------------
+
+    def successors(self, state):
+        """All (action, state, cost) from a valid state."""
+        yield from self.drives(state)
+        yield from self.turns(state)
+        if any(state[3:]) or self.any_foot_can_step(state):
+            yield from self.foot_moves(state)
+            yield from self.base_shifts(state)
+            yield from self.steps(state)
+
+    def drives(self, state):
+        ix, iy, heading, *feet = state
+        for dx, dy in MOVES:
+            samples = math.floor(math.hypot(dx, dy)) + 1
+            costs = []
+            for t in (i / samples for i in range(1, samples + 1)):
+                base = ix + nearest(t * dx, dx), iy + nearest(t * dy, dy)
+                cells = [self.foot_cell(heading, i, feet[i], t * dx, t * dy) for i in range(4)]
+                costs.append(self.cost_at(base, heading, tuple((ix + x, iy + y) for x, y in cells)))
+            cost = math.hypot(dx, dy) * CELL * self.deviation(heading, dx, dy) * sum(costs) / samples
+            if cost < INF:
+                yield ("drive", dx, dy), (ix + dx, iy + dy, *state[2:]), cost
+
+    def deviation(self, heading, dx, dy):
+        """Factor on driving toward (dx, dy)."""
+        f = self.robot.drive.deviation_cost
+        x, y = rotated(-heading, dx, dy)
+        deviation = abs(math.atan2(y, x))
+        if deviation <= f.side_from:
+            return f.ahead + (f.side - f.ahead) * deviation / f.side_from
+        if deviation <= f.side_to:
+            return f.side
+        return f.side + (f.behind - f.side) * (deviation - f.side_to) / (math.pi - f.side_to)
+
+    def turns(self, state):
+        turn = self.robot.turn
+        for way in (1, -1):
+            reached = (*state[:2], (state[2] + way) % HEADINGS, *state[3:])
+            if turned(reached[2], self.center) > self.window or self.state_cost(reached) == INF:
+                continue
+            uneven = [sum(self.unevenness(self.foothold(end, i)) for i in range(4)) for end in (state, reached)]
+            yield ("turn", way), reached, turn.cost * self.turn_factor * (1 + turn.unevenness_cost * sum(uneven) / 2)
+
+    def foot_moves(self, state):
+        price = self.robot.foot_move.cost_per_metre * CELL
+        for i, way in itertools.product(range(4), (1, -1)):
+            reached = with_offset(state, i, state[3 + i] + way)
+            if self.valid(reached) and self.separated(reached):
+                yield ("foot", i, way), reached, price * (self.state_cost(state) + self.state_cost(reached)) / 2
+
+    def base_shifts(self, state):
+        ix, iy, heading, *feet = state
+        n, dx, dy = self.shift(heading)
+        price = self.robot.base_shift.cost_per_metre * CELL * math.hypot(dx, dy)
+        for way in (1, -1):
+            reached = (ix + way * dx, iy + way * dy, heading, *(offset - way * n for offset in feet))
+            if self.valid(reached):
+                yield ("shift", way), reached, price * (self.state_cost(state) + self.state_cost(reached)) / 2
+
+    def shift(self, heading):
+        """Steps and cells of a base shift: of one to four steps ahead the one that ends nearest to a cell."""
+        ways = []
+        for n in range(1, 5):
+            x, y = rotated(heading, n, 0)
+            dx, dy = nearest(x, x), nearest(y, y)
+            ways.append((round(math.hypot(dx - x, dy - y), 9), n, dx, dy))
+        return min(ways)[1:]
+
+    # --- steps ------------------------------------------------------------------------------------------------------
+
+    def line(self, cell, heading, way, length):
+        """The cell so many steps ahead of (or behind) another."""
+        x, y = rotated(heading, way * length, 0)
+        return cell[0] + nearest(x, x), cell[1] + nearest(y, y)
+
+    def lifted_over(self, cell):
+        """Highest ground a foot passes over when it swings over a cell; inf next to unknown ground."""
+        if not self.inside(cell):
+            return INF
+        cells = [other for other, _ in self.around(cell, self.robot.feet.clearance / CELL)]
+        return max(float(self.height(c)) if self.known(c) else INF for c in cells)
+
+    def longest_step(self):
+        return math.floor(self.robot.step.max_length / CELL + 1e-9)
+
+    def step_fits(self, foothold, landing, heading, way, length):
+        """Whether the foot of a cell gets over an edge to another, ``length`` steps on."""
+        if not (self.standable(foothold) and self.standable(landing)):
+            return False
+        passed = [self.line(foothold, heading, way, n) for n in range(1, length + 1)]
+        if not any(self.inside(cell) and self.edge(cell) for cell in passed):
+            return False
+        before, after = float(self.height(foothold)), float(self.height(landing))
+        highest = max([before, after, *(self.lifted_over(cell) for cell in passed)])
+        limits = self.robot.step
+        return abs(after - before) <= limits.max_height and highest - min(before, after) <= limits.max_clearance
+
+    def can_step(self, cell, heading, way):
+        """Whether a foot in a cell has some foothold in line behind an edge."""
+        lengths = range(1, self.longest_step() + 1)
+        return any(self.step_fits(cell, self.line(cell, heading, way, n), heading, way, n) for n in lengths)
+
+    def any_foot_can_step(self, state):
+        return any(self.can_step(self.foothold(state, i), state[2], way) for i in range(4) for way in (1, -1))
+
+    def supported(self, state, lifted):
+        """Whether the base centre lies in the triangle of the other feet, by the margin."""
+        feet = [(x + state[3 + i], y) for i, (x, y) in enumerate(map(self.neutral, range(4))) if i != lifted]
+        for (ax, ay), (bx, by) in ((feet[0], feet[1]), (feet[1], feet[2]), (feet[2], feet[0])):
+            # Feet are numbered counter-clockwise: inside is to the left of every side.
+            left = ((by - ay) * ax - (bx - ax) * ay) / math.hypot(bx - ax, by - ay)
+            if left < self.robot.step.support_margin / CELL - 1e-9:
+                return False
+        return True
+
+    def steps(self, state):
+        limits = self.robot.step
+        for i, way in itertools.product(range(4), (1, -1)):
+            foothold = self.foothold(state, i)
+            if not self.supported(state, i) or not self.can_step(foothold, state[2], way):
+                continue
+            for length in range(1, self.longest_step() + 1):
+                reached = with_offset(state, i, state[3 + i] + way * length)
+                if not (self.valid(reached) and self.separated(reached)):
+                    continue
+                landing = self.foothold(reached, i)
+                if self.step_fits(foothold, landing, state[2], way, length):
+                    rise = abs(float(self.height(landing)) - float(self.height(foothold)))
+                    effort = limits.cost + limits.cost_per_metre * length * CELL + limits.cost_per_height * rise
+                    cost = effort * (self.state_cost(state) + self.state_cost(reached)) / 2
+                    yield ("step", i, way * length), reached, cost
+
+    # --- what is built on it ----------------------------------------------------------------------------------------
+
+    def geometric(self, state, goal):
+        """Distance, difference of headings and of foot configurations, each at the least it can cost."""
+        robot = self.robot
+        factor = min(self.deviation(heading, dx, dy) for heading in range(HEADINGS) for dx, dy in MOVES)
+        longest = self.longest_step()
+        distance = min(factor, robot.base_shift.cost_per_metre) * CELL
+        step = (robot.step.cost + robot.step.cost_per_metre * CELL * longest) / longest if longest else INF
+        foot = min(robot.foot_move.cost_per_metre * CELL, step)
+        apart = [a - b for a, b in zip(state[3:], goal[3:], strict=True)]
+        moved = min(sum(abs(d - common) for d in apart) for common in range(min(apart), max(apart) + 1))
+        return (
+            distance * math.hypot(state[0] - goal[0], state[1] - goal[1])
+            + robot.turn.cost * turned(state[2], goal[2])
+            + foot * moved
+        )
+
+    def feet_value(self, state):
+        """What T_a->d minimises over the feet: the state cost, and how far the feet are off their neutral positions."""
+        preference = self.robot.feet.neutral_preference * CELL
+        return self.state_cost(state) + preference * sum(abs(offset) for offset in state[3:])
+
+    def best_feet(self, ix, iy, heading):
+        """Least value over all foot configurations of a base state and the one that has it; (inf, None) if none."""
+        low, high = self.robot.offset_range()
+        states = ((ix, iy, heading, *feet) for feet in itertools.product(range(low, high + 1), repeat=4))
+        found = [(self.feet_value(state), state) for state in states if self.separated(state) and self.valid(state)]
+        return min(found, default=(INF, None))
+
+
+def with_offset(state, foot, offset):
+    return (*state[: 3 + foot], offset, *state[4 + foot :])
+
+
+class Gone(NamedTuple):
+    """What Dijkstra found: least costs of the settled states, and whether nothing was left to reach."""
+
+    cost: dict
+    exhausted: bool
+    before: dict
+
+
+def dijkstra(twin, start, goals=(), limit=INF):
+    """Least costs from a state, until all goals are settled or everything within a cost limit is."""
+    best, before, settled, queue = {start: 0.0}, {}, {}, [(0.0, start)]
+    missing = set(goals)
+    while queue:
+        cost, state = heapq.heappop(queue)
+        if state in settled:
+            continue
+        if cost > limit:
+            return Gone(settled, False, before)
+        settled[state] = cost
+        missing.discard(state)
+        if goals and not missing:
+            return Gone(settled, False, before)
+        for action, reached, price in twin.successors(state):
+            if cost + price < best.get(reached, INF):
+                best[reached] = cost + price
+                before[reached] = state, action
+                heapq.heappush(queue, (cost + price, reached))
+    return Gone(settled, True, before)
+
+
+def way_back(gone, state):
+    """Actions that lead to a settled state from the start."""
+    actions = []
+    while state in gone.before:
+        state, action = gone.before[state]
+        actions.append(action)
+    return actions[::-1]
