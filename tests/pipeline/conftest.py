@@ -1,6 +1,7 @@
 """The real entry points with tiny limits, each in its own process as users start them."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -68,10 +69,11 @@ def clone_project(clone: Path) -> Path:
         if not source.is_symlink() and not source.is_file():
             continue  # removed, but not committed yet
         target.parent.mkdir(parents=True, exist_ok=True)
-        if source.is_symlink():
-            target.symlink_to(source.readlink())
-        else:
-            target.write_bytes(source.read_bytes())
+        shutil.copy2(source, target, follow_symlinks=False)
+    for source in (ROOT / "hdsp").rglob("__pycache__/*.nb?"):  # compiled kernels; valid because times are copied too
+        target = clone / source.relative_to(ROOT)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(source, target)
     config = (clone / "conf/config.yaml").read_text()
     (clone / "conf/config.yaml").write_text(config.replace("profile: small", "profile: tiny"))
     run_python("pipeline.config", cwd=clone)

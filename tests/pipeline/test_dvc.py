@@ -82,7 +82,7 @@ def test_an_experiment_beside_the_working_tree_is_tracked_in_the_project(reprodu
 def test_a_killed_label_stage_continues_to_the_same_shards(tmp_path):
     from hdsp.shards import read_shard, shard_paths
 
-    more = ["labelling.splits.val.maps_per_category=8", "labelling.splits.val.maps_per_shard=6", "runtime.workers=1"]
+    more = ["labelling.splits.val.maps_per_category=3", "labelling.splits.val.maps_per_shard=3", "runtime.workers=1"]
     (tmp_path / "project").mkdir()
     project = clone_project(tmp_path / "project")
     run_python("pipeline.config", *more, cwd=project)

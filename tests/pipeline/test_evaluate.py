@@ -53,7 +53,7 @@ def test_each_pair_is_planned_with_each_heuristic_and_weight(chain):
     runs = planning["runs"]
     assert {(r["pair"], r["heuristic"], r["weight"]) for r in runs} == {
         (pair, heuristic, weight)
-        for pair in range(planning["arena"]["pairs"])
+        for pair in ("near",)
         for heuristic in ("geometric", "manual", "learned")
         for weight in (1.0, 2.0)
     }
