@@ -6,6 +6,7 @@ from training.
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import reduce
 from typing import Any, Literal
 
 import torch
@@ -90,6 +91,10 @@ class HeightEncoding:
 def greatest_difference(heights: Tensor) -> Tensor:
     """Greatest height difference of each cell to its eight neighbours, same shape [B, 1, nx, ny]; none beyond the
     rim."""
-    highest = functional.max_pool2d(heights, 3, stride=1, padding=1)
-    lowest = -functional.max_pool2d(-heights, 3, stride=1, padding=1)
+    # Pooling would say the same in fewer words and take three times as long on the CPU.
+    highest = lowest = functional.pad(heights, (1, 1, 1, 1), mode="replicate")
+    for axis in (-2, -1):
+        length = highest.shape[axis] - 2
+        highest = reduce(torch.maximum, [highest.narrow(axis, start, length) for start in range(3)])
+        lowest = reduce(torch.minimum, [lowest.narrow(axis, start, length) for start in range(3)])
     return torch.maximum(highest - heights, heights - lowest)

@@ -7,6 +7,7 @@ from torch import nn
 from hdsp.errors import InputError
 from hdsp.lattice import robot_frame_goals
 from hdsp.learning.networks import ARCHITECTURES, build_network, count_parameters
+from hdsp.learning.networks.swept import sample
 
 
 class TextbookKlamt2019(nn.Module):
@@ -108,7 +109,7 @@ def test_he_initialisation_makes_the_trunk_depend_on_the_map():
 @pytest.mark.parametrize(
     ("config", "message"),
     [
-        ({"architecture": "klamt"}, "model.architecture: 'klamt' is not one of klamt2019, compact"),
+        ({"architecture": "klamt"}, "model.architecture: 'klamt' is not one of klamt2019, compact, swept"),
         ({"architcture": "compact"}, "model: unknown key 'architcture'"),
         ({"architecture": "compact", "options": {"width": 3}}, "model.options: unknown key 'width'"),
         ({"architecture": "klamt2019", "options": {"hidden": 3}}, "model.options: unknown key 'hidden'"),
@@ -122,3 +123,24 @@ def test_wrong_configurations_are_named(config, message):
         build_network(config)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_sampling_equals_the_one_of_torch():
+    random = torch.Generator().manual_seed(0)
+    level = torch.rand(2, 36, 36, 5, generator=random)
+    positions = torch.rand(2, 4, 7, 2, generator=random) * 90 - 9  # some beyond the border
+    grid = (positions / 36 - 1).flip(-1)  # torch counts from the centre, in halves of the patch, last axis first
+    expected = nn.functional.grid_sample(
+        level.permute(0, 3, 1, 2), grid, padding_mode="border", align_corners=False
+    ).permute(0, 2, 3, 1)
+    torch.testing.assert_close(sample(level, positions), expected)
+
+
+def test_swept_points_reach_the_goal_with_the_robot():
+    network = build_network({"architecture": "swept"})
+    with torch.no_grad():
+        network.points[0] = torch.tensor([13.0, 10.0])
+    ahead, turned = network.positions(torch.tensor([[[2.0, -1.0, 0.0], [0.0, 0.0, 4.0]]]))[0]
+    assert ahead[0, 0].tolist() == [36.5 + 13, 36.5 + 10]
+    assert ahead[-1, 0].tolist() == [36.5 + 13 + 8, 36.5 + 10 - 4]
+    torch.testing.assert_close(turned[-1, 0], torch.tensor([36.5 - 10, 36.5 + 13]))  # four headings are 90 degrees

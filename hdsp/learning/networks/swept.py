@@ -75,44 +75,63 @@ class Swept(TaskNetwork):
     def map_part(self, encoded: Tensor) -> Tensor:
         fine = self.fine(encoded)
         middle = self.middle(fine)
-        return torch.cat([level.flatten(1) for level in (fine, middle, self.coarse(middle))], dim=1)
+        # Channels innermost: what is sampled at a point lies side by side.
+        levels = [level.permute(0, 2, 3, 1).flatten(1) for level in (fine, middle, self.coarse(middle))]
+        return torch.cat(levels, dim=1)
 
     def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
-        maps, tasks = goals.shape[:2]
-        grid = self.positions(goals).flatten(1, 2) / (PATCH_CELLS / 2)
-        sampled = []
-        parts = features.split([width * cells * cells for width, cells in self.shapes], dim=1)
-        for part, (width, cells) in zip(parts, self.shapes, strict=True):
-            level = part.view(maps, width, cells, cells)
-            sampled.append(functional.grid_sample(level, grid, padding_mode="border", align_corners=False))
-        under = torch.cat(sampled, dim=1)  # [B, channels, G * samples, points]
-        under = under.view(maps, under.shape[1], tasks, self.samples, -1).permute(0, 2, 3, 1, 4).flatten(3)
+        positions = self.positions(goals)
+        under = torch.cat([sample(level, positions) for level in self._levels(features)], dim=-1).flatten(-2)
         way = torch.relu(self.under_robot(under))
         hidden = torch.cat([way.mean(2), way.amax(2), goal_features(goals)], dim=-1)
         excess, logits = self.heads(self.rest(hidden)).unbind(-1)
         return self.goal_cost(goal_features(goals)).squeeze(-1) * (1 + excess), logits
 
+    def _levels(self, features: Tensor) -> list[Tensor]:
+        parts = features.split([width * cells * cells for width, cells in self.shapes], dim=1)
+        return [part.view(-1, n, n, width) for part, (width, n) in zip(parts, self.shapes, strict=True)]
+
     def positions(self, goals: Tensor) -> Tensor:
         """Where the points are on the way to each goal: [B, G, 3] to [B, G, samples, points, 2].
 
-        Convention: in cells from the centre of the patch as ``grid_sample`` counts, last axis (y, x). The base is half
-        a cell beyond the centre, because it stands at the centre of cell 36 of 72.
+        Convention: (x, y) in cells from the lower corner of the patch; the base starts at the centre of cell (36, 36).
         """
         share = torch.linspace(0, 1, self.samples, device=goals.device)[:, None]
         angle = goals[..., None, None, 2] * share * (2 * math.pi / ABSTRACT_HEADINGS)
-        shift = goals[..., None, :2] * share * CELLS_PER_ABSTRACT + (PATCH_CENTER + 0.5 - PATCH_CELLS / 2)
+        shift = goals[..., None, :2] * share * CELLS_PER_ABSTRACT + (PATCH_CENTER + 0.5)
         x, y = self.points.unbind(-1)
         cos, sin = angle.cos(), angle.sin()
-        return torch.stack([sin * x + cos * y + shift[..., 1:], cos * x - sin * y + shift[..., :1]], dim=-1)
+        return torch.stack([cos * x - sin * y + shift[..., :1], sin * x + cos * y + shift[..., 1:]], dim=-1)
+
+
+def sample(level: Tensor, positions: Tensor) -> Tensor:
+    """Feature map [B, n, n, C] at positions [B, ..., 2], interpolated bilinearly: [B, ..., C].
+
+    As ``grid_sample`` without aligned corners and with border padding, but with channels innermost on both sides, which
+    saves copies as large as all samples.
+
+    Convention: positions in cells of the patch, from its lower corner; each of the n cells spans 72 / n of them.
+    """
+    maps, cells, _, width = level.shape
+    at = (positions * (cells / PATCH_CELLS) - 0.5).clamp(0, cells - 1).flatten(1, -2)
+    low = at.detach().floor().clamp_max(cells - 2)
+    share = at - low
+    low = low.long()
+    first = low[..., 0] * cells + low[..., 1] + torch.arange(maps, device=level.device)[:, None] * cells * cells
+    x, y = share.unbind(-1)
+    corners = torch.stack([first, first + 1, first + cells, first + cells + 1], dim=-1)
+    weights = torch.stack([(1 - x) * (1 - y), (1 - x) * y, x * (1 - y), x * y], dim=-1)
+    # A weighted sum of rows is what an embedding bag computes, without keeping the rows.
+    result = functional.embedding_bag(
+        corners.view(-1, 4), level.reshape(-1, width), per_sample_weights=weights.view(-1, 4), mode="sum"
+    )
+    return result.view(*positions.shape[:-1], width)
 
 
 def _convolution(before: int, after: int, kernel: int) -> nn.Module:
-    return nn.Sequential(
-        nn.Conv2d(before, after, kernel, padding=kernel // 2, bias=False), nn.BatchNorm2d(after), nn.ReLU()
-    )
+    return nn.Sequential(nn.Conv2d(before, after, kernel, padding=kernel // 2), nn.ReLU())
 
 
 def _halving(before: int, after: int) -> nn.Module:
     # Four wide and not three, so that each cell of the result is centred on the four cells it stands for.
-    convolution = nn.Conv2d(before, after, 4, stride=2, padding=1, bias=False)
-    return nn.Sequential(convolution, nn.BatchNorm2d(after), nn.ReLU())
+    return nn.Sequential(nn.Conv2d(before, after, 4, stride=2, padding=1), nn.ReLU())
