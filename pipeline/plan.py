@@ -43,10 +43,9 @@ def plan(config: DictConfig, folders: Folders) -> None:
 
     tasks = read_tasks(next(iter(planners.values())), config.arena.tasks)
     limits = plain(config.planner.limits)
+    start, goal = next(iter(tasks.values()))
     for planner in planners.values():
-        planner.plan(
-            *next(iter(tasks.values())), expansions=1
-        )  # kernels are compiled, and loaded, before anything is timed
+        planner.plan(start, goal, expansions=1)  # kernels are compiled, and loaded, before anything is timed
     runs: list[dict[str, Any]] = []
     found: dict[tuple[str, str, float], Plan] = {}
     for task, (start, goal) in tasks.items():

@@ -7,9 +7,12 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 SPLITS = ("train", "val", "random")
+#: Options of `compact`: for tests the costs of a whole map have to be there in seconds.
+SMALL_NETWORK = {"widths": [4, 4], "blocks": [1, 1], "map_features": 4, "hidden": 16}
 STAGES = ("published", "train", "evaluate", "plan", "report")
 
 
@@ -36,8 +39,9 @@ def labelled(tmp_path_factory) -> Path:
 @pytest.fixture(scope="session")
 def chain(labelled) -> Path:
     """The same folder after all stages."""
+    network = [f"model.options.{name}={value}" for name, value in SMALL_NETWORK.items()]
     for stage in STAGES[1:]:
-        run_python(f"pipeline.{stage}", *tiny(labelled), tracking=labelled)
+        run_python(f"pipeline.{stage}", *tiny(labelled), *(network if stage == "train" else []), tracking=labelled)
     return labelled
 
 
@@ -74,6 +78,8 @@ def clone_project(clone: Path) -> Path:
         target = clone / source.relative_to(ROOT)
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(source, target)
+    network = yaml.safe_load((clone / "conf/model/compact.yaml").read_text())
+    (clone / "conf/model/compact.yaml").write_text(yaml.safe_dump({**network, "options": SMALL_NETWORK}))
     config = (clone / "conf/config.yaml").read_text()
     (clone / "conf/config.yaml").write_text(config.replace("profile: small", "profile: tiny"))
     run_python("pipeline.config", cwd=clone)
