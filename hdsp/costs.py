@@ -16,9 +16,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hdsp.heightmap import HeightMap
+from hdsp.jit import njit
 from hdsp.lattice import cells
 from hdsp.robot import Robot
 
@@ -77,7 +77,7 @@ def _disc_weights(radius: float) -> np.ndarray:
     return np.column_stack([offsets, weight])[weight > 0]
 
 
-@njit(cache=True)
+@njit()
 def _height_difference(heights):
     nx, ny = heights.shape
     result = np.zeros((nx, ny), dtype=np.float32)
@@ -94,7 +94,7 @@ def _height_difference(heights):
     return result
 
 
-@njit(cache=True)
+@njit()
 def _unevenness(difference, weights):
     # Most of a map is even, so each uneven cell spreads to its surroundings rather than each cell gathering from them.
     nx, ny = difference.shape
@@ -110,7 +110,7 @@ def _unevenness(difference, weights):
     return total.astype(np.float32)
 
 
-@njit(cache=True)
+@njit()
 def _near(mask, offsets):
     nx, ny = mask.shape
     result = np.zeros((nx, ny), dtype=np.bool_)

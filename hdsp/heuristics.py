@@ -9,7 +9,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numba import njit
 
 from hdsp.abstract.costs import AbstractCosts
 from hdsp.abstract.dijkstra import PreparedGraph
@@ -19,6 +18,7 @@ from hdsp.detailed.states import pack_states
 from hdsp.detailed.world import World
 from hdsp.errors import InputError
 from hdsp.heightmap import HeightMap
+from hdsp.jit import njit
 from hdsp.lattice import (
     ABSTRACT_ANCHOR,
     ABSTRACT_HEADINGS,
@@ -135,7 +135,7 @@ def standing_states(world: World) -> np.ndarray:
     return _standing_states(world, nx, ny)
 
 
-@njit(cache=True)
+@njit()
 def _standing_states(world, nx, ny):
     result = np.zeros((ABSTRACT_HEADINGS, nx, ny), dtype=np.bool_)
     for k in range(ABSTRACT_HEADINGS):
@@ -147,7 +147,7 @@ def _standing_states(world, nx, ny):
     return result
 
 
-@njit(cache=True)
+@njit()
 def _estimates(parameters, keys):
     result = np.empty(len(keys))
     for i in range(len(keys)):

@@ -6,10 +6,10 @@ configuration while preferring configurations which are close to the neutral rob
 """
 
 import numpy as np
-from numba import njit
 
 from hdsp.detailed.actions import foot_row
 from hdsp.detailed.world import World, base_term, cell_index
+from hdsp.jit import njit
 from hdsp.lattice import CELLS_PER_ABSTRACT, HEADINGS, HEADINGS_PER_ABSTRACT, abstract_anchor
 
 
@@ -55,7 +55,7 @@ def _matching_bases(anchor: np.ndarray) -> np.ndarray:
     return np.array(bases)[np.argsort(off, kind="stable")]
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def best_feet(world, ix, iy, heading):
     """Offsets (steps) of the four feet that minimise ``max S + sum S + neutral_penalty * sum |offset|`` and that value.
 

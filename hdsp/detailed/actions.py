@@ -7,10 +7,10 @@ and shifting the base are considered only where they have a purpose: while a foo
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hdsp.detailed.states import BASE_BACKWARD, BASE_FORWARD, FOOT_MOVE, STEP, TURN_LEFT, TURN_RIGHT, pack, unpack
 from hdsp.detailed.world import base_term, cell_index, compute_base_term, step_fits
+from hdsp.jit import njit
 from hdsp.lattice import HEADINGS, RESOLUTION
 
 MAX_SUCCESSORS = 160
@@ -33,13 +33,13 @@ class Rules(NamedTuple):
     turn_cost_factor: float = 1.0
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def foot_row(tables, heading, foot, offset):
     """Where the samples of a foot begin in ``tables.feet``."""
     return ((heading * 4 + foot) * tables.n_offsets + offset) * tables.n_samples
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def state_cost(world, key):
     """State cost C of a packed state; inf if a foot cannot stand there or the body collides."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
@@ -51,7 +51,7 @@ def state_cost(world, key):
     return merged_cost(world.constants.unevenness, base_term(world, heading, p), s0, s1, s2, s3)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def feet_unevenness(world, p, r0, r1, r2, r3):
     """Sum of S under the four feet; inf if one cannot stand."""
     feet = world.tables.feet
@@ -59,7 +59,7 @@ def feet_unevenness(world, p, r0, r1, r2, r3):
     return s + (np.float64(world.foot[p + feet[r2]]) + world.foot[p + feet[r3]])
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def separated(constants, key):
     """Whether front and rear foot of each side keep their distance in a packed state."""
     apart = 2 * constants.neutral_x - constants.min_separation
@@ -67,7 +67,7 @@ def separated(constants, key):
     return o1 - o0 <= apart and o2 - o3 <= apart
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def supported(constants, lowest, lifted, o0, o1, o2, o3):
     """Whether the base centre lies in the triangle of the three feet that stay, ``support_margin`` cells inside its edges."""
     x, y = constants.neutral_x + lowest, constants.neutral_y
@@ -84,7 +84,7 @@ def supported(constants, lowest, lifted, o0, o1, o2, o3):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def successors(world, rules, key, out_key, out_cost, out_action):
     """Write all successors of a valid state.
 
@@ -120,14 +120,14 @@ def successors(world, rules, key, out_key, out_cost, out_action):
     return n
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def merged_cost(k, under, s0, s1, s2, s3):
     """State cost C from the largest S under the body and the S of the feet (unitless)."""
     largest = max(max(s0, s1), max(max(s2, s3), under))
     return 1.0 + k * (np.float64(largest) + s0 + s1 + s2 + s3)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def with_foot(unevenness, i, value):
     """The four values with the one of foot ``i`` replaced."""
     s0, s1, s2, s3 = unevenness
@@ -137,7 +137,7 @@ def with_foot(unevenness, i, value):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def _drives(world, key, out_key, out_cost, out_action, n):
     # The innermost loop of every search: arrays are named once, because each access through a tuple counts references.
     t = world.tables
@@ -176,7 +176,7 @@ def _drives(world, key, out_key, out_cost, out_action, n):
     return n
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def _turns(world, rules, key, out_key, out_cost, out_action, n):
     t = world.tables
     c = world.constants
@@ -203,7 +203,7 @@ def _turns(world, rules, key, out_key, out_cost, out_action, n):
     return n
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n):
     t = world.tables
     foot, feet, k, price = world.foot, t.feet, world.constants.unevenness, world.constants.foot_move
@@ -231,7 +231,7 @@ def _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n)
     return n
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def _base_shifts(world, key, under, unevenness, out_key, out_cost, out_action, n):
     t = world.tables
     foot, feet, k, price = world.foot, t.feet, world.constants.unevenness, world.constants.base_shift
@@ -257,7 +257,7 @@ def _base_shifts(world, key, under, unevenness, out_key, out_cost, out_action, n
     return n
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def _steps(world, key, under, unevenness, out_key, out_cost, out_action, n):
     t = world.tables
     c = world.constants

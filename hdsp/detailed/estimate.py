@@ -6,9 +6,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hdsp.detailed.states import unpack
+from hdsp.jit import njit
 from hdsp.lattice import HEADINGS, RESOLUTION
 
 
@@ -46,7 +46,7 @@ class Estimate(NamedTuple):
 NO_TABLE = np.empty(0, dtype=np.float32)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def _feet(e, o0, o1, o2, o3):
     """Least total length by which feet must move one by one to match the goal, whatever the base does, in cells."""
     d0, d1 = o0 - e.goal_feet[0], o1 - e.goal_feet[1]
@@ -56,7 +56,7 @@ def _feet(e, o0, o1, o2, o3):
     return abs(max(hi1, hi2) - min(lo1, lo2)) + abs(min(hi1, hi2) - max(lo1, lo2))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def estimate(e, key):
     """Estimated cost from a packed state to the goal, float64."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)

@@ -7,14 +7,14 @@ admissible, consistent heuristic (together with the term for the feet of ``estim
 """
 
 import numpy as np
-from numba import njit
 
 from hdsp.detailed.actions import foot_row
 from hdsp.detailed.world import base_term, cell_index
+from hdsp.jit import njit
 from hdsp.lattice import HEADINGS
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def pose_costs(world, rules):
     """Least state cost at each pose over all feet, float32 [64, nx, ny]; inf where no state is valid or allowed."""
     t = world.tables
@@ -43,7 +43,7 @@ def pose_costs(world, rules):
     return result
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _least_edge(world, rules, heading, action, from_cost, to_cost):
     """Lower bound of the cost of a pose-changing action (0..19 drive, 20 turn, 21 base shift)."""
     t = world.tables
@@ -56,7 +56,7 @@ def _least_edge(world, rules, heading, action, from_cost, to_cost):
     return world.constants.base_shift * np.sqrt(np.float64(dx * dx + dy * dy)) * 0.5 * (from_cost + to_cost)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def pose_distances(world, rules, costs, sources, backward, limit):
     """One Dijkstra over poses from several of them at once.
 
@@ -137,7 +137,7 @@ def pose_distances(world, rules, costs, sources, backward, limit):
     return distance
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _neighbour(t, h, x, y, action, backward):
     """(kind, heading, ix, iy) of a pose's neighbour; actions 0..19 drive, 20/21 turn, 22/23 base shift."""
     sign = -1 if backward else 1

@@ -10,11 +10,11 @@ undoing actions. A heap entry whose f no longer equals ``g + W h`` of its state 
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hdsp.detailed.actions import MAX_SUCCESSORS, successors
 from hdsp.detailed.estimate import estimate
 from hdsp.detailed.states import START, undo
+from hdsp.jit import njit
 
 RUNNING, SOLVED, EXHAUSTED, OVER_COST_LIMIT, FULL = range(5)
 
@@ -69,13 +69,13 @@ def grown(store: Store) -> Store:
     return store
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _hash(key, mask):
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     return np.int64((mixed ^ (mixed >> np.uint64(32))) & np.uint64(mask))
 
 
-@njit(cache=True)
+@njit()
 def _fill_slots(slot, keys, n):
     mask = len(slot) - 1
     for i in range(n):
@@ -85,7 +85,7 @@ def _fill_slots(slot, keys, n):
         slot[s] = i
 
 
-@njit(cache=True)
+@njit()
 def find(store, key):
     """Index of a state in the store, -1 if it was never seen."""
     mask = len(store.slot) - 1
@@ -97,7 +97,7 @@ def find(store, key):
     return np.int64(-1)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _push(heap_f, heap_node, n, f, node):
     """Put an entry into a 4-ary heap of ``n`` entries."""
     i = n
@@ -112,7 +112,7 @@ def _push(heap_f, heap_node, n, f, node):
     heap_node[i] = node
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _remove_top(heap_f, heap_node, n):
     """Take the top entry off a heap of ``n`` entries, which leaves ``n - 1``."""
     n -= 1
@@ -135,7 +135,7 @@ def _remove_top(heap_f, heap_node, n):
     heap_node[i] = node
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def insert_start(store, heuristic, weight, key):
     """Begin a search at a packed state."""
     store.key[0] = key
@@ -147,7 +147,7 @@ def insert_start(store, heuristic, weight, key):
     _push(store.heap_f, store.heap_node, 0, np.float32(weight * estimate(heuristic, key)), 0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def run(world, rules, heuristic, store, weight, goals, goal_cost, cost_limit, expansions):
     """Search on until something happens.
 
@@ -224,7 +224,7 @@ def run(world, rules, heuristic, store, weight, goals, goal_cost, cost_limit, ex
     return outcome
 
 
-@njit(cache=True)
+@njit()
 def trace(world, store, key):
     """The way back from a state: node indices from the start to ``key``, int64 [n]."""
     tables = world.tables

@@ -6,8 +6,8 @@ search needs to remember one byte per state to find the way back.
 """
 
 import numpy as np
-from numba import njit
 
+from hdsp.jit import njit
 from hdsp.lattice import HEADINGS, RESOLUTION
 from hdsp.robot import FEET
 
@@ -23,7 +23,7 @@ _X_BITS = 42
 MAX_CELLS = 1 << 16
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def pack(ix, iy, heading, o0, o1, o2, o3):
     """State as int64; ``o`` are foot offsets counted from the lowest."""
     return (
@@ -32,7 +32,7 @@ def pack(ix, iy, heading, o0, o1, o2, o3):
     )  # fmt: skip
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def unpack(key):
     """(ix, iy, heading, o0, o1, o2, o3) of a packed state."""
     return (
@@ -56,7 +56,7 @@ def unpack_states(keys, lowest: int) -> np.ndarray:
     return np.stack([k >> _X_BITS, (k >> _Y_BITS) & 0xFFFF, (k >> _HEADING_BITS) & 0x3F, *offsets], axis=-1)
 
 
-@njit(cache=True)
+@njit()
 def undo(key, action, move_dx, move_dy, shifts):
     """The state from which ``action`` led to ``key``."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)

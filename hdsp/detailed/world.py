@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hdsp.costs import CostMaps, cost_maps, disc_mask
 from hdsp.detailed.geometry import (
@@ -21,6 +20,7 @@ from hdsp.detailed.geometry import (
     step_line,
 )
 from hdsp.heightmap import HeightMap
+from hdsp.jit import njit
 from hdsp.lattice import DRIVE_MOVES, HEADINGS, RESOLUTION, cells, heading_angle
 from hdsp.robot import Robot
 
@@ -89,7 +89,7 @@ class World(NamedTuple):
     constants: Constants
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def cell_index(world, ix, iy):
     """Flat index of a cell of the map."""
     return (ix + world.pad) * world.stride + iy + world.pad
@@ -209,7 +209,7 @@ def _tables(robot: Robot, stride: int) -> Tables:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _possible_steps(foot, height, swing, edge, near_edge, line, max_height, max_clearance):
     """For each cell the headings toward which a foot that stands there can step over an edge; uint64 flat."""
     n_headings, reach = line.shape
@@ -231,13 +231,13 @@ def _possible_steps(foot, height, swing, edge, near_edge, line, max_height, max_
     return result
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def step_fits(before, after, highest, max_height, max_clearance):
     """Whether a foot can be lifted from height ``before`` over ``highest`` to ``after`` (all m)."""
     return abs(after - before) <= max_height and highest - min(before, after) <= max_clearance
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def base_term(world, heading, p):
     """Largest S under the body at flat cell ``p``, or inf where the body collides or leaves the map."""
     known = world.base[heading * len(world.foot) + p]
@@ -246,7 +246,7 @@ def base_term(world, heading, p):
     return known - np.float32(1)
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def compute_base_term(world, heading, p):
     """Compute and keep an entry of ``world.base``: 1 + largest S under the body, or inf."""
     known = np.float32(1) + _largest_under_body(world, heading, p)
@@ -254,7 +254,7 @@ def compute_base_term(world, heading, p):
     return known
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _largest_under_body(world, heading, p):
     ground = world.height[p]
     tables = world.tables
