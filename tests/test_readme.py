@@ -1,0 +1,22 @@
+"""What the README shows works."""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_the_library_example_runs(tmp_path, monkeypatch, capsys):
+    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    learned = 'heuristic="learned:models/abstraction"'
+    assert learned in example
+    monkeypatch.chdir(tmp_path)
+    exec(example.replace(learned, 'heuristic="manual"'), {})  # a checkout has no trained network
+    assert capsys.readouterr().out.startswith("solved")
+    assert (tmp_path / "path.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_link_to_a_file_of_the_project_leads_somewhere():
+    text = (ROOT / "README.md").read_text() + (ROOT / "docs/pipeline.md").read_text()
+    for target in re.findall(r"\]\((?!http)([^)]+)\)", text):
+        assert (ROOT / target).exists(), target
