@@ -77,6 +77,7 @@ class Drive:
     max_height_difference: float
     unevenness_radius: float
     unevenness_cost: float
+    straight_deviation: float
     deviation_cost: DeviationCost
 
 

@@ -27,17 +27,22 @@ class LabelSettings:
         heading_window: in a translation task, the most heading steps (5.625 degrees) away from its heading.
         turn_cost_factor: in a translation task, what turning costs relative to its normal cost.
         cost_limit: tasks that cost more count as infeasible; the published labels end at 1.48.
+        cost_ratio, cost_margin: so do tasks that cost more than this ratio of, plus this margin over, what they would
+            cost if feet could be anywhere (the relaxed problem; on flat ground the cost itself).
         max_expansions: a search that takes more ends undecided; its tasks count as infeasible and say so.
     """
 
     heading_window: int = 3
     turn_cost_factor: float = 1.58235
     cost_limit: float = 1.6
+    cost_ratio: float = 2.75
+    cost_margin: float = 0.15
     max_expansions: int = 100_000
 
     def __post_init__(self):
-        if not (self.heading_window >= 0 and self.turn_cost_factor > 0 and self.cost_limit > 0 and self.max_expansions > 0):
-            raise InputError(f"{self}: the window must not be negative, all else must be positive")
+        positive = (self.turn_cost_factor, self.cost_limit, self.cost_ratio, self.max_expansions)
+        if self.heading_window < 0 or self.cost_margin < 0 or min(positive) <= 0:
+            raise InputError(f"{self}: the window and the margin must not be negative, all else must be positive")
 
 
 def task_costs(
@@ -77,19 +82,40 @@ def task_costs(
 
 
 def _search(world: World, start: np.ndarray, goals: np.ndarray, rules: Rules, settings: LabelSettings):
-    """Costs and statuses of goals under the same rules, in one search for all that share a foot configuration."""
-    cost, status = np.full(len(goals), np.inf), np.full(len(goals), Status.INFEASIBLE)
+    """Costs and statuses of goals under the same rules, each up to its own cost limit.
+
+    First by driving alone, a problem of three dimensions; then with all actions, where only what is cheaper than that is
+    still looked for, in one search for all goals that share a foot configuration.
+    """
+    cost, status = np.full(len(goals), np.inf), np.full(len(goals), Status.COST_LIMIT)
     costs = pose_costs(world, rules)
-    # What even the relaxed problem cannot reach, or only beyond the limit, needs no search.
-    reach = pose_distances(world, rules, costs, start[None, :3], False, settings.cost_limit)
-    least = reach[goals[:, 2], goals[:, 0], goals[:, 1]]
-    status[np.isinf(least)] = Status.COST_LIMIT
-    limits = Limits(cost=settings.cost_limit, expansions=settings.max_expansions)
+    # What even the relaxed problem cannot reach, or only beyond its limit, needs no search.
+    reach = pose_distances(world, rules, costs, start[None, :3], np.zeros(1), False, settings.cost_limit)
+    least = reach[goals[:, 2], goals[:, 0], goals[:, 1]].astype(float)
+    possible = np.isfinite(least)
+    limit = np.minimum(settings.cost_limit, settings.cost_ratio * least + settings.cost_margin)
+
+    def search(chosen: np.ndarray, rules: Rules):
+        # Goals that may cost less start later: f then has one limit for all.
+        highest = limit[chosen].max()
+        to_go = pose_distances(world, rules, costs, goals[chosen, :3], highest - limit[chosen], True, highest)
+        limits = Limits(cost=highest, expansions=settings.max_expansions)
+        view = pose_estimate(world, to_go, goals[chosen[0], 3:])
+        return solve(world, start, goals[chosen], view, rules=rules, limits=limits, paths=False)
+
+    driven = np.flatnonzero(possible & ~goals[:, 3:].any(axis=1))
+    if len(driven) and not start[3:].any():
+        result = search(driven, rules._replace(drive_only=True))
+        solved = driven[np.isfinite(result.cost)]
+        cost[driven], status[solved] = result.cost, Status.SOLVED
+        limit = np.minimum(limit, cost * (1 - 1e-6))
     for feet in np.unique(goals[:, 3:], axis=0):
-        chosen = np.flatnonzero(np.isfinite(least) & (goals[:, 3:] == feet).all(axis=1))
+        chosen = np.flatnonzero(possible & (goals[:, 3:] == feet).all(axis=1))
         if len(chosen) == 0:
             continue
-        to_go = pose_distances(world, rules, costs, goals[chosen, :3], True, settings.cost_limit)
-        result = solve(world, start, goals[chosen], pose_estimate(world, to_go, feet), rules=rules, limits=limits, paths=False)
-        cost[chosen], status[chosen] = result.cost, result.status
+        result = search(chosen, rules)
+        better = result.cost < cost[chosen]
+        cost[chosen[better]] = result.cost[better]
+        undriven = np.isinf(cost[chosen]) | better
+        status[chosen[undriven]] = np.asarray(result.status)[undriven]
     return cost, status

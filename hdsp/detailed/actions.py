@@ -1,7 +1,9 @@
 """The detailed actions and what they cost: all successors of a state.
 
-Source: paper, Sec. V-A, with the cost model of docs/cost-model.md. Steps are considered only over an edge. Moving a foot
-and shifting the base are considered only where they have a purpose: while a foot is off its neutral position, or can step.
+Source: paper, Sec. V-A, with the cost model of docs/cost-model.md. On neutral feet the robot drives in all directions and turns;
+on others it only drives straight. Other feet come about by steps and base shifts, and single feet roll back toward
+neutral. A foot steps only where it needs to: when it cannot roll on because of an edge on its line, and then to the
+nearest foothold beyond. These manoeuvres are considered while a foot is off its neutral position or can step.
 """
 
 from typing import NamedTuple
@@ -26,11 +28,13 @@ class Rules(NamedTuple):
         heading_center: heading about which the window below lies.
         heading_window: most heading steps a state may differ from the centre; 32 or more means any heading.
         turn_cost_factor: multiplies the cost of turning.
+        drive_only: only driving and turning, which takes place on neutral feet: a problem of three dimensions.
     """
 
     heading_center: int = 0
     heading_window: int = HEADINGS
     turn_cost_factor: float = 1.0
+    drive_only: bool = False
 
 
 @njit(inline="always")
@@ -97,19 +101,22 @@ def successors(world, rules, key, out_key, out_cost, out_action):
     Returns:
         Number of successors written.
     """
-    n = _drives(world, key, out_key, out_cost, out_action, 0)
-    n = _turns(world, rules, key, out_key, out_cost, out_action, n)
     t = world.tables
-    foot, feet, steps = world.foot, t.feet, world.steps
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
+    neutral = o0 == -t.lowest and o1 == -t.lowest and o2 == -t.lowest and o3 == -t.lowest
+    n = _drives(world, key, neutral, out_key, out_cost, out_action, 0)
+    if neutral:
+        n = _turns(world, rules, key, out_key, out_cost, out_action, n)
+    if rules.drive_only:
+        return n
+    foot, feet, steps = world.foot, t.feet, world.steps
     p = cell_index(world, ix, iy)
     p0, p1 = p + feet[foot_row(t, heading, 0, o0)], p + feet[foot_row(t, heading, 1, o1)]
     p2, p3 = p + feet[foot_row(t, heading, 2, o2)], p + feet[foot_row(t, heading, 3, o3)]
     ways = steps[p0] | steps[p1] | steps[p2] | steps[p3]
     behind = (heading + HEADINGS // 2) % HEADINGS
     can_step = ((ways >> np.uint64(heading)) | (ways >> np.uint64(behind))) & np.uint64(1)
-    neutral = -t.lowest
-    if can_step == 0 and o0 == neutral and o1 == neutral and o2 == neutral and o3 == neutral:
+    if can_step == 0 and neutral:
         return n
     unevenness = foot[p0], foot[p1], foot[p2], foot[p3]
     under = base_term(world, heading, p)
@@ -138,12 +145,12 @@ def with_foot(unevenness, i, value):
 
 
 @njit(inline="always")
-def _drives(world, key, out_key, out_cost, out_action, n):
+def _drives(world, key, neutral, out_key, out_cost, out_action, n):
     # The innermost loop of every search: arrays are named once, because each access through a tuple counts references.
     t = world.tables
     foot, feet, base, size = world.foot, t.feet, world.base, len(world.foot)
     flat, first, count, base_sample = t.move_flat, t.move_first, t.move_count, t.base_sample
-    move_dx, move_dy, length, deviation = t.move_dx, t.move_dy, t.move_length, t.deviation
+    move_dx, move_dy, length, deviation, straight = t.move_dx, t.move_dy, t.move_length, t.deviation, t.straight
     k = world.constants.unevenness
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     p = cell_index(world, ix, iy)
@@ -152,6 +159,8 @@ def _drives(world, key, out_key, out_cost, out_action, n):
     r2, r3 = foot_row(t, heading, 2, o2), foot_row(t, heading, 3, o3)
     p0, p1, p2, p3 = p + feet[r0], p + feet[r1], p + feet[r2], p + feet[r3]
     for m in range(20):
+        if not neutral and not straight[heading, m]:
+            continue
         step = flat[m]
         s0, s1, s2, s3 = foot[p0 + step], foot[p1 + step], foot[p2 + step], foot[p3 + step]
         largest = max(max(s0, s1), max(s2, s3))
@@ -215,7 +224,7 @@ def _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n)
         offset = (key >> shift) & 0x1F
         for backward in range(2):
             change = 1 - 2 * backward
-            if offset + change < 0 or offset + change >= t.n_offsets:
+            if (offset + t.lowest) * change >= 0:  # only toward neutral
                 continue
             reached = foot[p + feet[foot_row(t, heading, i, offset + change)]]
             if reached == _INF:
@@ -278,6 +287,8 @@ def _steps(world, key, under, unevenness, out_key, out_cost, out_action, n):
             toward = heading if sign == 1 else (heading + HEADINGS // 2) % HEADINGS
             if (possible >> np.uint64(toward)) & np.uint64(1) == 0:
                 continue
+            if foot[at + line[toward, 1]] < _INF:  # the foot can still roll on
+                continue
             crossed = False
             highest = before
             for length in range(1, line.shape[1]):
@@ -302,4 +313,5 @@ def _steps(world, key, under, unevenness, out_key, out_cost, out_action, n):
                 out_cost[n] = effort * 0.5 * (cost + merged_cost(c.unevenness, under, s0, s1, s2, s3))
                 out_action[n] = STEP + 32 * i + 16 + sign * length
                 n += 1
+                break  # the nearest foothold; from there the foot can roll
     return n

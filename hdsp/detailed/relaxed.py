@@ -57,7 +57,7 @@ def _least_edge(world, rules, heading, action, from_cost, to_cost):
 
 
 @njit()
-def pose_distances(world, rules, costs, sources, backward, limit):
+def pose_distances(world, rules, costs, sources, initial, backward, limit):
     """One Dijkstra over poses from several of them at once.
 
     Args:
@@ -65,6 +65,7 @@ def pose_distances(world, rules, costs, sources, backward, limit):
         rules: restrictions of the search.
         costs: from ``pose_costs``.
         sources: int64 [n, 3], (ix, iy, heading).
+        initial: float64 [n], cost at which each source starts.
         backward: costs to the sources instead of from them.
         limit: poses farther than this stay inf.
 
@@ -77,7 +78,7 @@ def pose_distances(world, rules, costs, sources, backward, limit):
     for a in range(20):
         width = min(width, t.move_length[a] * 0.999)
     # Ring of buckets no wider than the smallest edge: everything in the current bucket is final.
-    ring = int(np.ceil(0.5 / width)) + 2
+    ring = int(np.ceil((0.5 + np.max(initial)) / width)) + 2
     heads = np.full(ring, -1, dtype=np.int64)
     capacity = max(1 << 14, 4 * len(sources))
     entry, link = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
@@ -85,9 +86,10 @@ def pose_distances(world, rules, costs, sources, backward, limit):
     waiting = len(sources)
     for s in range(len(sources)):
         h, x, y = sources[s, 2], sources[s, 0], sources[s, 1]
-        distance[h, x, y] = 0
-        entry[n], link[n] = (h * world.nx + x) * world.ny + y, heads[0]
-        heads[0] = n
+        distance[h, x, y] = initial[s]
+        slot = int(initial[s] / width) % ring
+        entry[n], link[n] = (h * world.nx + x) * world.ny + y, heads[slot]
+        heads[slot] = n
         n += 1
     done = np.zeros(distance.size, dtype=np.bool_)
     flat = distance.ravel()
@@ -98,6 +100,11 @@ def pose_distances(world, rules, costs, sources, backward, limit):
             e = heads[b]
             heads[b] = link[e]
             here = entry[e]
+            due = int(flat[here] / width)
+            if due > bucket and not done[here]:
+                slot = min(due, bucket + ring - 1) % ring
+                link[e], heads[slot] = heads[slot], e
+                continue
             link[e] = free
             free = e
             waiting -= 1

@@ -39,6 +39,7 @@ class Tables(NamedTuple):
     move_first: np.ndarray  # int64 [20]
     move_count: np.ndarray
     deviation: np.ndarray  # float64 [64, 20], factor on driving
+    straight: np.ndarray  # bool [64, 20], whether the move leads ahead or back
     base_sample: np.ndarray  # int64 [samples]
     shifts: np.ndarray  # int64 [64, 3]
     line: np.ndarray  # int64 [64, longest step + 1]
@@ -198,6 +199,7 @@ def _tables(robot: Robot, stride: int) -> Tables:
         move_first=MOVE_SAMPLES.first,
         move_count=MOVE_SAMPLES.count,
         deviation=factor,
+        straight=np.minimum(deviation, math.pi - deviation) <= robot.drive.straight_deviation + 1e-9,
         base_sample=flat(base_cells()),
         shifts=base_shifts(),
         line=flat(step_line(robot)),
@@ -219,6 +221,8 @@ def _possible_steps(foot, height, swing, edge, near_edge, line, max_height, max_
         if not near_edge[p] or foot[p] == np.inf:
             continue
         for h in range(n_headings):
+            if foot[p + line[h, 1]] < np.inf:
+                continue
             crossed = False
             highest = height[p]
             for n in range(1, reach):
