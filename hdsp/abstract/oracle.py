@@ -35,7 +35,7 @@ class LabelSettings:
     heading_window: int = 3
     turn_cost_factor: float = 1.58235
     cost_limit: float = 1.6
-    cost_ratio: float = 2.75
+    cost_ratio: float = 3.0
     cost_margin: float = 0.15
     max_expansions: int = 100_000
 
