@@ -18,7 +18,7 @@ HEADINGS = 64
 MOVES = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0) and not abs(x) == abs(y) == 2]
 INF = math.inf
 REMEMBERED = ["difference", "edge", "unevenness", "standable", "foot_cell", "under_body", "cost_at", "lifted_over",
-              "can_step", "deviation"]  # fmt: skip
+              "can_step", "deviation", "least_deviation"]  # fmt: skip
 
 
 def angle(heading):
@@ -29,6 +29,12 @@ def rotated(heading, x, y):
     """(x, y) turned from the robot's frame into the world's."""
     c, s = math.cos(angle(heading)), math.sin(angle(heading))
     return c * x - s * y, s * x + c * y
+
+
+def deviation_angle(heading, dx, dy):
+    """Angle between heading and direction of travel, [0, pi]."""
+    x, y = rotated(-heading, dx, dy)
+    return abs(math.atan2(y, x))
 
 
 def nearest(value, direction):
@@ -71,14 +77,14 @@ class Naive:
     Args:
         heights: float32 [nx, ny], m, NaN = unknown.
         robot: an `hdsp.Robot`.
-        center, window, turn_factor: the rules of labelling (`hdsp.detailed.actions.Rules`).
+        center, window, turn_factor, drive_only: the rules of labelling (`hdsp.detailed.actions.Rules`).
     """
 
-    def __init__(self, heights, robot, center=0, window=HEADINGS, turn_factor=1.0):
+    def __init__(self, heights, robot, center=0, window=HEADINGS, turn_factor=1.0, drive_only=False):
         self.heights = [[np.float32(h) for h in row] for row in heights]
         self.shape = len(self.heights), len(self.heights[0])
         self.robot = robot
-        self.center, self.window, self.turn_factor = center, window, turn_factor
+        self.center, self.window, self.turn_factor, self.drive_only = center, window, turn_factor, drive_only
         for name in REMEMBERED:
             setattr(self, name, cache(getattr(self, name)))
 
@@ -179,8 +185,9 @@ class Naive:
     def successors(self, state):
         """All (action, state, cost) from a valid state."""
         yield from self.drives(state)
-        yield from self.turns(state)
-        if any(state[3:]) or self.any_foot_can_step(state):
+        if not any(state[3:]):
+            yield from self.turns(state)
+        if not self.drive_only and (any(state[3:]) or self.any_foot_can_step(state)):
             yield from self.foot_moves(state)
             yield from self.base_shifts(state)
             yield from self.steps(state)
@@ -188,6 +195,8 @@ class Naive:
     def drives(self, state):
         ix, iy, heading, *feet = state
         for dx, dy in MOVES:
+            if any(feet) and not self.straight(heading, dx, dy):
+                continue
             samples = math.floor(math.hypot(dx, dy)) + 1
             costs = []
             for t in (i / samples for i in range(1, samples + 1)):
@@ -198,11 +207,15 @@ class Naive:
             if cost < INF:
                 yield ("drive", dx, dy), (ix + dx, iy + dy, *state[2:]), cost
 
+    def straight(self, heading, dx, dy):
+        """Whether a move leads ahead or back, which is all that a robot off its neutral feet can drive."""
+        deviation = deviation_angle(heading, dx, dy)
+        return min(deviation, math.pi - deviation) <= self.robot.drive.straight_deviation + 1e-9
+
     def deviation(self, heading, dx, dy):
         """Factor on driving toward (dx, dy)."""
         f = self.robot.drive.deviation_cost
-        x, y = rotated(-heading, dx, dy)
-        deviation = abs(math.atan2(y, x))
+        deviation = deviation_angle(heading, dx, dy)
         if deviation <= f.side_from:
             return f.ahead + (f.side - f.ahead) * deviation / f.side_from
         if deviation <= f.side_to:
@@ -222,7 +235,8 @@ class Naive:
         price = self.robot.foot_move.cost_per_metre * CELL
         for i, way in itertools.product(range(4), (1, -1)):
             reached = with_offset(state, i, state[3 + i] + way)
-            if self.valid(reached) and self.separated(reached):
+            toward_neutral = abs(reached[3 + i]) < abs(state[3 + i])
+            if toward_neutral and self.valid(reached) and self.separated(reached):
                 yield ("foot", i, way), reached, price * (self.state_cost(state) + self.state_cost(reached)) / 2
 
     def base_shifts(self, state):
@@ -261,9 +275,11 @@ class Naive:
         return math.floor(self.robot.step.max_length / CELL + 1e-9)
 
     def step_fits(self, foothold, landing, heading, way, length):
-        """Whether the foot of a cell gets over an edge to another, ``length`` steps on."""
+        """Whether a foot gets from its cell over an edge, before which it has to stop, to another ``length`` steps on."""
         if not (self.standable(foothold) and self.standable(landing)):
             return False
+        if self.standable(self.line(foothold, heading, way, 1)):
+            return False  # it can roll on
         passed = [self.line(foothold, heading, way, n) for n in range(1, length + 1)]
         if not any(self.inside(cell) and self.edge(cell) for cell in passed):
             return False
@@ -306,13 +322,17 @@ class Naive:
                     effort = limits.cost + limits.cost_per_metre * length * CELL + limits.cost_per_height * rise
                     cost = effort * (self.state_cost(state) + self.state_cost(reached)) / 2
                     yield ("step", i, way * length), reached, cost
+                    break  # the nearest foothold beyond; from there the foot can roll
 
     # --- what is built on it ----------------------------------------------------------------------------------------
+
+    def least_deviation(self):
+        return min(self.deviation(heading, dx, dy) for heading in range(HEADINGS) for dx, dy in MOVES)
 
     def geometric(self, state, goal):
         """Distance, difference of headings and of foot configurations, each at the least it can cost."""
         robot = self.robot
-        factor = min(self.deviation(heading, dx, dy) for heading in range(HEADINGS) for dx, dy in MOVES)
+        factor = self.least_deviation()
         longest = self.longest_step()
         distance = min(factor, robot.base_shift.cost_per_metre) * CELL
         step = (robot.step.cost + robot.step.cost_per_metre * CELL * longest) / longest if longest else INF
@@ -350,19 +370,17 @@ class Gone(NamedTuple):
     before: dict
 
 
-def dijkstra(twin, start, goals=(), limit=INF):
-    """Least costs from a state, until all goals are settled or everything within a cost limit is."""
+def dijkstra(twin, start, goals=(), most=INF):
+    """Least costs from a state, until all goals are settled, or so many states are."""
     best, before, settled, queue = {start: 0.0}, {}, {}, [(0.0, start)]
     missing = set(goals)
     while queue:
         cost, state = heapq.heappop(queue)
         if state in settled:
             continue
-        if cost > limit:
-            return Gone(settled, False, before)
         settled[state] = cost
         missing.discard(state)
-        if goals and not missing:
+        if (goals and not missing) or len(settled) >= most:
             return Gone(settled, False, before)
         for action, reached, price in twin.successors(state):
             if cost + price < best.get(reached, INF):

@@ -57,6 +57,19 @@ def _least_edge(world, rules, heading, action, from_cost, to_cost):
 
 
 @njit()
+def _least_of_all_edges(world, rules):
+    """A cost that no pose-changing action is below."""
+    t = world.tables
+    least = world.constants.turn * rules.turn_cost_factor
+    for heading in range(HEADINGS):
+        dx, dy = t.shifts[heading, 0], t.shifts[heading, 1]
+        least = min(least, world.constants.base_shift * np.sqrt(np.float64(dx * dx + dy * dy)))
+        for a in range(20):
+            least = min(least, t.move_length[a] * t.deviation[heading, a])
+    return least
+
+
+@njit()
 def pose_distances(world, rules, costs, sources, initial, backward, limit):
     """One Dijkstra over poses from several of them at once.
 
@@ -74,10 +87,9 @@ def pose_distances(world, rules, costs, sources, initial, backward, limit):
     """
     t = world.tables
     distance = np.full((HEADINGS, world.nx, world.ny), np.inf, dtype=np.float32)
-    width = world.constants.turn * 0.999
-    for a in range(20):
-        width = min(width, t.move_length[a] * 0.999)
-    # Ring of buckets no wider than the smallest edge: everything in the current bucket is final.
+    width = _least_of_all_edges(world, rules) * 0.999
+    # Ring of buckets no wider than the smallest edge: everything in the current bucket is final. What lies beyond the
+    # ring waits in its last bucket and is put back when that comes up.
     ring = int(np.ceil((0.5 + np.max(initial)) / width)) + 2
     heads = np.full(ring, -1, dtype=np.int64)
     capacity = max(1 << 14, 4 * len(sources))

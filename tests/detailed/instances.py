@@ -21,7 +21,7 @@ TOY = {
         "unevenness": {"x_min": -0.05, "x_max": 0.05, "half_width": 0.0},
     },
     "drive": {
-        "max_height_difference": 0.05, "unevenness_radius": 0.05, "unevenness_cost": 0.31,
+        "max_height_difference": 0.05, "unevenness_radius": 0.05, "unevenness_cost": 0.31, "straight_deviation": 0.3,
         "deviation_cost": {
             "ahead": 1.1, "side": 3.0, "behind": 2.3, "side_from": math.pi / 4, "side_to": 3 * math.pi / 4,
         },
@@ -54,18 +54,24 @@ def blocky(rng, cells: int = 12, blocks: int = 2, height: float = 0.12) -> np.nd
     return heights
 
 
-def kernel_successors(world, state, rules: Rules | None = None) -> dict:
-    """{(action, state): cost} as the kernel sees it, in the words of `tests.naive`."""
+def successor_arrays(world, state, rules: Rules | None = None):
+    """What the kernel writes for a state: packed states, costs and action codes."""
     keys, costs = np.empty(MAX_SUCCESSORS, np.int64), np.empty(MAX_SUCCESSORS)
     actions = np.empty(MAX_SUCCESSORS, np.uint8)
-    lowest = world.tables.lowest
-    n = successors(world, rules or Rules(), int(pack_states(state, lowest)[0]), keys, costs, actions)
-    states = unpack_states(keys[:n], lowest)
+    key = int(pack_states(state, world.tables.lowest)[0])
+    n = successors(world, rules or Rules(), key, keys, costs, actions)
+    return keys[:n], costs[:n], actions[:n]
+
+
+def kernel_successors(world, state, rules: Rules | None = None) -> dict:
+    """{(action, state): cost} as the kernel sees it, in the words of `tests.naive`."""
+    keys, costs, actions = successor_arrays(world, state, rules)
+    states = unpack_states(keys, world.tables.lowest)
     found = {
         (action_tuple(int(action)), tuple(reached.tolist())): float(cost)
-        for action, reached, cost in zip(actions, states, costs, strict=False)
+        for action, reached, cost in zip(actions, states, costs, strict=True)
     }
-    assert len(found) == n, "an action occurs twice"
+    assert len(found) == len(keys), "an action occurs twice"
     return found
 
 

@@ -1,0 +1,122 @@
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from hdsp.detailed.actions import Rules, state_cost
+from hdsp.detailed.states import action_name, pack_states, undo, unpack_states
+from hdsp.detailed.world import build_world
+from hdsp.heightmap import HeightMap
+from hdsp.robot import Robot
+from hdsp.terrain import CATEGORIES, random_map
+from tests.detailed.instances import (
+    action_tuple,
+    blocky,
+    kernel_successors,
+    near_edges,
+    successor_arrays,
+    toy,
+    valid_states,
+)
+from tests.naive import Naive
+
+
+def assert_same_successors(world, twin, state, rules=None):
+    """The kernel and the twin agree on a state; returns the kinds of action it allows."""
+    found = kernel_successors(world, state, rules)
+    expected = {(action, reached): cost for action, reached, cost in twin.successors(state)}
+    assert set(found) == set(expected), f"at {state}"
+    for which, cost in expected.items():
+        assert found[which] == pytest.approx(cost, rel=1e-6, abs=1e-9), f"{which} at {state}"
+    return Counter(action[0] for action, _ in expected)
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_successors_equal_the_twins_on_random_terrains(category):
+    rng = np.random.default_rng(CATEGORIES.index(category))
+    heights = random_map(11, category, 0).heights
+    robot = Robot.load("momaro")
+    world, twin = build_world(HeightMap(heights), robot), Naive(heights, robot)
+    neutral = valid_states(twin, rng, 25)
+    states = near_edges(twin, neutral)[:4] + neutral[:3] + valid_states(twin, rng, 3, neutral=False)
+    assert len(states) > 4
+    for state in states:
+        assert_same_successors(world, twin, state)
+
+
+def test_successors_of_all_kinds_equal_the_twins():
+    robot, kinds = toy(), Counter()
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        heights = blocky(rng)
+        heights[rng.random(heights.shape) < 0.01] = np.nan
+        world, twin = build_world(HeightMap(heights), robot), Naive(heights, robot)
+        states = near_edges(twin, valid_states(twin, rng, 80))[:10] + valid_states(twin, rng, 5, neutral=False)
+        for state in states:
+            kinds += assert_same_successors(world, twin, state)
+    assert min(kinds[kind] for kind in ("drive", "turn", "foot", "shift", "step")) >= 30, kinds
+
+
+def test_rules_of_labelling_limit_and_price_turns():
+    robot, rules = toy(), Rules(heading_center=62, heading_window=3, turn_cost_factor=1.5)
+    heights = blocky(np.random.default_rng(3))
+    world, twin = build_world(HeightMap(heights), robot), Naive(heights, robot, center=62, window=3, turn_factor=1.5)
+    states = [
+        (*state[:2], heading, *state[3:])
+        for state in valid_states(twin, np.random.default_rng(3), 10)
+        for heading in (59, 62, 0, 1)
+    ]
+    turns = Counter()
+    for state in filter(twin.valid, states):
+        assert_same_successors(world, twin, state, rules)
+        turns[state[2]] += sum(action[0] == "turn" for action, _ in kernel_successors(world, state, rules))
+    assert turns[1] > 0 and turns[59] > 0 and turns[62] > turns[1], turns
+
+
+def test_state_costs_and_validity_equal_the_twins():
+    robot, checked = toy(), Counter()
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        heights = blocky(rng)
+        world, twin = build_world(HeightMap(heights), robot), Naive(heights, robot)
+        for _ in range(150):
+            state = (*rng.integers(0, 12, 2).tolist(), int(rng.integers(64)), *rng.integers(-2, 2, 4).tolist())
+            cost = state_cost(world, int(pack_states(state, -2)[0]))
+            assert cost == pytest.approx(twin.state_cost(state), rel=1e-6)
+            checked[bool(np.isfinite(cost))] += 1
+    assert min(checked.values()) > 100
+
+
+@pytest.mark.parametrize("robot", [toy(), Robot.load("momaro")], ids=lambda robot: robot.name)
+def test_undo_inverts_every_action(robot):
+    kinds, size = Counter(), 12 if robot.name == "toy" else 72
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        heights = blocky(rng) if robot.name == "toy" else random_map(2, "staircase", seed).heights
+        world, twin = build_world(HeightMap(heights), robot), Naive(heights, robot)
+        states = near_edges(twin, valid_states(twin, rng, size))[:4] + valid_states(twin, rng, 4, neutral=False)
+        t = world.tables
+        for state in states:
+            key = int(pack_states(state, t.lowest)[0])
+            keys, _, actions = successor_arrays(world, state)
+            for reached, action in zip(keys, actions, strict=True):
+                back = undo(np.int64(reached), action, t.move_dx, t.move_dy, t.shifts)
+                assert back == key, f"{action_name(int(action))} from {state}"
+                kinds[action_tuple(int(action))[0]] += 1
+    assert len(kinds) == 5, kinds
+
+
+def test_states_survive_packing():
+    rng = np.random.default_rng(0)
+    bases, headings, feet = rng.integers(0, 65536, (500, 2)), rng.integers(0, 64, 500), rng.integers(-12, 13, (500, 4))
+    states = np.column_stack([bases, headings, feet])
+    assert (unpack_states(pack_states(states, -12), -12) == states).all()
+    assert len(np.unique(pack_states(states, -12))) == len(np.unique(states, axis=0))
+
+
+def test_action_names_say_what_moves_and_how_far():
+    assert [action_name(code) for code in (0, 20, 21, 22, 23, 30, 31)] == [
+        "drive", "turn_left", "turn_right", "foot_move front_left +0.025", "foot_move front_left -0.025",
+        "base_shift forward", "base_shift backward",
+    ]  # fmt: skip
+    assert action_name(32 + 32 * 2 + 16 - 7) == "step rear_right -0.175"
