@@ -1,0 +1,82 @@
+import math
+
+import numpy as np
+import pytest
+
+from hdsp.detailed.geometry import MOVE_SAMPLES, base_cells, base_shifts, foot_cells, rectangle_cells, step_line
+from hdsp.lattice import DRIVE_MOVES, HEADINGS, RESOLUTION, heading_angle, rotation
+from hdsp.robot import Rectangle, Robot
+from tests.detailed.instances import toy
+from tests.naive import rectangle_offsets
+
+
+@pytest.fixture(scope="module", params=["momaro", "toy"])
+def robot(request):
+    return toy() if request.param == "toy" else Robot.load("momaro")
+
+
+def test_neutral_feet_of_momaro_are_13_and_10_cells_from_the_base():
+    cells = foot_cells(Robot.load("momaro"))[0, :, 12, 0]
+    assert cells.tolist() == [[13, 10], [-13, 10], [-13, -10], [13, -10]]
+
+
+def test_turned_feet_are_in_the_cell_nearest_to_their_circle(robot):
+    table, low = foot_cells(robot), robot.offset_range()[0]
+    for heading in range(HEADINGS):
+        exact = robot.neutral_feet() / RESOLUTION @ rotation(float(heading_angle(heading))).T
+        assert abs(table[heading, :, -low, 0] - exact).max() <= 0.5 + 1e-9
+
+
+def test_quarter_turned_feet_are_in_quarter_turned_cells(robot):
+    # The samples of the moves turn too: row s of the table belongs to a displacement, which has its turned twin.
+    table, quarter = foot_cells(robot), rotation(math.pi / 2)
+    at = MOVE_SAMPLES.displacement
+    turned = [int(np.abs(at - shift).sum(axis=1).argmin()) for shift in at @ quarter.T]
+    for heading in range(HEADINGS):
+        later = (heading + HEADINGS // 4) % HEADINGS
+        assert (table[later][:, :, turned] == table[heading] @ quarter.T).all()
+        assert (base_cells()[turned] == base_cells() @ quarter.T).all()
+
+
+def test_mirrored_feet_are_in_mirrored_cells(robot):
+    table, at = foot_cells(robot), MOVE_SAMPLES.displacement
+    mirrored = [int(np.abs(at - shift).sum(axis=1).argmin()) for shift in at * (1, -1)]
+    for heading in range(HEADINGS):
+        other = table[-heading % HEADINGS][[3, 2, 1, 0]][:, :, mirrored]
+        assert (other == table[heading] * (1, -1)).all()
+
+
+def test_positions_between_two_cells_go_forward_and_toward_the_body():
+    half = toy(feet={"neutral_x": 0.0625, "neutral_y": 0.0375})  # 2.5 and 1.5 cells
+    assert foot_cells(half)[0, :, 2, 0].tolist() == [[3, 1], [-2, 1], [-2, -1], [3, -1]]
+
+
+def test_moves_are_sampled_at_least_once_a_cell():
+    for (dx, dy), first, count in zip(DRIVE_MOVES, MOVE_SAMPLES.first, MOVE_SAMPLES.count, strict=True):
+        rows = MOVE_SAMPLES.displacement[first : first + count]
+        n = math.floor(math.hypot(dx, dy)) + 1
+        assert len(rows) == n - 1
+        np.testing.assert_allclose(rows, [(dx * i / n, dy * i / n) for i in range(1, n)])
+
+
+def test_rectangles_cover_the_cells_whose_centres_lie_in_them():
+    rectangle = Rectangle(-0.15, 0.2, 0.11)
+    for heading in range(HEADINGS):
+        assert sorted(map(tuple, rectangle_cells(rectangle, heading).tolist())) == rectangle_offsets(rectangle, heading)
+
+
+def test_base_shifts_lead_ahead_and_turn_with_the_robot():
+    table = base_shifts()
+    assert table[0].tolist() == [1, 0, 1]
+    for heading, (dx, dy, n) in enumerate(table.tolist()):
+        ahead = rotation(float(heading_angle(heading)))[:, 0] * n
+        assert np.hypot(*(ahead - (dx, dy))) <= math.sqrt(0.5)
+        assert table[(heading + 16) % HEADINGS].tolist() == [-dy, dx, n]
+        assert table[-heading % HEADINGS].tolist() == [dx, -dy, n]
+
+
+def test_step_lines_lead_straight_ahead(robot):
+    lines = step_line(robot)
+    for heading in range(HEADINGS):
+        ahead = rotation(float(heading_angle(heading)))[:, 0]
+        assert abs(lines[heading] - np.arange(lines.shape[1])[:, None] * ahead).max() <= 0.5 + 1e-9
