@@ -11,7 +11,8 @@ import numpy as np
 
 from hdsp.abstract.transform import feet_at
 from hdsp.detailed.actions import Rules
-from hdsp.detailed.estimate import pose_estimate
+from hdsp.detailed.estimate import least_foot_cost, pose_estimate, with_footing
+from hdsp.detailed.footing import efforts_to, find_footing
 from hdsp.detailed.relaxed import pose_costs, pose_distances
 from hdsp.detailed.solve import Limits, Status, solve
 from hdsp.detailed.world import World
@@ -27,15 +28,16 @@ class LabelSettings:
         heading_window: in a translation task, the most heading steps (5.625 degrees) away from its heading.
         turn_cost_factor: in a translation task, what turning costs relative to its normal cost.
         cost_limit: tasks that cost more count as infeasible; the published labels end at 1.48.
-        cost_ratio, cost_margin: so do tasks that cost more than this ratio of, plus this margin over, what they would
-            cost if feet could be anywhere (the relaxed problem; on flat ground the cost itself).
+        cost_ratio, cost_margin: tasks that driving alone cannot do also count as infeasible if they cost more than
+            this ratio of, plus this margin over, what they would cost if feet could be anywhere (the relaxed problem; on
+            flat ground the cost itself). Of the published ones none does.
         max_expansions: a search that takes more ends undecided; its tasks count as infeasible and say so.
     """
 
     heading_window: int = 3
     turn_cost_factor: float = 1.58235
     cost_limit: float = 1.6
-    cost_ratio: float = 3.0
+    cost_ratio: float = 2.0
     cost_margin: float = 0.15
     max_expansions: int = 100_000
 
@@ -85,7 +87,7 @@ def _search(world: World, start: np.ndarray, goals: np.ndarray, rules: Rules, se
     """Costs and statuses of goals under the same rules, each up to its own cost limit.
 
     First by driving alone, a problem of three dimensions; then with all actions, where only what is cheaper than that is
-    still looked for, in one search for all goals that share a foot configuration.
+    still looked for, again in one search for all goals.
     """
     cost, status = np.full(len(goals), np.inf), np.full(len(goals), Status.COST_LIMIT)
     costs = pose_costs(world, rules)
@@ -93,26 +95,28 @@ def _search(world: World, start: np.ndarray, goals: np.ndarray, rules: Rules, se
     reach = pose_distances(world, rules, costs, start[None, :3], np.zeros(1), False, settings.cost_limit)
     least = reach[goals[:, 2], goals[:, 0], goals[:, 1]].astype(float)
     possible = np.isfinite(least)
-    limit = np.minimum(settings.cost_limit, settings.cost_ratio * least + settings.cost_margin)
+    limit = np.full(len(goals), settings.cost_limit)
 
     def search(chosen: np.ndarray, rules: Rules):
         # Goals that may cost less start later: f then has one limit for all.
         highest = limit[chosen].max()
         to_go = pose_distances(world, rules, costs, goals[chosen, :3], highest - limit[chosen], True, highest)
         limits = Limits(cost=highest, expansions=settings.max_expansions)
-        view = pose_estimate(world, to_go, goals[chosen[0], 3:])
+        view = pose_estimate(world, to_go, goals[chosen, 3:])
+        if not rules.drive_only:
+            view = with_footing(view, footing, efforts_to(footing, world, goals[chosen]))
         return solve(world, start, goals[chosen], view, rules=rules, limits=limits, paths=False)
 
+    footing = find_footing(world, rules, least_foot_cost(world))
     driven = np.flatnonzero(possible & ~goals[:, 3:].any(axis=1))
     if len(driven) and not start[3:].any():
         result = search(driven, rules._replace(drive_only=True))
         solved = driven[np.isfinite(result.cost)]
         cost[driven], status[solved] = result.cost, Status.SOLVED
-        limit = np.minimum(limit, cost * (1 - 1e-6))
-    for feet in np.unique(goals[:, 3:], axis=0):
-        chosen = np.flatnonzero(possible & (goals[:, 3:] == feet).all(axis=1))
-        if len(chosen) == 0:
-            continue
+    bounded = np.minimum(settings.cost_ratio * least + settings.cost_margin, settings.cost_limit)
+    limit = np.where(np.isfinite(cost), cost * (1 - 1e-6), bounded)
+    chosen = np.flatnonzero(possible)
+    if len(chosen):
         result = search(chosen, rules)
         better = result.cost < cost[chosen]
         cost[chosen[better]] = result.cost[better]

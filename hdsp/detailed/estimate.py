@@ -1,6 +1,6 @@
 """The heuristic as the kernels see it: a flat array plus a lookup rule, never a call back into Python.
 
-``h = max(geometric, table) + feet``, where any part can be switched off.
+``h = max(geometric, table) + feet + steps``, where any part can be switched off.
 """
 
 from typing import NamedTuple
@@ -20,11 +20,14 @@ class Estimate(NamedTuple):
         turn: cost per heading step to the goal's heading.
         goal_x, goal_y, goal_heading: base of the goal, lattice units.
         foot: cost per cell by which feet differ from the goal's configuration, up to a common shift.
-        goal_feet: int64 [4], foot offsets of the goal counted from the lowest.
+        goal_feet: int64 [n, 4], foot offsets of one or several goals counted from the lowest; the nearest counts.
         table: float32 [headings, nx, ny] flattened, costs to go; empty = none.
         table_nx, table_ny: its extent.
         cells: detailed cells per table cell.
         heading_steps: detailed headings per table heading.
+        region: int32 flat as in ``World``, the region of each foothold (see ``footing``).
+        effort: float32 [4 * regions], per foot the least effort of steps from a region to the goal; empty = none.
+        feet, n_offsets, n_samples, pad, stride: where the feet are, as in ``World`` and its tables.
         outside: added to the geometric part where the table is inf or ends; inf to cut such states off.
     """
 
@@ -41,19 +44,30 @@ class Estimate(NamedTuple):
     cells: int
     heading_steps: int
     outside: float
+    region: np.ndarray
+    effort: np.ndarray
+    feet: np.ndarray
+    n_offsets: int
+    n_samples: int
+    pad: int
+    stride: int
 
 
 NO_TABLE = np.empty(0, dtype=np.float32)
+NO_REGION = np.empty(0, dtype=np.int32)
 
 
 @njit(inline="always")
-def _feet(e, o0, o1, o2, o3):
-    """Least total length by which feet must move one by one to match the goal, whatever the base does, in cells."""
-    d0, d1 = o0 - e.goal_feet[0], o1 - e.goal_feet[1]
-    d2, d3 = o2 - e.goal_feet[2], o3 - e.goal_feet[3]
-    # Sum of distances to the median: two largest minus two smallest.
-    lo1, hi1, lo2, hi2 = min(d0, d1), max(d0, d1), min(d2, d3), max(d2, d3)
-    return abs(max(hi1, hi2) - min(lo1, lo2)) + abs(min(hi1, hi2) - max(lo1, lo2))
+def _feet(goal_feet, o0, o1, o2, o3):
+    """Least total length by which feet must move one by one to match a goal, whatever the base does, in cells."""
+    least = 1 << 30
+    for i in range(len(goal_feet)):
+        d0, d1 = o0 - goal_feet[i, 0], o1 - goal_feet[i, 1]
+        d2, d3 = o2 - goal_feet[i, 2], o3 - goal_feet[i, 3]
+        # Sum of distances to the median: two largest minus two smallest.
+        lo1, hi1, lo2, hi2 = min(d0, d1), max(d0, d1), min(d2, d3), max(d2, d3)
+        least = min(least, abs(max(hi1, hi2) - min(lo1, lo2)) + abs(min(hi1, hi2) - max(lo1, lo2)))
+    return least
 
 
 @njit(inline="always")
@@ -74,8 +88,26 @@ def estimate(e, key):
         else:
             h = max(h, looked_up)
     if e.foot > 0:
-        h += e.foot * _feet(e, o0, o1, o2, o3)
+        h += e.foot * _feet(e.goal_feet, o0, o1, o2, o3)
+    if len(e.effort) > 0:
+        h += _steps(e, ix, iy, heading, o0, o1, o2, o3)
     return h
+
+
+@njit(inline="always")
+def _steps(e, ix, iy, heading, o0, o1, o2, o3):
+    """Least effort of the steps that the feet still have to make, each for itself."""
+    p = (ix + e.pad) * e.stride + iy + e.pad
+    n = len(e.effort) // 4
+    row = heading * 4 * e.n_offsets
+    r0 = e.region[p + e.feet[(row + o0) * e.n_samples]]
+    r1 = e.region[p + e.feet[(row + e.n_offsets + o1) * e.n_samples]]
+    r2 = e.region[p + e.feet[(row + 2 * e.n_offsets + o2) * e.n_samples]]
+    r3 = e.region[p + e.feet[(row + 3 * e.n_offsets + o3) * e.n_samples]]
+    if min(min(r0, r1), min(r2, r3)) < 0:
+        return np.inf
+    steps = np.float64(e.effort[r0]) + e.effort[n + r1]
+    return steps + (np.float64(e.effort[2 * n + r2]) + e.effort[3 * n + r3])
 
 
 def geometric_estimate(world, goal) -> Estimate:
@@ -93,27 +125,50 @@ def geometric_estimate(world, goal) -> Estimate:
         goal_x=int(goal[0]),
         goal_y=int(goal[1]),
         goal_heading=int(goal[2]),
-        foot=_least_foot_cost(world),
-        goal_feet=np.asarray(goal[3:], dtype=np.int64) - world.tables.lowest,
+        foot=least_foot_cost(world),
+        goal_feet=np.asarray(goal[None, 3:], dtype=np.int64) - world.tables.lowest,
         table=NO_TABLE,
         table_nx=0,
         table_ny=0,
         cells=1,
         heading_steps=1,
         outside=0.0,
+        region=NO_REGION,
+        effort=NO_TABLE,
+        feet=world.tables.feet,
+        n_offsets=world.tables.n_offsets,
+        n_samples=world.tables.n_samples,
+        pad=world.pad,
+        stride=world.stride,
     )
 
 
-def pose_estimate(world, to_go: np.ndarray, feet) -> Estimate:
-    """Costs-to-go of the relaxed problem, float32 [64, nx, ny], plus the feet that still have to reach ``feet`` [4]."""
-    goal = np.array([0, 0, 0, *feet], dtype=np.int64)
+def pose_estimate(world, to_go: np.ndarray, feet: np.ndarray) -> Estimate:
+    """Costs-to-go of the relaxed problem, plus the feet that still have to reach a goal's configuration.
+
+    Args:
+        world: terrain and robot.
+        to_go: float32 [64, nx, ny].
+        feet: int64 [n, 4], configurations of the goals.
+    """
     table = np.ascontiguousarray(to_go, dtype=np.float32).ravel()
-    return geometric_estimate(world, goal)._replace(
-        distance=0.0, turn=0.0, table=table, table_nx=to_go.shape[1], table_ny=to_go.shape[2], outside=np.inf
+    return geometric_estimate(world, np.zeros(7, dtype=np.int64))._replace(
+        distance=0.0,
+        turn=0.0,
+        goal_feet=np.unique(np.asarray(feet, dtype=np.int64), axis=0) - world.tables.lowest,
+        table=table,
+        table_nx=to_go.shape[1],
+        table_ny=to_go.shape[2],
+        outside=np.inf,
     )
 
 
-def _least_foot_cost(world) -> float:
+def with_footing(e: Estimate, footing, efforts: np.ndarray) -> Estimate:
+    """The estimate plus the steps that each foot must make at least: ``efforts`` float32 [4, regions]."""
+    return e._replace(region=footing.region, effort=np.ascontiguousarray(efforts, dtype=np.float32).ravel())
+
+
+def least_foot_cost(world) -> float:
     """Least cost per cell by which one foot moves relative to the others."""
     c, longest = world.constants, world.tables.line.shape[1] - 1
     return min(c.foot_move, c.step_per_metre * RESOLUTION + c.step / max(longest, 1))
