@@ -102,8 +102,10 @@ def test_the_configured_terrain_is_that_of_the_authors_generator():
     assert settings(TerrainSettings, compose().terrain, "terrain") == TerrainSettings()
 
 
-def test_the_configured_label_rules_are_the_defaults_of_the_library():
-    assert settings(LabelSettings, compose().labelling.settings, "labelling.settings") == LabelSettings()
+def test_the_configured_label_rule_is_that_of_the_published_labels():
+    configured = settings(LabelSettings, compose().labelling.settings, "labelling.settings")
+    fitted = ("heading_window", "turn_cost_factor")
+    assert [getattr(configured, name) for name in fitted] == [getattr(LabelSettings(), name) for name in fitted]
 
 
 def test_the_configured_arena_is_the_default_of_the_library():
