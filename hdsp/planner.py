@@ -179,8 +179,16 @@ class Planner:
         kernel_view = self.heuristic.set_goal(ends["goal"])
         prepared = _now() - began
         limits = Limits(cost=cost, expansions=expansions, memory=memory, time=time)
-        goals = ends["goal"][None]
-        result = solve(self.world, ends["start"], goals, kernel_view, weight=weight, limits=limits, progress=progress)
+        result = solve(
+            self.world,
+            ends["start"],
+            ends["goal"][None],
+            kernel_view,
+            weight=weight,
+            admissible=self.heuristic.admissible,
+            limits=limits,
+            progress=progress,
+        )
         stats = {
             "heuristic": self.heuristic.name,
             "weight": float(weight),

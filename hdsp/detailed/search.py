@@ -19,7 +19,7 @@ from hdsp.jit import njit
 RUNNING, SOLVED, EXHAUSTED, OVER_COST_LIMIT, FULL = range(5)
 
 #: Slots of ``Store.count``.
-NODES, HEAP, EXPANDED, GOALS_LEFT = range(4)
+NODES, HEAP, EXPANDED, GOALS_LEFT, CUT = range(5)
 
 
 class Store(NamedTuple):
@@ -31,7 +31,7 @@ class Store(NamedTuple):
     slot: np.ndarray  # int32 [power of two], hash table: index of a state, -1 = free
     heap_f: np.ndarray  # float32 [capacity of heap], a 4-ary heap
     heap_node: np.ndarray  # int32 [capacity of heap]
-    count: np.ndarray  # int64 [4]
+    count: np.ndarray  # int64 [5]; CUT tells whether the cost limit kept a state out
     out_key: np.ndarray  # buffers for the successors of one state
     out_cost: np.ndarray
     out_action: np.ndarray
@@ -49,7 +49,7 @@ def new_store(capacity: int = 1 << 12) -> Store:
         slot=np.full(2 * capacity, -1, np.int32),
         heap_f=np.empty(2 * capacity, np.float32),
         heap_node=np.empty(2 * capacity, np.int32),
-        count=np.zeros(4, np.int64),
+        count=np.zeros(5, np.int64),
         out_key=np.empty(MAX_SUCCESSORS, np.int64),
         out_cost=np.empty(MAX_SUCCESSORS, np.float64),
         out_action=np.empty(MAX_SUCCESSORS, np.uint8),
@@ -148,7 +148,7 @@ def insert_start(store, heuristic, weight, key):
 
 
 @njit()
-def run(world, rules, heuristic, store, weight, goals, goal_cost, cost_limit, expansions):
+def run(world, rules, heuristic, store, weight, goals, goal_cost, cost_limit, f_limit, expansions):
     """Search on until something happens.
 
     Args:
@@ -159,7 +159,8 @@ def run(world, rules, heuristic, store, weight, goals, goal_cost, cost_limit, ex
         weight: W >= 1.
         goals: int64 [n], packed goal states.
         goal_cost: float32 [n], inf where a goal is not settled; changed in place.
-        cost_limit: stop when no goal within this cost is left to find.
+        cost_limit: leave out states that cost more to reach.
+        f_limit: stop when all that is left has a larger ``g + W h``.
         expansions: return after so many, so that the caller can look at the clock.
 
     Returns:
@@ -172,7 +173,6 @@ def run(world, rules, heuristic, store, weight, goals, goal_cost, cost_limit, ex
     mask = len(slots) - 1
     n_nodes, n_heap, expanded = count[NODES], count[HEAP], count[EXPANDED]
     until = expanded + expansions
-    outcome = EXHAUSTED
     while n_heap > 0:
         if n_nodes + MAX_SUCCESSORS > len(keys) or n_heap + MAX_SUCCESSORS > len(heap_f):
             outcome = FULL
@@ -181,7 +181,7 @@ def run(world, rules, heuristic, store, weight, goals, goal_cost, cost_limit, ex
             outcome = RUNNING
             break
         f, node = heap_f[0], heap_node[0]
-        if f > weight * cost_limit:
+        if f > f_limit:
             outcome = OVER_COST_LIMIT
             break
         _remove_top(heap_f, heap_node, n_heap)
@@ -202,6 +202,9 @@ def run(world, rules, heuristic, store, weight, goals, goal_cost, cost_limit, ex
         for k in range(n):
             new = out_key[k]
             cost = np.float32(g + out_cost[k])
+            if cost > cost_limit:
+                count[CUT] = 1
+                continue
             s = _hash(new, mask)
             at = np.int64(slots[s])
             while at >= 0 and keys[at] != new:
@@ -220,6 +223,8 @@ def run(world, rules, heuristic, store, weight, goals, goal_cost, cost_limit, ex
             if h < np.inf:
                 _push(heap_f, heap_node, n_heap, np.float32(np.float64(cost) + weight * h), at)
                 n_heap += 1
+    else:
+        outcome = OVER_COST_LIMIT if count[CUT] else EXHAUSTED
     count[NODES], count[HEAP], count[EXPANDED] = n_nodes, n_heap, expanded
     return outcome
 

@@ -83,6 +83,7 @@ def solve(
     heuristic: Estimate,
     *,
     weight: float = 1.0,
+    admissible: bool = True,
     rules: Rules | None = None,
     limits: Limits | None = None,
     paths: bool = True,
@@ -96,6 +97,8 @@ def solve(
         goals: int64 [n, 7].
         heuristic: must not exceed the cost to the nearest goal by more than the plan may be worse than optimal.
         weight: W >= 1; with an admissible heuristic, costs are at most W times optimal.
+        admissible: whether the heuristic never exceeds the cost to the nearest goal; if so, it helps to prove that a cost
+            limit cannot be kept.
         rules: restrictions, e.g. of labelling.
         limits: when to give up.
         paths: whether to return states and actions.
@@ -122,8 +125,10 @@ def solve(
     store = search.new_store()
     store.count[search.GOALS_LEFT] = len(wanted)
     search.insert_start(store, heuristic, weight, start_key)
-    ended = _loop(world, rules, heuristic, store, weight, wanted, settled, limits, began, progress) if len(wanted) else (None, store)
-    reason, store = ended
+    reason = None
+    if len(wanted):
+        task = world, rules, heuristic, store, weight, wanted, settled, limits.cost
+        reason, store = _loop(task, weight * limits.cost if admissible else np.inf, limits, began, progress)
 
     costs = np.full(len(keys), np.inf)
     costs[valid] = settled
@@ -145,12 +150,13 @@ def solve(
     return result
 
 
-def _loop(world, rules, heuristic, store, weight, wanted, settled, limits, began, progress):
+def _loop(task, f_limit, limits, began, progress):
+    world, rules, heuristic, store, *rest = task
     while True:
         left = limits.expansions - int(store.count[search.EXPANDED])
         if left <= 0:
             return Status.EXPANSION_LIMIT, store
-        code = search.run(world, rules, heuristic, store, weight, wanted, settled, limits.cost, min(left, _SLICE))
+        code = search.run(world, rules, heuristic, store, *rest, f_limit, min(left, _SLICE))
         if code == search.SOLVED:
             return Status.SOLVED, store
         if code == search.EXHAUSTED:
