@@ -4,7 +4,7 @@ import numpy as np
 
 from hdsp.detailed.actions import foot_row
 from hdsp.detailed.world import World, base_term, cell_index
-from hdsp.lattice import Grid
+from hdsp.lattice import RESOLUTION, Grid
 from hdsp.robot import FEET, Robot
 
 
@@ -35,6 +35,11 @@ def problems(world: World, grid: Grid, robot: Robot, state: np.ndarray) -> list[
         else:
             why = f"an edge higher than {robot.drive.max_height_difference:g} m is within {robot.feet.clearance:g} m"
         found.append(f"the {name} foot cannot stand at ({x:.2f}, {y:.2f}) m: {why}")
+    for side, front, rear in (("left", 0, 1), ("right", 3, 2)):
+        apart = 2 * robot.feet.neutral_x + (state[3 + front] - state[3 + rear]) * RESOLUTION
+        if apart < robot.feet.min_separation - 1e-9:
+            least = robot.feet.min_separation
+            found.append(f"the {side} feet are too close to each other: {apart:.3f} m, and {least:g} m are needed")
     if np.isinf(base_term(world, int(state[2]), base)):
         if world.height[base] == -np.inf:
             found.append("the ground under the base is unknown")

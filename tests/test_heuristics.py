@@ -1,0 +1,117 @@
+import numpy as np
+import pytest
+
+from hdsp.abstract import FlatCosts, ManualCosts
+from hdsp.detailed.estimate import estimate
+from hdsp.detailed.states import pack_states
+from hdsp.detailed.world import build_world
+from hdsp.errors import InputError
+from hdsp.heightmap import HeightMap
+from hdsp.heuristics import AbstractHeuristic, GeometricHeuristic, standing_states
+from hdsp.lattice import ABSTRACT_ACTIONS, CELLS_PER_ABSTRACT, abstract_anchor, detailed_to_abstract
+from hdsp.robot import Robot
+from hdsp.terrain import random_map
+from tests.detailed.instances import valid_states
+from tests.naive import Naive
+
+MOMARO = Robot.load("momaro")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    terrain = random_map(4, "cuboid_2", 3)
+    states = valid_states(Naive(terrain.heights, MOMARO), np.random.default_rng(0), 25)
+    return terrain, build_world(terrain, MOMARO), np.array(states)
+
+
+def heuristics(terrain, world):
+    yield GeometricHeuristic(world)
+    yield AbstractHeuristic(world, terrain, FlatCosts(MOMARO), "flat")
+    yield AbstractHeuristic(world, terrain, ManualCosts(MOMARO), "manual")
+
+
+def test_calling_a_heuristic_gives_what_the_kernel_sees(scene):
+    terrain, world, states = scene
+    for heuristic in heuristics(terrain, world):
+        parameters = heuristic.set_goal(states[0])
+        values = heuristic(states)
+        assert values.shape == (len(states),)
+        expected = [estimate(parameters, key) for key in pack_states(states, world.tables.lowest)]
+        assert values.tolist() == expected
+        assert np.isfinite(values).all() and (values >= 0).all()
+
+
+def test_a_heuristic_without_a_goal_says_so(scene):
+    terrain, world, states = scene
+    for heuristic in heuristics(terrain, world):
+        with pytest.raises(InputError, match=f"{heuristic.name}.*set_goal"):
+            heuristic(states)
+
+
+def test_only_the_geometric_heuristic_claims_to_be_admissible(scene):
+    assert [heuristic.admissible for heuristic in heuristics(*scene[:2])] == [True, False, False]
+
+
+def test_the_geometric_heuristic_equals_its_twin(scene):
+    terrain, world, states = scene
+    twin, heuristic = Naive(terrain.heights, MOMARO), GeometricHeuristic(world)
+    heuristic.set_goal(states[-1])
+    expected = [twin.geometric(tuple(state), tuple(states[-1])) for state in states.tolist()]
+    np.testing.assert_allclose(heuristic(states), expected, rtol=1e-9)
+
+
+def test_an_abstract_heuristic_looks_up_the_cost_to_go(scene):
+    terrain, world, states = scene
+    heuristic, geometric = AbstractHeuristic(world, terrain, FlatCosts(MOMARO)), GeometricHeuristic(world)
+    heuristic.set_goal(states[0])
+    geometric.set_goal(states[0])
+    goal = detailed_to_abstract(states[0])
+    to_go = heuristic.graph.cost_to_go(tuple(goal.tolist()))
+    inside = [state for state in states if (detailed_to_abstract(state)[:2] < np.array(terrain.shape) // 4).all()]
+    looked_up = np.array([to_go[k, a, b] for a, b, k in map(detailed_to_abstract, inside)])
+    reached = np.isfinite(looked_up)
+    assert reached.sum() > 3
+    expected = np.maximum(looked_up, geometric(np.array(inside)))[reached]
+    np.testing.assert_allclose(heuristic(np.array(inside))[reached], expected, rtol=1e-6)
+
+
+def test_states_that_the_abstraction_cuts_off_come_after_all_others(scene):
+    terrain, world, states = scene
+
+    class OnlyTurns(FlatCosts):
+        def edges(self, height_map, region=None, mask=None):
+            edges = super().edges(height_map, region, mask).copy()
+            edges[..., ABSTRACT_ACTIONS[:, 2] == 0] = np.inf
+            return edges
+
+    heuristic = AbstractHeuristic(world, terrain, OnlyTurns(MOMARO), "turns")
+    heuristic.set_goal(states[0])
+    values = heuristic(states)
+    there = (detailed_to_abstract(states)[:, :2] == detailed_to_abstract(states[0])[:2]).all(axis=1)
+    assert np.isfinite(values).all()
+    assert values[~there].min() > values[there].max()
+
+
+def test_a_changed_terrain_asks_for_the_goal_again(scene):
+    terrain, world, states = scene
+    heuristic = AbstractHeuristic(world, terrain, FlatCosts(MOMARO))
+    heuristic.set_goal(states[0])
+    flat = HeightMap.flat(terrain.shape)
+    heuristic.update(build_world(flat, MOMARO), flat)
+    with pytest.raises(InputError, match="set_goal"):
+        heuristic(states)
+    assert np.isfinite(heuristic.set_goal(states[0]).outside)
+
+
+def test_standing_states_are_those_with_some_valid_feet():
+    side = 24
+    heights = random_map(4, "staircase", 0, cells=side).heights
+    few_feet = MOMARO.to_dict()["feet"] | {"offset_min": 0.0, "offset_max": 0.025}
+    small = Robot.load(MOMARO.to_dict() | {"feet": few_feet})
+    world, twin = build_world(HeightMap(heights), small), Naive(heights, small)
+    standing = standing_states(world)
+    n = side // CELLS_PER_ABSTRACT
+    assert standing.shape == (16, n, n)
+    for k, a, b in np.argwhere(standing)[::7].tolist() + np.argwhere(~standing)[::97].tolist():
+        value, _ = twin.best_feet(*abstract_anchor(np.array([a, b, k])).tolist())
+        assert standing[k, a, b] == np.isfinite(value)

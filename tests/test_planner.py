@@ -1,0 +1,165 @@
+import math
+
+import numpy as np
+import pytest
+
+import hdsp
+from hdsp import HeightMap, InputError, Planner, Status
+from hdsp.abstract import FlatCosts
+from hdsp.heuristics import GeometricHeuristic
+from hdsp.lattice import RESOLUTION
+from tests.detailed.instances import toy
+
+START, GOAL = (0.9, 0.9, 0.0), (1.6, 1.1, 0.3)
+FAR = (0.6, 0.6, 0.0), (1.7, 1.8, 2.5)
+
+
+def with_wall(wall=slice(30, 34)):
+    """A flat map of 2.5 m, with a wall across."""
+    heights = np.zeros((100, 100), np.float32)
+    heights[wall] = 1.0
+    return HeightMap(heights)
+
+
+class CutsEverythingOff(FlatCosts):
+    """Abstract costs that call every action infeasible."""
+
+    def edges(self, height_map, region=None, mask=None):
+        return np.full_like(super().edges(height_map, region, mask), np.inf)
+
+
+@pytest.fixture(scope="module")
+def flat():
+    return Planner(HeightMap.flat((100, 100)))
+
+
+def test_a_plan_leads_from_start_to_goal_and_its_costs_add_up(flat):
+    plan = flat.plan(START, GOAL)
+    assert plan.solved and plan.status == Status.SOLVED
+    assert plan.states.shape == (len(plan.actions) + 1, 7)
+    for state, wanted in ((plan.states[0], START), (plan.states[-1], GOAL)):
+        assert abs(state[:2] - wanted[:2]).max() <= RESOLUTION / 2 + 1e-6
+        assert abs(state[2] - wanted[2]) <= math.pi / 64 + 1e-9
+    assert plan.action_costs.sum() == pytest.approx(plan.cost)
+    assert len(plan.action_costs) == len(plan.actions) and (plan.action_costs > 0).all()
+    assert plan.stats["expansions"] > 0 and plan.stats["heuristic"] == "geometric"
+    assert "solved" in plan.explain() and str(len(plan.actions)) in plan.explain()
+
+
+def test_all_heuristics_solve_what_can_be_solved(flat):
+    terrain, least = flat.terrain, flat.plan(START, GOAL).cost
+    for heuristic in ("manual", FlatCosts("momaro"), CutsEverythingOff("momaro"), GeometricHeuristic(flat.world)):
+        plan = Planner(terrain, heuristic=heuristic).plan(START, GOAL, weight=1.5)
+        assert plan.solved, heuristic
+        assert plan.cost >= least - 1e-6
+        if isinstance(heuristic, GeometricHeuristic):
+            assert plan.cost <= 1.5 * least + 1e-6
+
+
+def test_an_overestimating_heuristic_never_proves_a_cost_limit(flat):
+    class Dear(FlatCosts):
+        def edges(self, height_map, region=None, mask=None):
+            return super().edges(height_map, region, mask) * 50
+
+    least = flat.plan(START, GOAL).cost
+    plan = Planner(flat.terrain, heuristic=Dear("momaro")).plan(START, GOAL, cost=3 * least)
+    assert plan.solved and plan.cost <= 3 * least
+
+
+def test_a_start_in_a_wall_is_explained_by_the_foot():
+    plan = Planner(with_wall()).plan((1.12, 1.25, 0.0, 0, 0, 0, 0), (1.9, 1.25, 0.0))
+    assert plan.status == Status.INVALID_START and not plan.solved
+    assert np.isinf(plan.cost) and plan.states.shape == (0, 7) and plan.actions == []
+    assert "start" in plan.explain() and "rear_left foot cannot stand at (0.79, 1.51) m" in plan.explain()
+    assert "\n" not in plan.explain()
+
+
+def test_a_goal_in_a_wall_is_explained():
+    plan = Planner(with_wall()).plan((1.9, 1.25, 0.0), (1.01, 1.25, 0.0))
+    assert plan.status == Status.INVALID_GOAL
+    assert "goal" in plan.explain() and "body" in plan.explain()
+
+
+def test_feet_out_of_reach_or_on_unknown_ground_are_explained(flat):
+    plan = flat.plan((*START, 0.6, 0, 0, 0), GOAL)
+    assert plan.status == Status.INVALID_START
+    assert "front_left foot is out of its reach" in plan.explain()
+    plan = flat.plan((0.1, 0.1, 0.0), GOAL)
+    assert "unknown or off the map" in plan.explain()
+
+
+def test_a_wall_without_a_gap_is_proved_to_cut_off_the_goal():
+    heights = np.zeros((40, 40), np.float32)
+    heights[19:22] = 1.0
+    rigid = toy(feet={"offset_min": 0.0, "offset_max": 0.0})
+    plan = Planner(HeightMap(heights), rigid).plan((0.2, 0.5, 0), (0.8, 0.5, 0))
+    assert plan.status == Status.INFEASIBLE
+    assert "no way" in plan.explain()
+
+
+def test_limits_end_with_their_status_in_words(flat):
+    least = flat.plan(START, GOAL).cost
+    assert flat.plan(START, GOAL, cost=0.9 * least).status == Status.COST_LIMIT
+    stopped = flat.plan(START, GOAL, expansions=10)
+    assert stopped.status == Status.EXPANSION_LIMIT and "not decided: stopped after 10 expansions" in stopped.explain()
+    full = flat.plan(*FAR, memory=300_000)
+    assert full.status == Status.MEMORY_LIMIT and "MiB of states" in full.explain()
+    late = flat.plan(*FAR, time=0.0)
+    assert late.status == Status.TIME_LIMIT and "not decided: stopped after 0." in late.explain()
+
+
+@pytest.mark.parametrize(
+    "start, words",
+    [
+        ((math.nan, 0.9, 0.0), "start.*nan.*finite"),
+        ((0.9, 0.9, math.inf), "start.*inf.*finite"),
+        ((0.9, 0.9), "start.*need"),
+        ((0.9, 0.9, 0.0, 0.0), "start.*4 foot offsets"),
+        (("here", 0.9, 0.0), "start.*here"),
+        (None, "start None"),
+        ((7.0, 0.9, 0.0), "outside the map"),
+    ],
+)
+def test_wrong_poses_are_named(flat, start, words):
+    with pytest.raises(InputError, match=words) as error:
+        flat.plan(start, GOAL)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("weight", [0.99, 0.0, -1.0, math.nan, math.inf])
+def test_a_weight_below_one_is_refused(flat, weight):
+    with pytest.raises(InputError, match="weight"):
+        flat.plan(START, GOAL, weight=weight)
+
+
+def test_a_planner_refuses_what_it_cannot_plan_on_or_with(flat):
+    with pytest.raises(InputError, match=r"heuristic 'psychic'.*geometric"):
+        Planner(flat.terrain, heuristic="psychic")
+    with pytest.raises(InputError, match=r"0\.05 m.*0\.025 m"):
+        Planner(HeightMap(np.zeros((80, 80), np.float32), resolution=0.05))
+    with pytest.raises(InputError, match="unknown robot 'spot'"):
+        Planner(flat.terrain, robot="spot")
+
+
+def test_valid_tells_where_the_robot_can_stand(flat):
+    assert flat.valid(START) and flat.valid((*START, 0.1, 0, 0, 0))
+    assert not flat.valid((0.1, 0.1, 0.0))
+    assert not flat.valid((*START, 0.9, 0, 0, 0))
+    with pytest.raises(InputError, match="finite"):
+        flat.valid((math.nan, 0, 0))
+
+
+def test_feet_that_stand_on_each_other_are_no_valid_state(flat):
+    plan = flat.plan((*START, -0.3, 0.3, 0, 0), GOAL)  # front and rear left foot 5 cm apart
+    assert plan.status == Status.INVALID_START
+    assert "left" in plan.explain()
+
+
+def test_progress_is_reported(flat):
+    seen = []
+    flat.plan(*FAR, progress=lambda expansions, seconds: seen.append((expansions, seconds)))
+    assert len(seen) > 0 and sorted(seen) == seen
+
+
+def test_the_readme_names_exist():
+    assert hdsp.Planner is Planner and Planner(HeightMap.flat((80, 80))).prepare().heuristic.name == "geometric"
