@@ -8,6 +8,7 @@ import json
 import math
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from importlib import resources
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -78,6 +79,7 @@ class Drive:
     unevenness_radius: float
     unevenness_cost: float
     straight_deviation: float
+    level: float
     deviation_cost: DeviationCost
 
 
@@ -95,10 +97,12 @@ class FootMove:
 @dataclass(frozen=True)
 class BaseShift:
     cost_per_metre: float
+    backward: bool
 
 
 @dataclass(frozen=True)
 class Step:
+    backward: bool
     max_length: float
     max_height: float
     max_clearance: float
@@ -200,7 +204,13 @@ def _convert(hint: Any, value: Any, where: str):
     if is_dataclass(hint):
         return _build(hint, value, where)
     if hint == tuple[Box, ...]:
+        if not isinstance(value, list | tuple):
+            raise InputError(f"{where}: need a list of boxes, got {value!r}")
         return tuple(_build(Box, item, f"{where}[{i}]") for i, item in enumerate(value))
+    if hint is bool:
+        if not isinstance(value, bool):
+            raise InputError(f"{where}: need true or false, got {value!r}")
+        return value
     if hint is float:
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(f"{where}: need a finite number, got {value!r}")
@@ -209,21 +219,30 @@ def _convert(hint: Any, value: Any, where: str):
 
 
 def _check(robot: Robot) -> None:
+    limits = [(name, 0.0, True) for name in _POSITIVE] + [(name, 0.0, False) for name in _NOT_NEGATIVE]
+    for name, least, above in limits:
+        value = attrgetter(name)(robot)
+        if value < least or (above and value == least):
+            raise InputError(f"robot.{name} is {value:g}; it must {'be positive' if above else 'not be negative'}")
+    if robot.step.max_length > _LONGEST_STEP * RESOLUTION + 1e-9:
+        raise InputError(
+            f"robot.step.max_length is {robot.step.max_length:g} m; it must not exceed {_LONGEST_STEP * RESOLUTION:g} m"
+        )
     low, high = robot.offset_range()
-    positive = {
-        "feet.neutral_x": robot.feet.neutral_x,
-        "feet.neutral_y": robot.feet.neutral_y,
-        "drive.max_height_difference": robot.drive.max_height_difference,
-        "drive.deviation_cost.ahead": robot.drive.deviation_cost.ahead,
-        "turn.cost": robot.turn.cost,
-        "foot_move.cost_per_metre": robot.foot_move.cost_per_metre,
-        "base_shift.cost_per_metre": robot.base_shift.cost_per_metre,
-    }
-    for name, value in positive.items():
-        if value <= 0:
-            raise InputError(f"robot.{name} is {value:g}; it must be positive")
     if not (low <= 0 <= high and high - low < 32):
         raise InputError(
             f"robot.feet: offsets {robot.feet.offset_min:g} to {robot.feet.offset_max:g} m must include 0 "
             f"and span less than {32 * RESOLUTION:g} m"
         )
+
+
+_POSITIVE = (
+    "feet.neutral_x", "feet.neutral_y", "drive.max_height_difference", "drive.unevenness_radius", "drive.unevenness_cost",
+    "drive.deviation_cost.ahead", "drive.deviation_cost.side", "drive.deviation_cost.behind",
+    "drive.deviation_cost.side_from", "turn.cost", "foot_move.cost_per_metre", "base_shift.cost_per_metre",
+)  # fmt: skip
+_NOT_NEGATIVE = (
+    "feet.clearance", "feet.min_separation", "feet.neutral_preference", "turn.unevenness_cost", "step.max_length",
+    "step.max_height", "step.max_clearance", "step.cost", "step.cost_per_metre", "step.cost_per_height",
+)  # fmt: skip
+_LONGEST_STEP = 15  # cells; what the code of an action can say (hdsp.detailed.states)

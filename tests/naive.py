@@ -185,17 +185,22 @@ class Naive:
     def successors(self, state):
         """All (action, state, cost) from a valid state."""
         yield from self.drives(state)
-        if not any(state[3:]):
+        if self.free(state):
             yield from self.turns(state)
         if not self.drive_only and (any(state[3:]) or self.any_foot_can_step(state)):
             yield from self.foot_moves(state)
             yield from self.base_shifts(state)
             yield from self.steps(state)
 
+    def free(self, state):
+        """Whether the robot drives in all directions and turns: on neutral feet at about the same height."""
+        heights = [float(self.height(self.foothold(state, i))) for i in range(4)]
+        return not any(state[3:]) and np.float32(max(heights)) - np.float32(min(heights)) <= self.robot.drive.level
+
     def drives(self, state):
         ix, iy, heading, *feet = state
         for dx, dy in MOVES:
-            if any(feet) and not self.straight(heading, dx, dy):
+            if not self.free(state) and not self.straight(heading, dx, dy):
                 continue
             samples = math.floor(math.hypot(dx, dy)) + 1
             costs = []
@@ -243,10 +248,14 @@ class Naive:
         ix, iy, heading, *feet = state
         n, dx, dy = self.shift(heading)
         price = self.robot.base_shift.cost_per_metre * CELL * math.hypot(dx, dy)
-        for way in (1, -1):
+        for way in self.ways(self.robot.base_shift):
             reached = (ix + way * dx, iy + way * dy, heading, *(offset - way * n for offset in feet))
             if self.valid(reached):
                 yield ("shift", way), reached, price * (self.state_cost(state) + self.state_cost(reached)) / 2
+
+    def ways(self, manoeuvre):
+        """Forward, and backward too if the robot can."""
+        return (1, -1) if manoeuvre.backward else (1,)
 
     def shift(self, heading):
         """Steps and cells of a base shift: of one to four steps ahead the one that ends nearest to a cell."""
@@ -294,7 +303,7 @@ class Naive:
         return any(self.step_fits(cell, self.line(cell, heading, way, n), heading, way, n) for n in lengths)
 
     def any_foot_can_step(self, state):
-        return any(self.can_step(self.foothold(state, i), state[2], way) for i in range(4) for way in (1, -1))
+        return any(self.can_step(self.foothold(state, i), state[2], way) for i in range(4) for way in self.ways(self.robot.step))
 
     def supported(self, state, lifted):
         """Whether the base centre lies in the triangle of the other feet, by the margin."""
@@ -308,7 +317,7 @@ class Naive:
 
     def steps(self, state):
         limits = self.robot.step
-        for i, way in itertools.product(range(4), (1, -1)):
+        for i, way in itertools.product(range(4), self.ways(limits)):
             foothold = self.foothold(state, i)
             if not self.supported(state, i) or not self.can_step(foothold, state[2], way):
                 continue

@@ -1,9 +1,10 @@
 """The detailed actions and what they cost: all successors of a state.
 
-Source: paper, Sec. V-A, with the cost model of docs/cost-model.md. On neutral feet the robot drives in all directions and turns;
-on others it only drives straight. Other feet come about by steps and base shifts, and single feet roll back toward
-neutral. A foot steps only where it needs to: when it cannot roll on because of an edge on its line, and then to the
-nearest foothold beyond. These manoeuvres are considered while a foot is off its neutral position or can step.
+Source: paper, Sec. V-A, with the cost model of docs/cost-model.md. On neutral feet at about the same height the robot drives
+in all directions and turns; otherwise it only drives straight. Other feet come about by steps and base shifts, and single
+feet roll back toward neutral. A foot steps only where it needs to: when it cannot roll on because of an edge on its line,
+and then to the nearest foothold beyond. These manoeuvres are considered while a foot is off its neutral position or can
+step. Whether steps and base shifts also go backward is up to the robot.
 """
 
 from typing import NamedTuple
@@ -72,6 +73,18 @@ def separated(constants, key):
 
 
 @njit(inline="always")
+def level(world, key):
+    """Whether the feet of a packed state stand at about the same height."""
+    t = world.tables
+    height, feet = world.height, t.feet
+    ix, iy, heading, o0, o1, o2, o3 = unpack(key)
+    p = cell_index(world, ix, iy)
+    h0, h1 = height[p + feet[foot_row(t, heading, 0, o0)]], height[p + feet[foot_row(t, heading, 1, o1)]]
+    h2, h3 = height[p + feet[foot_row(t, heading, 2, o2)]], height[p + feet[foot_row(t, heading, 3, o3)]]
+    return max(max(h0, h1), max(h2, h3)) - min(min(h0, h1), min(h2, h3)) <= world.constants.level
+
+
+@njit(inline="always")
 def supported(constants, lowest, lifted, o0, o1, o2, o3):
     """Whether the base centre lies in the triangle of the three feet that stay, ``support_margin`` cells inside its edges."""
     x, y = constants.neutral_x + lowest, constants.neutral_y
@@ -104,8 +117,9 @@ def successors(world, rules, key, out_key, out_cost, out_action):
     t = world.tables
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     neutral = o0 == -t.lowest and o1 == -t.lowest and o2 == -t.lowest and o3 == -t.lowest
-    n = _drives(world, key, neutral, out_key, out_cost, out_action, 0)
-    if neutral:
+    free = neutral and level(world, key)
+    n = _drives(world, key, free, out_key, out_cost, out_action, 0)
+    if free:
         n = _turns(world, rules, key, out_key, out_cost, out_action, n)
     if rules.drive_only:
         return n
@@ -114,8 +128,9 @@ def successors(world, rules, key, out_key, out_cost, out_action):
     p0, p1 = p + feet[foot_row(t, heading, 0, o0)], p + feet[foot_row(t, heading, 1, o1)]
     p2, p3 = p + feet[foot_row(t, heading, 2, o2)], p + feet[foot_row(t, heading, 3, o3)]
     ways = steps[p0] | steps[p1] | steps[p2] | steps[p3]
-    behind = (heading + HEADINGS // 2) % HEADINGS
-    can_step = ((ways >> np.uint64(heading)) | (ways >> np.uint64(behind))) & np.uint64(1)
+    can_step = (ways >> np.uint64(heading)) & np.uint64(1)
+    if world.constants.step_backward:
+        can_step |= (ways >> np.uint64((heading + HEADINGS // 2) % HEADINGS)) & np.uint64(1)
     if can_step == 0 and neutral:
         return n
     unevenness = foot[p0], foot[p1], foot[p2], foot[p3]
@@ -145,7 +160,7 @@ def with_foot(unevenness, i, value):
 
 
 @njit(inline="always")
-def _drives(world, key, neutral, out_key, out_cost, out_action, n):
+def _drives(world, key, free, out_key, out_cost, out_action, n):
     # The innermost loop of every search: arrays are named once, because each access through a tuple counts references.
     t = world.tables
     foot, feet, base, size = world.foot, t.feet, world.base, len(world.foot)
@@ -159,7 +174,7 @@ def _drives(world, key, neutral, out_key, out_cost, out_action, n):
     r2, r3 = foot_row(t, heading, 2, o2), foot_row(t, heading, 3, o3)
     p0, p1, p2, p3 = p + feet[r0], p + feet[r1], p + feet[r2], p + feet[r3]
     for m in range(20):
-        if not neutral and not straight[heading, m]:
+        if not free and not straight[heading, m]:
             continue
         step = flat[m]
         s0, s1, s2, s3 = foot[p0 + step], foot[p1 + step], foot[p2 + step], foot[p3 + step]
@@ -247,6 +262,8 @@ def _base_shifts(world, key, under, unevenness, out_key, out_cost, out_action, n
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     cost = merged_cost(k, under, unevenness[0], unevenness[1], unevenness[2], unevenness[3])
     for action in (BASE_FORWARD, BASE_BACKWARD):
+        if action == BASE_BACKWARD and not world.constants.shift_backward:
+            continue
         sign = 1 if action == BASE_FORWARD else -1
         dx, dy, by = sign * t.shifts[heading, 0], sign * t.shifts[heading, 1], sign * t.shifts[heading, 2]
         lowest, highest = min(min(o0, o1), min(o2, o3)) - by, max(max(o0, o1), max(o2, o3)) - by
@@ -284,6 +301,8 @@ def _steps(world, key, under, unevenness, out_key, out_cost, out_action, n):
             continue
         before = height[at]
         for sign in (1, -1):
+            if sign < 0 and not c.step_backward:
+                continue
             toward = heading if sign == 1 else (heading + HEADINGS // 2) % HEADINGS
             if (possible >> np.uint64(toward)) & np.uint64(1) == 0:
                 continue

@@ -56,8 +56,11 @@ class Constants(NamedTuple):
     unevenness: float
     turn: float
     turn_unevenness: float
+    level: float
     foot_move: float
     base_shift: float
+    shift_backward: bool
+    step_backward: bool
     step: float
     step_per_metre: float
     step_per_height: float
@@ -152,8 +155,11 @@ def _constants(robot: Robot) -> Constants:
         unevenness=robot.drive.unevenness_cost,
         turn=robot.turn.cost,
         turn_unevenness=robot.turn.unevenness_cost,
+        level=robot.drive.level,
         foot_move=robot.foot_move.cost_per_metre * RESOLUTION,
         base_shift=robot.base_shift.cost_per_metre * RESOLUTION,
+        shift_backward=robot.base_shift.backward,
+        step_backward=step.backward,
         step=step.cost,
         step_per_metre=step.cost_per_metre,
         step_per_height=step.cost_per_height,

@@ -13,6 +13,7 @@ from tests.detailed.instances import (
     action_tuple,
     blocky,
     kernel_successors,
+    momaro_both_ways,
     near_edges,
     successor_arrays,
     toy,
@@ -87,7 +88,7 @@ def test_state_costs_and_validity_equal_the_twins():
     assert min(checked.values()) > 100
 
 
-@pytest.mark.parametrize("robot", [toy(), Robot.load("momaro")], ids=lambda robot: robot.name)
+@pytest.mark.parametrize("robot", [toy(), momaro_both_ways()], ids=lambda robot: robot.name)
 def test_undo_inverts_every_action(robot):
     kinds, size = Counter(), 12 if robot.name == "toy" else 72
     for seed in range(4):
