@@ -9,7 +9,7 @@ admissible, consistent heuristic (together with the term for the feet of ``estim
 import numpy as np
 
 from hdsp.detailed.actions import foot_row
-from hdsp.detailed.world import base_term, cell_index
+from hdsp.detailed.world import cell_index, compute_base_term
 from hdsp.jit import njit
 from hdsp.lattice import HEADINGS
 
@@ -18,6 +18,9 @@ from hdsp.lattice import HEADINGS
 def pose_costs(world, rules):
     """Least state cost at each pose over all feet, float32 [64, nx, ny]; inf where no state is valid or allowed."""
     t = world.tables
+    # Arrays are named once: each access through a tuple counts references.
+    foot, feet, base, size = world.foot, t.feet, world.base, len(world.foot)
+    n_offsets, n_samples, neutral, k = t.n_offsets, t.n_samples, -t.lowest, world.constants.unevenness
     result = np.full((HEADINGS, world.nx, world.ny), np.inf, dtype=np.float32)
     for heading in range(HEADINGS):
         off = (heading - rules.heading_center + HEADINGS // 2) % HEADINGS - HEADINGS // 2
@@ -26,20 +29,22 @@ def pose_costs(world, rules):
         for ix in range(world.nx):
             for iy in range(world.ny):
                 p = cell_index(world, ix, iy)
-                base = np.float64(base_term(world, heading, p))
-                if base == np.inf:
-                    continue
-                total = 0.0
-                for foot in range(4):
+                under = base[heading * size + p]
+                if under == 0:
+                    under = compute_base_term(world, heading, p)
+                largest, total = under - np.float32(1), np.float32(0)
+                for i in range(4):
+                    if largest == np.inf:
+                        break
+                    row = foot_row(t, heading, i, 0)
                     # The neutral offset first: on even ground nothing is better.
-                    best = world.foot[p + t.feet[foot_row(t, heading, foot, -t.lowest)]]
-                    for offset in range(t.n_offsets):
-                        if best == 0:
-                            break
-                        best = min(best, world.foot[p + t.feet[foot_row(t, heading, foot, offset)]])
+                    best = foot[p + feet[row + neutral * n_samples]]
+                    if best > 0:
+                        for offset in range(n_offsets):
+                            best = min(best, foot[p + feet[row + offset * n_samples]])
                     total += best
-                    base = max(base, np.float64(best))
-                result[heading, ix, iy] = 1.0 + world.constants.unevenness * (base + total)
+                    largest = max(largest, best)
+                result[heading, ix, iy] = 1.0 + k * (np.float64(largest) + total)
     return result
 
 
