@@ -193,9 +193,9 @@ class Naive:
             yield from self.steps(state)
 
     def free(self, state):
-        """Whether the robot drives in all directions and turns: on neutral feet at about the same height."""
+        """Whether the robot may turn and drive anywhere: on neutral feet at about the same height."""
         heights = [float(self.height(self.foothold(state, i))) for i in range(4)]
-        return not any(state[3:]) and np.float32(max(heights)) - np.float32(min(heights)) <= self.robot.drive.level
+        return not any(state[3:]) and max(heights) - min(heights) <= self.robot.drive.level
 
     def drives(self, state):
         ix, iy, heading, *feet = state
@@ -213,7 +213,7 @@ class Naive:
                 yield ("drive", dx, dy), (ix + dx, iy + dy, *state[2:]), cost
 
     def straight(self, heading, dx, dy):
-        """Whether a move leads ahead or back, which is all that a robot off its neutral feet can drive."""
+        """Whether a move leads ahead or back, which is all that a robot can drive that is not free."""
         deviation = deviation_angle(heading, dx, dy)
         return min(deviation, math.pi - deviation) <= self.robot.drive.straight_deviation + 1e-9
 
@@ -248,14 +248,10 @@ class Naive:
         ix, iy, heading, *feet = state
         n, dx, dy = self.shift(heading)
         price = self.robot.base_shift.cost_per_metre * CELL * math.hypot(dx, dy)
-        for way in self.ways(self.robot.base_shift):
+        for way in (1, -1) if self.robot.base_shift.backward else (1,):
             reached = (ix + way * dx, iy + way * dy, heading, *(offset - way * n for offset in feet))
             if self.valid(reached):
                 yield ("shift", way), reached, price * (self.state_cost(state) + self.state_cost(reached)) / 2
-
-    def ways(self, manoeuvre):
-        """Forward, and backward too if the robot can."""
-        return (1, -1) if manoeuvre.backward else (1,)
 
     def shift(self, heading):
         """Steps and cells of a base shift: of one to four steps ahead the one that ends nearest to a cell."""
@@ -284,7 +280,7 @@ class Naive:
         return math.floor(self.robot.step.max_length / CELL + 1e-9)
 
     def step_fits(self, foothold, landing, heading, way, length):
-        """Whether a foot gets from its cell over an edge, before which it has to stop, to another ``length`` steps on."""
+        """Whether a foot gets from its cell over an edge that stops it to another cell ``length`` steps on."""
         if not (self.standable(foothold) and self.standable(landing)):
             return False
         if self.standable(self.line(foothold, heading, way, 1)):
@@ -303,7 +299,11 @@ class Naive:
         return any(self.step_fits(cell, self.line(cell, heading, way, n), heading, way, n) for n in lengths)
 
     def any_foot_can_step(self, state):
-        return any(self.can_step(self.foothold(state, i), state[2], way) for i in range(4) for way in self.ways(self.robot.step))
+        ways = itertools.product(range(4), self.step_ways())
+        return any(self.can_step(self.foothold(state, i), state[2], way) for i, way in ways)
+
+    def step_ways(self):
+        return (1, -1) if self.robot.step.backward else (1,)
 
     def supported(self, state, lifted):
         """Whether the base centre lies in the triangle of the other feet, by the margin."""
@@ -317,7 +317,7 @@ class Naive:
 
     def steps(self, state):
         limits = self.robot.step
-        for i, way in itertools.product(range(4), self.ways(limits)):
+        for i, way in itertools.product(range(4), self.step_ways()):
             foothold = self.foothold(state, i)
             if not self.supported(state, i) or not self.can_step(foothold, state[2], way):
                 continue

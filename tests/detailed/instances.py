@@ -21,8 +21,8 @@ TOY = {
         "unevenness": {"x_min": -0.05, "x_max": 0.05, "half_width": 0.0},
     },
     "drive": {
-        "max_height_difference": 0.05, "unevenness_radius": 0.05, "unevenness_cost": 0.31, "straight_deviation": 0.3,
-        "level": 0.07,
+        "max_height_difference": 0.05, "unevenness_radius": 0.05, "unevenness_cost": 0.31,
+        "straight_deviation": 0.3, "level": 0.07,
         "deviation_cost": {
             "ahead": 1.1, "side": 3.0, "behind": 2.3, "side_from": math.pi / 4, "side_to": 3 * math.pi / 4,
         },
@@ -31,8 +31,8 @@ TOY = {
     "foot_move": {"cost_per_metre": 1.37},
     "base_shift": {"cost_per_metre": 1.71, "backward": True},
     "step": {
-        "max_length": 0.1, "max_height": 0.14, "max_clearance": 0.15, "cost": 0.019, "cost_per_metre": 0.57,
-        "cost_per_height": 0.23, "support_margin": 0.0, "backward": True,
+        "backward": True, "max_length": 0.1, "max_height": 0.14, "max_clearance": 0.15, "cost": 0.019,
+        "cost_per_metre": 0.57, "cost_per_height": 0.23, "support_margin": 0.0,
     },
 }  # fmt: skip
 
@@ -43,12 +43,6 @@ def toy(**changes) -> Robot:
     for part, change in changes.items():
         values[part] = {**TOY[part], **change}
     return Robot.load(values)
-
-
-def momaro_both_ways() -> Robot:
-    """Momaro with steps and base shifts backward too, so that every kind of action occurs on few states."""
-    values = Robot.load("momaro").to_dict()
-    return Robot.load({**values, **{part: {**values[part], "backward": True} for part in ("base_shift", "step")}})
 
 
 def blocky(rng, cells: int = 12, blocks: int = 2, height: float = 0.12) -> np.ndarray:

@@ -8,7 +8,8 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from hdsp.detailed.actions import Rules
-from hdsp.detailed.estimate import estimate, geometric_estimate, pose_estimate
+from hdsp.detailed.estimate import estimate, geometric_estimate, least_foot_cost, pose_estimate, with_footing
+from hdsp.detailed.footing import efforts_to, find_footing
 from hdsp.detailed.relaxed import _least_edge, _neighbour, pose_costs, pose_distances
 from hdsp.detailed.states import pack_states, unpack_states
 from hdsp.detailed.world import build_world
@@ -16,7 +17,7 @@ from hdsp.heightmap import HeightMap
 from hdsp.lattice import HEADINGS
 from hdsp.robot import Robot
 from hdsp.terrain import CATEGORIES, random_map
-from tests.detailed.instances import blocky, successor_arrays, toy, valid_states
+from tests.detailed.instances import blocky, near_edges, successor_arrays, toy, valid_states
 from tests.naive import Naive, dijkstra
 
 costs = st.floats(0.01, 3.0)
@@ -49,7 +50,8 @@ def scene(robot, seed):
     rng = np.random.default_rng(seed)
     heights = blocky(rng, cells=10)
     world, twin = build_world(HeightMap(heights), robot), Naive(heights, robot)
-    states = valid_states(twin, rng, 4, neutral=bool(seed % 2))
+    states = valid_states(twin, rng, 30, neutral=bool(seed % 2))
+    states = (near_edges(twin, states) + states)[:4]
     assume(len(states) >= 2)
     return world, twin, states
 
@@ -93,16 +95,17 @@ def test_geometric_heuristic_of_momaro_is_consistent(category):
 
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 @given(robot=robots(), seed=st.integers(0, 10_000))
-def test_relaxed_poses_and_feet_never_exceed_the_true_cost(robot, seed):
+def test_relaxed_poses_feet_and_steps_never_exceed_the_true_cost(robot, seed):
     world, twin, states = scene(robot, seed)
     rules = Rules()
-    relaxed = pose_costs(world, rules)
+    relaxed, footing = pose_costs(world, rules), find_footing(world, rules, least_foot_cost(world))
     true = dijkstra(twin, states[0], most=80).cost
     reach = pose_distances(world, rules, relaxed, np.array([states[0][:3]]), np.zeros(1), False, np.inf)
     for goal, cost in list(true.items())[::13]:
         assert reach[goal[2], goal[0], goal[1]] <= cost * (1 + 1e-5) + 1e-6
         to_go = pose_distances(world, rules, relaxed, np.array([goal[:3]]), np.zeros(1), True, np.inf)
-        parameters = pose_estimate(world, to_go, goal[3:])
+        parameters = pose_estimate(world, to_go, np.array([goal[3:]]))
+        parameters = with_footing(parameters, footing, efforts_to(footing, world, np.array([goal])))
         assert estimates(parameters, world, [states[0]])[0] <= cost * (1 + 1e-5) + 1e-6
         assert estimates(parameters, world, [goal])[0] == 0
 
