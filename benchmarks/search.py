@@ -1,0 +1,94 @@
+"""Speed of the detailed search on a 10 x 10 m map: expansions per second, bytes per state, ratio to the textbook twin.
+
+    python -m benchmarks.search [--size 10] [--expansions 500000] [--repeats 3] [--seed 0]
+
+Geometric heuristic, W = 1, one core. Prints one JSON line last. `expansions_per_s` is that of the fastest of `repeats`
+runs. `bytes_per_state` counts the store of states and its hash table, `bytes_per_state_with_heap` also the open list
+and the room kept for growth. `ratio_to_twin` compares the time per expansion with that of plain Python
+(tests/naive.py) on the same map and start.
+"""
+
+import argparse
+import json
+import time
+
+import numpy as np
+
+from hdsp.arena import random_arena
+from hdsp.detailed import search
+from hdsp.detailed.estimate import geometric_estimate
+from hdsp.detailed.solve import Limits, Status, solve
+from hdsp.errors import InputError
+from hdsp.lattice import HEADINGS
+from hdsp.planner import Planner
+from tests.naive import Naive, dijkstra
+
+
+def main(argv=None) -> dict:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", type=float, default=10.0, help="side of the map, m")
+    parser.add_argument("--expansions", type=int, default=500_000)
+    parser.add_argument("--twin-expansions", type=int, default=1000)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args(argv)
+
+    planner = Planner(random_arena(arguments.seed, arguments.size))
+    start, goal = far_apart(planner, arguments.seed)
+    view = geometric_estimate(planner.world, goal)
+
+    def run(expansions):
+        return solve(planner.world, start, goal, view, limits=Limits(expansions=expansions), paths=False)
+
+    run(1000)  # compile
+    # Each expansion limit ends the search; time that goes into growing the store counts.
+    results = [run(arguments.expansions) for _ in range(arguments.repeats)]
+    best = min(results, key=lambda result: result.seconds / result.expansions)
+
+    twin = Naive(planner.terrain.heights, planner.robot)
+    twin_start = tuple(start.tolist())
+    dijkstra(twin, twin_start, most=arguments.twin_expansions)  # what the twin remembers of the terrain is not counted
+    began = time.perf_counter()
+    settled = len(dijkstra(twin, twin_start, most=arguments.twin_expansions).cost)
+    twin_seconds = (time.perf_counter() - began) / settled
+
+    record = search.new_store()
+    state_bytes = record.key.itemsize + record.g.itemsize + record.action.itemsize
+    result = {
+        "map_cells": list(planner.terrain.shape),
+        "expansions": best.expansions,
+        "seen": best.seen,
+        "status": str(best.status[0]),
+        "seconds": round(best.seconds, 3),
+        "expansions_per_s": round(best.expansions / best.seconds),
+        "bytes_per_state": round(state_bytes + record.slot.nbytes / len(record.key), 1),
+        "bytes_per_state_with_heap": round(best.memory / best.seen, 1),
+        "twin_expansions_per_s": round(1 / twin_seconds),
+        "ratio_to_twin": round(twin_seconds * best.expansions / best.seconds),
+    }
+    print(json.dumps(result))
+    return result
+
+
+def far_apart(planner: Planner, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of some random valid states on neutral feet two that are far from each other, int64 [7] each; the first is not
+    locked in."""
+    rng = np.random.default_rng(seed)
+    states = []
+    while len(states) < 40:
+        state = np.array([*rng.integers((0, 0), planner.terrain.shape), rng.integers(HEADINGS), 0, 0, 0, 0])
+        if planner.valid(planner.grid.to_world(state)):
+            states.append(state)
+    at = np.array(states)[:, :2]
+    distance = np.hypot(*np.moveaxis(at[:, None] - at[None], -1, 0))
+    for pair in np.argsort(-distance, axis=None):
+        start, goal = (states[i] for i in np.unravel_index(pair, distance.shape))
+        view = geometric_estimate(planner.world, goal)
+        tried = solve(planner.world, start, goal, view, limits=Limits(expansions=5000), paths=False)
+        if tried.status == [Status.EXPANSION_LIMIT]:
+            return start, goal
+    raise InputError(f"seed {seed}: every start on this map is locked in")
+
+
+if __name__ == "__main__":
+    main()
