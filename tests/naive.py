@@ -184,7 +184,8 @@ class Naive:
 
     def successors(self, state):
         """All (action, state, cost) from a valid state."""
-        yield from self.drives(state)
+        if not any(state[3:]):
+            yield from self.drives(state)
         if self.free(state):
             yield from self.turns(state)
         if not self.drive_only and (any(state[3:]) or self.any_foot_can_step(state)):
@@ -213,7 +214,7 @@ class Naive:
                 yield ("drive", dx, dy), (ix + dx, iy + dy, *state[2:]), cost
 
     def straight(self, heading, dx, dy):
-        """Whether a move leads ahead or back, which is all that a robot can drive that is not free."""
+        """Whether a move leads ahead or back, which is all that a robot can drive whose feet are not level."""
         deviation = deviation_angle(heading, dx, dy)
         return min(deviation, math.pi - deviation) <= self.robot.drive.straight_deviation + 1e-9
 
@@ -242,7 +243,11 @@ class Naive:
             reached = with_offset(state, i, state[3 + i] + way)
             toward_neutral = abs(reached[3 + i]) < abs(state[3 + i])
             if toward_neutral and self.valid(reached) and self.separated(reached):
-                yield ("foot", i, way), reached, price * (self.state_cost(state) + self.state_cost(reached)) / 2
+                alone = [self.foot_cost(self.foothold(end, i)) for end in (state, reached)]
+                yield ("foot", i, way), reached, price * sum(alone) / 2
+
+    def foot_cost(self, cell):
+        return 1 + 10 * self.robot.drive.unevenness_cost * self.unevenness(cell)
 
     def base_shifts(self, state):
         ix, iy, heading, *feet = state
@@ -250,7 +255,8 @@ class Naive:
         price = self.robot.base_shift.cost_per_metre * CELL * math.hypot(dx, dy)
         for way in (1, -1) if self.robot.base_shift.backward else (1,):
             reached = (ix + way * dx, iy + way * dy, heading, *(offset - way * n for offset in feet))
-            if self.valid(reached):
+            followed = self.any_foot_can_step(state) or any(way * offset > 0 for offset in feet)
+            if followed and self.valid(reached):
                 yield ("shift", way), reached, price * (self.state_cost(state) + self.state_cost(reached)) / 2
 
     def shift(self, heading):

@@ -1,10 +1,10 @@
 """The detailed actions and what they cost: all successors of a state.
 
-Source: paper, Sec. V-A, with the cost model of docs/cost-model.md. On neutral feet at about the same height the robot drives
-in all directions and turns; otherwise it only drives straight. Other feet come about by steps and base shifts, and single
+Source: paper, Sec. V-A, with the cost model of docs/cost-model.md. The robot drives and turns on neutral feet; where they
+stand at different heights, as on stairs, it only drives straight. Feet leave neutral by steps and base shifts, and single
 feet roll back toward neutral. A foot steps only where it needs to: when it cannot roll on because of an edge on its line,
-and then to the nearest foothold beyond. These manoeuvres are considered while a foot is off its neutral position or can
-step. Whether steps and base shifts also go backward is up to the robot.
+and then to the nearest foothold beyond. The base shifts where a foot can step or is ahead of neutral. Whether steps and
+base shifts also go backward is up to the robot.
 """
 
 from typing import NamedTuple
@@ -117,10 +117,12 @@ def successors(world, rules, key, out_key, out_cost, out_action):
     t = world.tables
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     neutral = o0 == -t.lowest and o1 == -t.lowest and o2 == -t.lowest and o3 == -t.lowest
-    free = neutral and level(world, key)
-    n = _drives(world, key, free, out_key, out_cost, out_action, 0)
-    if free:
-        n = _turns(world, rules, key, out_key, out_cost, out_action, n)
+    n = 0
+    if neutral:
+        free = level(world, key)
+        n = _drives(world, key, free, out_key, out_cost, out_action, n)
+        if free:
+            n = _turns(world, rules, key, out_key, out_cost, out_action, n)
     if rules.drive_only:
         return n
     foot, feet, steps = world.foot, t.feet, world.steps
@@ -136,7 +138,7 @@ def successors(world, rules, key, out_key, out_cost, out_action):
     unevenness = foot[p0], foot[p1], foot[p2], foot[p3]
     under = base_term(world, heading, p)
     n = _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n)
-    n = _base_shifts(world, key, under, unevenness, out_key, out_cost, out_action, n)
+    n = _base_shifts(world, key, can_step != 0, under, unevenness, out_key, out_cost, out_action, n)
     if can_step != 0:
         n = _steps(world, key, under, unevenness, out_key, out_cost, out_action, n)
     return n
@@ -233,10 +235,10 @@ def _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n)
     foot, feet, k, price = world.foot, t.feet, world.constants.unevenness, world.constants.foot_move
     ix, iy, heading, _, _, _, _ = unpack(key)
     p = cell_index(world, ix, iy)
-    cost = merged_cost(k, under, unevenness[0], unevenness[1], unevenness[2], unevenness[3])
     for i in range(4):
         shift = 15 - 5 * i
         offset = (key >> shift) & 0x1F
+        before = unevenness[0] if i == 0 else unevenness[1] if i == 1 else unevenness[2] if i == 2 else unevenness[3]
         for backward in range(2):
             change = 1 - 2 * backward
             if (offset + t.lowest) * change >= 0:  # only toward neutral
@@ -247,16 +249,15 @@ def _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n)
             new = key + (np.int64(change) << shift)
             if not separated(world.constants, new):
                 continue
-            s0, s1, s2, s3 = with_foot(unevenness, i, reached)
             out_key[n] = new
-            out_cost[n] = price * 0.5 * (cost + merged_cost(k, under, s0, s1, s2, s3))
+            out_cost[n] = price * (1.0 + 10.0 * k * 0.5 * (np.float64(before) + reached))
             out_action[n] = FOOT_MOVE + 2 * i + backward
             n += 1
     return n
 
 
 @njit(inline="always")
-def _base_shifts(world, key, under, unevenness, out_key, out_cost, out_action, n):
+def _base_shifts(world, key, can_step, under, unevenness, out_key, out_cost, out_action, n):
     t = world.tables
     foot, feet, k, price = world.foot, t.feet, world.constants.unevenness, world.constants.base_shift
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
@@ -265,6 +266,9 @@ def _base_shifts(world, key, under, unevenness, out_key, out_cost, out_action, n
         if action == BASE_BACKWARD and not world.constants.shift_backward:
             continue
         sign = 1 if action == BASE_FORWARD else -1
+        leading = max(max(o0, o1), max(o2, o3)) if sign == 1 else min(min(o0, o1), min(o2, o3))
+        if not can_step and sign * (leading + t.lowest) <= 0:  # nobody to follow
+            continue
         dx, dy, by = sign * t.shifts[heading, 0], sign * t.shifts[heading, 1], sign * t.shifts[heading, 2]
         lowest, highest = min(min(o0, o1), min(o2, o3)) - by, max(max(o0, o1), max(o2, o3)) - by
         if lowest < 0 or highest >= t.n_offsets:
