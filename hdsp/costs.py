@@ -1,15 +1,15 @@
 """From a height map to what the terrain costs a robot: edges, unevenness, where a foot can stand.
 
-The model and its evidence: docs/cost-model.md. In short, with ``dH`` the height difference of a cell (largest difference
-to its eight neighbours):
+The model and its evidence: docs/cost-model.md. In short, with ``dH`` the height difference of a cell (largest
+difference to its eight neighbours):
 
 - unevenness ``S(c)``: sum of ``dH`` over the cells within a radius, weighted linearly down to zero at the radius;
 - a foot can stand (and roll) on a cell if no cell with ``dH`` over the drivable limit lies within its clearance;
 - foot cost ``C_F = 1 + 0.307 S`` and base cost ``C_B = 1`` merge into the state cost
   ``C = 0.5 C_B + 0.1 (sum C_F + max C_F) = 1 + k (max S + sum S)`` (paper, Sec. V-A).
 
-Convention: arrays are indexed ``[ix, iy]``; heights in metres, NaN = unknown. Unknown cells bear no foot, and a foot keeps
-the same clearance from them as from an edge.
+Convention: arrays are indexed ``[ix, iy]``; heights in metres, NaN = unknown. Unknown cells bear no foot, and a foot
+keeps the same clearance from them as from an edge.
 """
 
 import math

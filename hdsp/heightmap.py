@@ -202,8 +202,10 @@ def patch_offsets(theta: float, cells: int = PATCH_CELLS, shift_x: float = 0.0, 
     """
     steps = np.arange(cells) - cells // 2
     rotation = lattice.rotation(theta)
-    return tuple(_round(row[0] * steps[:, None] + row[1] * steps[None, :] + shift)
-                 for row, shift in zip(rotation, (shift_x, shift_y), strict=True))
+    return tuple(
+        _round(row[0] * steps[:, None] + row[1] * steps[None, :] + shift)
+        for row, shift in zip(rotation, (shift_x, shift_y), strict=True)
+    )
 
 
 @functools.lru_cache(maxsize=8)

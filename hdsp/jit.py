@@ -1,8 +1,8 @@
 """``njit`` for this project: compiled once, kept on disk, and compiled anew when any kernel it could call has changed.
 
-Numba keeps machine code by the time stamp of the file a function stands in. A kernel that calls (and inlines) functions of
-other files would go on running their old code after these were edited. Here the key also holds a hash of all sources of
-the package that contain kernels.
+Numba keeps machine code by the time stamp of the file a function stands in. A kernel that calls (and inlines) functions
+of other files would go on running their old code after these were edited. Here the key also holds a hash of all sources
+of the package that contain kernels.
 """
 
 import hashlib

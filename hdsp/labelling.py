@@ -62,9 +62,13 @@ def label_map(
     """
     settings = settings or LabelSettings()
     if min(terrain.shape) < PATCH_CELLS:
-        raise InputError(f"map of {terrain.shape[0]} x {terrain.shape[1]} cells: labels need at least {PATCH_CELLS} x {PATCH_CELLS}")
+        raise InputError(
+            f"map of {terrain.shape[0]} x {terrain.shape[1]} cells: labels need at least {PATCH_CELLS} x {PATCH_CELLS}"
+        )
     if start_heading % HEADINGS_PER_ABSTRACT or not 0 <= start_heading < HEADINGS:
-        raise InputError(f"start heading {start_heading}: need a multiple of {HEADINGS_PER_ABSTRACT} in [0, {HEADINGS})")
+        raise InputError(
+            f"start heading {start_heading}: need a multiple of {HEADINGS_PER_ABSTRACT} in [0, {HEADINGS})"
+        )
     world = build_world(terrain, robot)
     base = (terrain.shape[0] // 2, terrain.shape[1] // 2, start_heading)
     start = feet_at(world, base)

@@ -4,8 +4,8 @@ No other module multiplies by a resolution.
 
 Convention: x forward (axis 0), y left (axis 1), theta counter-clockwise from +x. Cell ``(ix, iy)`` of a grid covers
 ``origin + [ix, ix + 1) * RESOLUTION`` (the same in y). A detailed base position is a cell, and the base stands at the
-centre of that cell. The abstract cell ``(a, b)`` is the block of detailed cells ``[4a, 4a + 4) x [4b, 4b + 4)``; its anchor
-is detailed cell ``(4a + 2, 4b + 2)``. Abstract heading ``k`` is detailed heading ``4k``.
+centre of that cell. The abstract cell ``(a, b)`` is the block of detailed cells ``[4a, 4a + 4) x [4b, 4b + 4)``; its
+anchor is detailed cell ``(4a + 2, 4b + 2)``. Abstract heading ``k`` is detailed heading ``4k``.
 """
 
 import math
@@ -85,7 +85,8 @@ def abstract_shape(shape: tuple[int, int]) -> tuple[int, int]:
 
 
 def abstract_anchor(abstract: np.ndarray) -> np.ndarray:
-    """Detailed base state (ix, iy, heading), int64 [..., 3], at which an abstract state (a, b, k) [..., 3] is anchored."""
+    """Detailed base state (ix, iy, heading), int64 [..., 3], at which an abstract state (a, b, k) [..., 3] is
+    anchored."""
     abstract = np.asarray(abstract, dtype=np.int64)
     scale = np.array([CELLS_PER_ABSTRACT, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT])
     return abstract * scale + np.array([ABSTRACT_ANCHOR, ABSTRACT_ANCHOR, 0])
@@ -94,7 +95,8 @@ def abstract_anchor(abstract: np.ndarray) -> np.ndarray:
 def detailed_to_abstract(states: np.ndarray) -> np.ndarray:
     """T_d->a (paper, Sec. V-B): abstract states, int64 [..., 3], of detailed states [..., >=3] given in lattice units.
 
-    Foot offsets are dropped, the position falls into its abstract cell, the heading goes to the nearest abstract heading.
+    Foot offsets are dropped, the position falls into its abstract cell, the heading goes to the nearest abstract
+    heading.
     """
     states = np.asarray(states, dtype=np.int64)
     heading = (states[..., 2] + HEADINGS_PER_ABSTRACT // 2) // HEADINGS_PER_ABSTRACT % ABSTRACT_HEADINGS
@@ -128,8 +130,10 @@ class Grid:
     shape: tuple[int, int]
 
     def cell(self, xy) -> np.ndarray:
-        """Cells, int64 [..., 2], that contain the world positions ``xy`` [..., 2] in metres (may lie outside the grid)."""
-        # The small shift keeps a coordinate that was computed as "edge of a cell" from falling below it by rounding error.
+        """Cells, int64 [..., 2], that contain the world positions ``xy`` [..., 2] in metres (may lie outside the
+        grid)."""
+        # The small shift keeps a coordinate that was computed as "edge of a cell" from falling below it by rounding
+        # error.
         scaled = (np.asarray(xy, dtype=float) - np.asarray(self.origin)) / RESOLUTION
         return np.floor(scaled + 1e-6).astype(np.int64)
 
@@ -150,7 +154,9 @@ class Grid:
         """
         values = np.asarray([*pose, *feet], dtype=float)
         if values.shape != (7,) or not np.isfinite(values).all():
-            raise InputError(f"state {tuple(pose)} with feet {tuple(feet)}: need x, y, theta and 4 foot offsets, all finite")
+            raise InputError(
+                f"state {tuple(pose)} with feet {tuple(feet)}: need x, y, theta and 4 foot offsets, all finite"
+            )
         cell = self.cell(values[:2])
         if not self.contains(cell):
             low, high = self.center((0, 0)), self.center(np.asarray(self.shape) - 1)

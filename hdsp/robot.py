@@ -237,8 +237,8 @@ def _check(robot: Robot) -> None:
 
 
 _POSITIVE = (
-    "feet.neutral_x", "feet.neutral_y", "drive.max_height_difference", "drive.unevenness_radius", "drive.unevenness_cost",
-    "drive.deviation_cost.ahead", "drive.deviation_cost.side", "drive.deviation_cost.behind",
+    "feet.neutral_x", "feet.neutral_y", "drive.max_height_difference", "drive.unevenness_radius",
+    "drive.unevenness_cost", "drive.deviation_cost.ahead", "drive.deviation_cost.side", "drive.deviation_cost.behind",
     "drive.deviation_cost.side_from", "turn.cost", "foot_move.cost_per_metre", "base_shift.cost_per_metre",
 )  # fmt: skip
 _NOT_NEGATIVE = (

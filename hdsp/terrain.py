@@ -228,9 +228,7 @@ def _any_yaw(random: np.random.Generator) -> float:
 
 def _cuboid(random: np.random.Generator, settings: TerrainSettings) -> Block:
     length, width = random.uniform(*settings.cuboid_side, size=2).tolist()
-    return Block(
-        *_position(random, settings), _any_yaw(random), length, width, random.uniform(*settings.cuboid_height)
-    )
+    return Block(*_position(random, settings), _any_yaw(random), length, width, random.uniform(*settings.cuboid_height))
 
 
 def _wall(random: np.random.Generator, settings: TerrainSettings) -> Block:

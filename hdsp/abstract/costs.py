@@ -41,9 +41,7 @@ class AbstractCosts(Protocol):
     know only this. An implementation is bound to one robot and keeps no state of any map.
     """
 
-    def edges(
-        self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None
-    ) -> np.ndarray:
+    def edges(self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None) -> np.ndarray:
         """Costs of the 22 abstract actions from every abstract state.
 
         Convention: the result is indexed `[heading, ix, iy, action]`, states and actions in the frame of the map (not
@@ -103,9 +101,7 @@ class FlatCosts:
         #: Float32 [16, 22], cost of each action from each heading.
         self.table = flat_table(self.robot)
 
-    def edges(
-        self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None
-    ) -> np.ndarray:
+    def edges(self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None) -> np.ndarray:
         """See `AbstractCosts.edges`."""
         first_x, first_y, end_x, end_y = checked_region(height_map, region)
         shape = (ABSTRACT_HEADINGS, end_x - first_x, end_y - first_y, N_ABSTRACT_ACTIONS)

@@ -100,9 +100,7 @@ class ManualCosts:
         self.settings = settings or ManualSettings()
         self._flat = FlatCosts(self.robot)
 
-    def edges(
-        self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None
-    ) -> np.ndarray:
+    def edges(self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None) -> np.ndarray:
         """See `AbstractCosts.edges`."""
         first_x, first_y, end_x, end_y = checked_region(height_map, region)
         features = coarse_features(height_map.heights)

@@ -29,8 +29,8 @@ class LabelSettings:
         turn_cost_factor: in a translation task, what turning costs relative to its normal cost.
         cost_limit: tasks that cost more count as infeasible; the published labels end at 1.48.
         cost_ratio, cost_margin: tasks that driving alone cannot do also count as infeasible if they cost more than
-            this ratio of, plus this margin over, what they would cost if feet could be anywhere (the relaxed problem; on
-            flat ground the cost itself). Of the published ones none does.
+            this ratio of, plus this margin over, what they would cost if feet could be anywhere (the relaxed problem;
+            on flat ground the cost itself). Of the published ones none does.
         max_expansions: a search that takes more ends undecided; its tasks count as infeasible and say so.
     """
 
@@ -47,9 +47,7 @@ class LabelSettings:
             raise InputError(f"{self}: the window and the margin must not be negative, all else must be positive")
 
 
-def task_costs(
-    world: World, start: np.ndarray, settings: LabelSettings
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def task_costs(world: World, start: np.ndarray, settings: LabelSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Costs of the 22 abstract actions from a valid detailed state.
 
     Args:
@@ -86,8 +84,8 @@ def task_costs(
 def _search(world: World, start: np.ndarray, goals: np.ndarray, rules: Rules, settings: LabelSettings):
     """Costs and statuses of goals under the same rules, each up to its own cost limit.
 
-    First by driving alone, a problem of three dimensions; then with all actions, where only what is cheaper than that is
-    still looked for, again in one search for all goals.
+    First by driving alone, a problem of three dimensions; then with all actions, where only what is cheaper than that
+    is still looked for, again in one search for all goals.
     """
     cost, status = np.full(len(goals), np.inf), np.full(len(goals), Status.COST_LIMIT)
     costs = pose_costs(world, rules)

@@ -1,8 +1,8 @@
 """T_a->d: from an abstract state to the detailed state that represents it.
 
-Source: paper, Sec. V-B: "For all detailed robot base states that match the abstract state, we search the least cost foot
-configuration while preferring configurations which are close to the neutral robot configuration." The reverse, T_d->a, is
-``hdsp.lattice.detailed_to_abstract``.
+Source: paper, Sec. V-B: "For all detailed robot base states that match the abstract state, we search the least cost
+foot configuration while preferring configurations which are close to the neutral robot configuration." The reverse,
+T_d->a, is ``hdsp.lattice.detailed_to_abstract``.
 """
 
 import numpy as np
@@ -59,8 +59,8 @@ def _matching_bases(anchor: np.ndarray) -> np.ndarray:
 def best_feet(world, ix, iy, heading):
     """Offsets (steps) of the four feet that minimise ``max S + sum S + neutral_penalty * sum |offset|`` and that value.
 
-    Feet of one side keep their distance, so each side is chosen as a pair; the largest S is bounded in turn by every value
-    it can take, which makes the sides independent.
+    Feet of one side keep their distance, so each side is chosen as a pair; the largest S is bounded in turn by every
+    value it can take, which makes the sides independent.
     """
     t = world.tables
     n = t.n_offsets

@@ -1,10 +1,10 @@
 """The detailed actions and what they cost: all successors of a state.
 
-Source: paper, Sec. V-A, with the cost model of docs/cost-model.md. The robot drives and turns on neutral feet; where they
-stand at different heights, as on stairs, it only drives straight. Feet leave neutral by steps and base shifts, and single
-feet roll back toward neutral. A foot steps only where it needs to: when it cannot roll on because of an edge on its line,
-and then to the nearest foothold beyond. The base shifts where a foot can step or is ahead of neutral. Whether steps and
-base shifts also go backward is up to the robot.
+Source: paper, Sec. V-A, with the cost model of docs/cost-model.md. The robot drives and turns on neutral feet; where
+they stand at different heights, as on stairs, it only drives straight. Feet leave neutral by steps and base shifts, and
+single feet roll back toward neutral. A foot steps only where it needs to: when it cannot roll on because of an edge on
+its line, and then to the nearest foothold beyond. The base shifts where a foot can step or is ahead of neutral. Whether
+steps and base shifts also go backward is up to the robot.
 """
 
 from typing import NamedTuple
@@ -86,7 +86,8 @@ def level(world, key):
 
 @njit(inline="always")
 def supported(constants, lowest, lifted, o0, o1, o2, o3):
-    """Whether the base centre lies in the triangle of the three feet that stay, ``support_margin`` cells inside its edges."""
+    """Whether the base centre lies in the triangle of the three feet that stay, ``support_margin`` cells inside its
+    edges."""
     x, y = constants.neutral_x + lowest, constants.neutral_y
     back = -constants.neutral_x + lowest
     px = (x + o0, back + o1, back + o2, x + o3)
@@ -188,7 +189,12 @@ def _drives(world, key, free, out_key, out_cost, out_action, n):
             under = compute_base_term(world, heading, p + step)
         total = np.float64(max(largest, under - _ONE)) + s0 + s1 + s2 + s3
         for s in range(first[m], first[m] + count[m]):
-            s0, s1, s2, s3 = foot[p + feet[r0 + s]], foot[p + feet[r1 + s]], foot[p + feet[r2 + s]], foot[p + feet[r3 + s]]
+            s0, s1, s2, s3 = (
+                foot[p + feet[r0 + s]],
+                foot[p + feet[r1 + s]],
+                foot[p + feet[r2 + s]],
+                foot[p + feet[r3 + s]],
+            )
             under = base[b0 + p + base_sample[s]]
             if under == 0:
                 under = compute_base_term(world, heading, p + base_sample[s])

@@ -111,8 +111,8 @@ def _steps(e, ix, iy, heading, o0, o1, o2, o3):
 
 
 def geometric_estimate(world, goal) -> Estimate:
-    """The admissible geometric heuristic: distance, difference of headings and of foot configurations, each at the least
-    it can cost on even ground (paper, Sec. VI-B).
+    """The admissible geometric heuristic: distance, difference of headings and of foot configurations, each at the
+    least it can cost on even ground (paper, Sec. VI-B).
 
     Args:
         world: terrain and robot.

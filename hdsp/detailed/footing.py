@@ -1,9 +1,10 @@
 """A relaxed problem of two dimensions for each foot: over which edges must it at least step?
 
-The cells on which a foot can stand fall into regions within which it can roll. From one region into another it comes only
-by steps. Left alone by the rest of the robot, a foot needs at least the cheapest sequence of steps from its region to that
-of its goal. The sum over the feet never exceeds what the steps of a plan cost, and counts no other action: it adds to the
-relaxed costs of the base (``relaxed``) and to the foot term of ``estimate``. Where no sequence exists, there is no plan.
+The cells on which a foot can stand fall into regions within which it can roll. From one region into another it comes
+only by steps. Left alone by the rest of the robot, a foot needs at least the cheapest sequence of steps from its region
+to that of its goal. The sum over the feet never exceeds what the steps of a plan cost, and counts no other action: it
+adds to the relaxed costs of the base (``relaxed``) and to the foot term of ``estimate``. Where no sequence exists,
+there is no plan.
 """
 
 import math

@@ -1,8 +1,8 @@
 """Where a robot's feet and body are on the lattice, as flat integer tables for the kernels.
 
-Convention: a foot is in the cell nearest to ``base + t * move + R(theta) * (neutral + offset)``. A position exactly between
-two cells goes forward along x and toward the body along y, in the frame of the robot, and forward where these two pull
-apart (on diagonal headings), so that mirrored and quarter-turned worlds get mirrored and quarter-turned cells.
+Convention: a foot is in the cell nearest to ``base + t * move + R(theta) * (neutral + offset)``. A position exactly
+between two cells goes forward along x and toward the body along y, in the frame of the robot, and forward where these
+two pull apart (on diagonal headings), so that mirrored and quarter-turned worlds get mirrored and quarter-turned cells.
 """
 
 import math
@@ -50,7 +50,8 @@ def foot_cells(robot: Robot) -> np.ndarray:
     """Cells of the feet relative to the base cell.
 
     Returns:
-        int64 [64 headings, 4 feet, offsets, samples, 2]; offsets from ``robot.offset_range()``, samples as in MOVE_SAMPLES.
+        int64 [64 headings, 4 feet, offsets, samples, 2]; offsets from ``robot.offset_range()``, samples as in
+        MOVE_SAMPLES.
     """
     low, high = robot.offset_range()
     neutral = robot.neutral_feet() / RESOLUTION
@@ -74,7 +75,8 @@ def base_cells() -> np.ndarray:
 
 
 def rectangle_cells(rectangle: Rectangle, heading: int) -> np.ndarray:
-    """Cells, int64 [n, 2] relative to the base cell, whose centres lie in a rectangle of the robot turned to ``heading``."""
+    """Cells, int64 [n, 2] relative to the base cell, whose centres lie in a rectangle of the robot turned to
+    ``heading``."""
     corner = math.hypot(max(abs(rectangle.x_min), abs(rectangle.x_max)), rectangle.half_width)
     reach = math.ceil(cells(corner))
     span = np.arange(-reach, reach + 1)
@@ -82,7 +84,9 @@ def rectangle_cells(rectangle: Rectangle, heading: int) -> np.ndarray:
     local = grid @ rotation(float(heading_angle(heading)))  # row vectors: this is R(-theta) applied to each
     tolerance = 1e-9
     x_min, x_max = cells(rectangle.x_min) - tolerance, cells(rectangle.x_max) + tolerance
-    inside = (local[:, 0] >= x_min) & (local[:, 0] <= x_max) & (abs(local[:, 1]) <= cells(rectangle.half_width) + tolerance)
+    inside = (
+        (local[:, 0] >= x_min) & (local[:, 0] <= x_max) & (abs(local[:, 1]) <= cells(rectangle.half_width) + tolerance)
+    )
     return grid[inside]
 
 
@@ -90,8 +94,9 @@ def rectangle_cells(rectangle: Rectangle, heading: int) -> np.ndarray:
 def base_shifts() -> np.ndarray:
     """The longitudinal base shift of each heading as (dx, dy, n), int64 [64, 3].
 
-    The base goes to another cell and every foot offset changes by ``-n``, so that the feet rest. At headings off the axes
-    no single cell lies exactly ahead: of one to four steps along the heading the one is taken that ends nearest to a cell.
+    The base goes to another cell and every foot offset changes by ``-n``, so that the feet rest. At headings off the
+    axes no single cell lies exactly ahead: of one to four steps along the heading the one is taken that ends nearest to
+    a cell.
     """
     table = np.empty((HEADINGS, 3), dtype=np.int64)
     for heading in range(HEADINGS):

@@ -3,8 +3,8 @@
 One family serves labels (one start, many goals), planning (one goal, weighted) and, later, anytime planning. It reopens
 states, because learned heuristics are inconsistent: a state is expanded again whenever a cheaper way to it was found.
 
-A state costs 13 bytes (packed state 8, cost 4, action 1) plus 4 bytes a slot of the hash table; the way back is found by
-undoing actions. A heap entry whose f no longer equals ``g + W h`` of its state is outdated and skipped.
+A state costs 13 bytes (packed state 8, cost 4, action 1) plus 4 bytes a slot of the hash table; the way back is found
+by undoing actions. A heap entry whose f no longer equals ``g + W h`` of its state is outdated and skipped.
 """
 
 from typing import NamedTuple

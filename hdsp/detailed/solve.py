@@ -97,7 +97,8 @@ def solve(
         goals: int64 [n, 7].
         heuristic: must not exceed the cost to the nearest goal by more than the plan may be worse than optimal.
         weight: W >= 1; with an admissible heuristic, costs are at most W times optimal.
-        admissible: whether the heuristic never exceeds the cost to the nearest goal; if so, it helps to prove that a cost
+        admissible: whether the heuristic never exceeds the cost to the nearest goal; if so, it helps to prove that a
+        cost
             limit cannot be kept.
         rules: restrictions, e.g. of labelling.
         limits: when to give up.
@@ -183,7 +184,9 @@ def _add_path(result, world, rules, store, key, status, lowest, i):
     nodes = search.trace(world, store, key)
     path = store.key[nodes]
     actions = store.action[nodes[1:]]
-    costs = np.array([edge_cost(world, rules, int(a), int(b), int(c)) for a, b, c in zip(path, path[1:], actions, strict=False)])
+    costs = np.array(
+        [edge_cost(world, rules, int(a), int(b), int(c)) for a, b, c in zip(path, path[1:], actions, strict=False)]
+    )
     result.states.append(unpack_states(path, lowest))
     result.actions.append(actions.copy())
     result.edge_costs.append(costs)

@@ -1,8 +1,8 @@
 """Detailed states as single integers, and the codes of the detailed actions.
 
 A state (ix, iy, heading, f0, f1, f2, f3) in lattice units is packed into one int64: 16 bits each for x and y, 6 for the
-heading, 5 for each foot offset counted from its lowest value. An action is one byte, and every action can be undone, so a
-search needs to remember one byte per state to find the way back.
+heading, 5 for each foot offset counted from its lowest value. An action is one byte, and every action can be undone, so
+a search needs to remember one byte per state to find the way back.
 """
 
 import numpy as np

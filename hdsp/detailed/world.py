@@ -1,7 +1,7 @@
 """A terrain and a robot, compiled into the arrays that the search kernels read.
 
-The maps are one-dimensional with a border on which no foot can stand, so that no kernel tests bounds. What depends on the
-base alone (body collision, terrain under the body) is computed when a pose is first seen and kept.
+The maps are one-dimensional with a border on which no foot can stand, so that no kernel tests bounds. What depends on
+the base alone (body collision, terrain under the body) is computed when a pose is first seen and kept.
 """
 
 import math
@@ -74,7 +74,8 @@ class Constants(NamedTuple):
 
 
 class World(NamedTuple):
-    """Terrain of nx x ny cells with a border of ``pad`` cells around it; flat index ``(ix + pad) * stride + iy + pad``."""
+    """Terrain of nx x ny cells with a border of ``pad`` cells around it; flat index ``(ix + pad) * stride + iy +
+    pad``."""
 
     nx: int
     ny: int
