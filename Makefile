@@ -5,6 +5,8 @@ KEY := $(shell cat constraints.txt pyproject.toml | cksum | cut -d' ' -f1)
 STAMP := $(VENV)/.installed-$(KEY)
 export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 export MLFLOW_DISABLE_TELEMETRY := true
+# Data sets that others published are taken from this folder if it lies beside the checkout; else they are fetched.
+export HDSP_DATA_DIR ?= $(abspath $(wildcard ../shared/data))
 TEST_ARGS ?=
 
 .PHONY: help repro tables test lint format params clean
