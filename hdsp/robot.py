@@ -46,7 +46,8 @@ class Rectangle:
 
 @dataclass(frozen=True)
 class Box(Rectangle):
-    """A rectangle over which no ground may rise more than ``above`` metres over the ground under the base centre."""
+    """A rectangle over which nothing may rise more than ``above`` metres over the ground: the lower of the ground under
+    the base centre and the mean of that under the neutral feet."""
 
     above: float
 

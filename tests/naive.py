@@ -153,8 +153,12 @@ class Naive:
         """Largest S under the body; inf where it collides, or where the ground under its centre is not known."""
         if not self.known(base):
             return INF
+        # A robot that straddles a thin wall stands on the ground beside it, not on the wall.
+        feet = [self.foothold((*base, heading, 0, 0, 0, 0), i) for i in range(4)]
+        heights = [float(self.height(cell)) for cell in feet if self.known(cell)]
+        ground = min(self.height(base), np.float32(sum(heights) / len(heights)) if heights else np.float32(np.inf))
         for box in self.robot.body.boxes:
-            limit = self.height(base) + np.float32(box.above)
+            limit = ground + np.float32(box.above)
             if any(self.known(c) and self.height(c) > limit for c in self.in_rectangle(base, heading, box)):
                 return INF
         cells = self.in_rectangle(base, heading, self.robot.body.unevenness)

@@ -74,6 +74,16 @@ def test_a_start_in_a_wall_is_explained_by_the_foot():
     assert "\n" not in plan.explain()
 
 
+def test_nobody_straddles_a_wall_even_with_the_base_right_above_it():
+    heights = np.zeros((100, 100), np.float32)
+    heights[44:56, 49:51] = 1.0  # along the robot, thin enough to fit between its feet
+    planner = Planner(HeightMap(heights))
+    x, y = planner.grid.center((50, 50))
+    plan = planner.plan((x, y, 0.0), (0.6, 0.6, 0.0))
+    assert plan.status == Status.INVALID_START
+    assert "the body would hit" in plan.explain()
+
+
 def test_a_goal_in_a_wall_is_explained():
     plan = Planner(with_wall()).plan((1.9, 1.25, 0.0), (1.01, 1.25, 0.0))
     assert plan.status == Status.INVALID_GOAL

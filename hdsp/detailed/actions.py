@@ -44,6 +44,16 @@ def foot_row(tables, heading, foot, offset):
     return ((heading * 4 + foot) * tables.n_offsets + offset) * tables.n_samples
 
 
+@njit(inline="always")
+def _feet_cells(p, feet, n_offsets, n_samples, heading, o0, o1, o2, o3):
+    """Flat cells of the four feet. Takes arrays and numbers, since each tuple handed on counts references."""
+    row = heading * 4 * n_offsets
+    return (
+        p + feet[(row + o0) * n_samples], p + feet[(row + n_offsets + o1) * n_samples],
+        p + feet[(row + 2 * n_offsets + o2) * n_samples], p + feet[(row + 3 * n_offsets + o3) * n_samples],
+    )  # fmt: skip
+
+
 @njit()
 def state_cost(world, key):
     """State cost C of a packed state; inf if a foot cannot stand there or the body collides."""
@@ -54,14 +64,6 @@ def state_cost(world, key):
     s0, s1 = foot[p + feet[foot_row(t, heading, 0, o0)]], foot[p + feet[foot_row(t, heading, 1, o1)]]
     s2, s3 = foot[p + feet[foot_row(t, heading, 2, o2)]], foot[p + feet[foot_row(t, heading, 3, o3)]]
     return merged_cost(world.constants.unevenness, base_term(world, heading, p), s0, s1, s2, s3)
-
-
-@njit(inline="always")
-def feet_unevenness(world, p, r0, r1, r2, r3):
-    """Sum of S under the four feet; inf if one cannot stand."""
-    feet = world.tables.feet
-    s = np.float64(world.foot[p + feet[r0]]) + world.foot[p + feet[r1]]
-    return s + (np.float64(world.foot[p + feet[r2]]) + world.foot[p + feet[r3]])
 
 
 @njit(inline="always")
@@ -76,11 +78,11 @@ def separated(constants, key):
 def level(world, key):
     """Whether the feet of a packed state stand at about the same height."""
     t = world.tables
-    height, feet = world.height, t.feet
+    height, feet, n_offsets, n_samples = world.height, t.feet, t.n_offsets, t.n_samples
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     p = cell_index(world, ix, iy)
-    h0, h1 = height[p + feet[foot_row(t, heading, 0, o0)]], height[p + feet[foot_row(t, heading, 1, o1)]]
-    h2, h3 = height[p + feet[foot_row(t, heading, 2, o2)]], height[p + feet[foot_row(t, heading, 3, o3)]]
+    p0, p1, p2, p3 = _feet_cells(p, feet, n_offsets, n_samples, heading, o0, o1, o2, o3)
+    h0, h1, h2, h3 = height[p0], height[p1], height[p2], height[p3]
     return max(max(h0, h1), max(h2, h3)) - min(min(h0, h1), min(h2, h3)) <= world.constants.level
 
 
@@ -126,10 +128,9 @@ def successors(world, rules, key, out_key, out_cost, out_action):
             n = _turns(world, rules, key, out_key, out_cost, out_action, n)
     if rules.drive_only:
         return n
-    foot, feet, steps = world.foot, t.feet, world.steps
+    foot, feet, steps, n_offsets, n_samples = world.foot, t.feet, world.steps, t.n_offsets, t.n_samples
     p = cell_index(world, ix, iy)
-    p0, p1 = p + feet[foot_row(t, heading, 0, o0)], p + feet[foot_row(t, heading, 1, o1)]
-    p2, p3 = p + feet[foot_row(t, heading, 2, o2)], p + feet[foot_row(t, heading, 3, o3)]
+    p0, p1, p2, p3 = _feet_cells(p, feet, n_offsets, n_samples, heading, o0, o1, o2, o3)
     ways = steps[p0] | steps[p1] | steps[p2] | steps[p3]
     can_step = (ways >> np.uint64(heading)) & np.uint64(1)
     if world.constants.step_backward:
@@ -137,10 +138,17 @@ def successors(world, rules, key, out_key, out_cost, out_action):
     if can_step == 0 and neutral:
         return n
     unevenness = foot[p0], foot[p1], foot[p2], foot[p3]
-    under = base_term(world, heading, p)
+    return _manoeuvres(world, key, can_step != 0, unevenness, out_key, out_cost, out_action, n)
+
+
+@njit()
+def _manoeuvres(world, key, can_step, unevenness, out_key, out_cost, out_action, n):
+    # Apart from the rest, and not inlined: what it names would be counted at every state, and few get here.
+    ix, iy, heading, _, _, _, _ = unpack(key)
+    under = base_term(world, heading, cell_index(world, ix, iy))
     n = _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n)
-    n = _base_shifts(world, key, can_step != 0, under, unevenness, out_key, out_cost, out_action, n)
-    if can_step != 0:
+    n = _base_shifts(world, key, can_step, under, unevenness, out_key, out_cost, out_action, n)
+    if can_step:
         n = _steps(world, key, under, unevenness, out_key, out_cost, out_action, n)
     return n
 
@@ -211,25 +219,27 @@ def _drives(world, key, free, out_key, out_cost, out_action, n):
 @njit(inline="always")
 def _turns(world, rules, key, out_key, out_cost, out_action, n):
     t = world.tables
-    c = world.constants
+    foot, feet, base, size = world.foot, t.feet, world.base, len(world.foot)
+    turn, unevenness = world.constants.turn * rules.turn_cost_factor, world.constants.turn_unevenness
+    n_offsets, n_samples = t.n_offsets, t.n_samples
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     p = cell_index(world, ix, iy)
-    here = feet_unevenness(
-        world, p, foot_row(t, heading, 0, o0), foot_row(t, heading, 1, o1),
-        foot_row(t, heading, 2, o2), foot_row(t, heading, 3, o3),
-    )  # fmt: skip
+    p0, p1, p2, p3 = _feet_cells(p, feet, n_offsets, n_samples, heading, o0, o1, o2, o3)
+    here = (np.float64(foot[p0]) + foot[p1]) + (np.float64(foot[p2]) + foot[p3])
     for action in (TURN_LEFT, TURN_RIGHT):
         new = (heading + (1 if action == TURN_LEFT else HEADINGS - 1)) % HEADINGS
         off = (new - rules.heading_center + HEADINGS // 2) % HEADINGS - HEADINGS // 2
-        if abs(off) > rules.heading_window or base_term(world, new, p) == _INF:
+        if abs(off) > rules.heading_window:
             continue
-        there = feet_unevenness(
-            world, p, foot_row(t, new, 0, o0), foot_row(t, new, 1, o1), foot_row(t, new, 2, o2), foot_row(t, new, 3, o3)
-        )
-        if there == _INF:
+        under = base[new * size + p]
+        if under == 0:
+            under = compute_base_term(world, new, p)
+        p0, p1, p2, p3 = _feet_cells(p, feet, n_offsets, n_samples, new, o0, o1, o2, o3)
+        there = (np.float64(foot[p0]) + foot[p1]) + (np.float64(foot[p2]) + foot[p3])
+        if under == _INF or there == _INF:
             continue
         out_key[n] = pack(ix, iy, new, o0, o1, o2, o3)
-        out_cost[n] = c.turn * rules.turn_cost_factor * (1.0 + c.turn_unevenness * 0.5 * (here + there))
+        out_cost[n] = turn * (1.0 + unevenness * 0.5 * (here + there))
         out_action[n] = action
         n += 1
     return n

@@ -103,6 +103,9 @@ def pose_distances(world, rules, costs, sources, initial, backward, limit):
     waiting = len(sources)
     for s in range(len(sources)):
         h, x, y = sources[s, 2], sources[s, 0], sources[s, 1]
+        if initial[s] >= distance[h, x, y]:
+            waiting -= 1
+            continue
         distance[h, x, y] = initial[s]
         slot = int(initial[s] / width) % ring
         entry[n], link[n] = (h * world.nx + x) * world.ny + y, heads[slot]

@@ -267,10 +267,10 @@ def compute_base_term(world, heading, p):
 
 @njit()
 def _largest_under_body(world, heading, p):
-    ground = world.height[p]
     tables = world.tables
-    if ground == -np.inf:
+    if world.height[p] == -np.inf:
         return np.float32(np.inf)
+    ground = min(world.height[p], _mean_foot_height(world, heading, p))
     for b in range(len(tables.box_above)):
         limit = ground + tables.box_above[b]
         if world.window_height[p] > limit:
@@ -282,3 +282,16 @@ def _largest_under_body(world, heading, p):
         for k in range(tables.under_count[heading]):
             largest = max(largest, world.uneven[p + tables.under_cells[heading, k]])
     return largest
+
+
+@njit()
+def _mean_foot_height(world, heading, p):
+    """Mean height of the known cells under the neutral feet; inf if none is known."""
+    t = world.tables
+    total, known = np.float32(0), 0
+    for foot in range(4):
+        height = world.height[p + t.feet[((heading * 4 + foot) * t.n_offsets - t.lowest) * t.n_samples]]
+        if height > -np.inf:
+            total += height
+            known += 1
+    return np.float32(total / known) if known else np.float32(np.inf)
