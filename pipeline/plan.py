@@ -94,13 +94,11 @@ def read_tasks(planner: Planner, tasks: DictConfig) -> dict[str, tuple[Pose, Pos
 
 
 def best_to_show(runs: list[dict[str, Any]]) -> tuple[str, str, float]:
-    """The search for the picture: the longest path that was found, with the least weight, and the learned heuristic."""
+    """The search for the picture: the task with most steps, then with the longest path, by the learned heuristic if it
+    found one, with the least weight."""
     solved = [run for run in runs if run["status"] == "solved"] or runs
-    costs: dict[str, float] = {}
-    for run in solved:
-        costs[run["pair"]] = min(run["cost"] or 0.0, costs.get(run["pair"], np.inf))
-    longest = max(costs, key=costs.__getitem__)
-    candidates = [run for run in solved if run["pair"] == longest]
+    chosen = max(solved, key=lambda run: (run["steps"], run["cost"] or 0.0))["pair"]
+    candidates = [run for run in solved if run["pair"] == chosen]
     run = min(candidates, key=lambda run: (run["heuristic"] != "learned", run["weight"]))
     return run["pair"], run["heuristic"], run["weight"]
 
@@ -112,6 +110,7 @@ def _run(task: str, heuristic: str, weight: float, plan: Plan, seconds: float) -
         "heuristic": heuristic,
         "weight": weight,
         "status": status,
+        "steps": sum(action.startswith("step ") for action in plan.actions),
         "cost": plan.cost if status == "solved" else None,
         "seconds": seconds,
         "expansions": plan.stats["expansions"],
