@@ -7,7 +7,7 @@ T_d->a, is ``hdsp.lattice.detailed_to_abstract``.
 
 import numpy as np
 
-from hdsp.detailed.actions import foot_row
+from hdsp.detailed.state_costs import foot_row
 from hdsp.detailed.world import World, base_term, cell_index
 from hdsp.jit import njit
 from hdsp.lattice import CELLS_PER_ABSTRACT, HEADINGS, HEADINGS_PER_ABSTRACT, abstract_anchor

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hdsp.detailed.actions import Rules, foot_row
+from hdsp.detailed.actions import Rules
+from hdsp.detailed.state_costs import foot_row
 from hdsp.detailed.world import World, cell_index, step_fits
 from hdsp.jit import njit
 from hdsp.lattice import HEADINGS, RESOLUTION

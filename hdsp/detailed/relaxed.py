@@ -8,7 +8,7 @@ admissible, consistent heuristic (together with the term for the feet of ``estim
 
 import numpy as np
 
-from hdsp.detailed.actions import foot_row
+from hdsp.detailed.state_costs import foot_row
 from hdsp.detailed.world import cell_index, compute_base_term
 from hdsp.jit import njit
 from hdsp.lattice import HEADINGS

@@ -7,8 +7,9 @@ from enum import IntEnum
 import numpy as np
 
 from hdsp.detailed import search
-from hdsp.detailed.actions import MAX_SUCCESSORS, Rules, state_cost, successors
+from hdsp.detailed.actions import MAX_SUCCESSORS, Rules, successors
 from hdsp.detailed.estimate import Estimate
+from hdsp.detailed.state_costs import state_cost
 from hdsp.detailed.states import pack_states, unpack_states
 from hdsp.detailed.world import World
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hdsp.detailed.actions import foot_row
+from hdsp.detailed.state_costs import foot_row
 from hdsp.detailed.world import World, base_term, cell_index
 from hdsp.lattice import RESOLUTION, Grid
 from hdsp.robot import FEET, Robot

@@ -3,7 +3,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from hdsp.detailed.actions import Rules, state_cost
+from hdsp.detailed.actions import Rules
+from hdsp.detailed.state_costs import state_cost
 from hdsp.detailed.states import action_name, pack_states, undo, unpack_states
 from hdsp.detailed.world import build_world
 from hdsp.heightmap import HeightMap

@@ -1,0 +1,158 @@
+"""Manoeuvres: moving a foot, shifting the base, stepping. All that takes feet off their neutral positions and back.
+
+Source: paper, Sec. V-A, with the rules and costs of docs/cost-model.md. Feet leave neutral by steps and base shifts,
+and single feet roll back toward neutral. A foot steps only where it needs to: when it cannot roll on because of an edge
+on its line, and then to the nearest foothold beyond. The base shifts where a foot can step or is ahead of neutral.
+Whether steps and base shifts also go backward is up to the robot.
+"""
+
+import numpy as np
+
+from hdsp.detailed.state_costs import foot_row, merged_cost, separated, supported
+from hdsp.detailed.states import BASE_BACKWARD, BASE_FORWARD, FOOT_MOVE, STEP, pack, unpack
+from hdsp.detailed.world import base_term, cell_index, step_fits
+from hdsp.jit import njit
+from hdsp.lattice import HEADINGS, RESOLUTION
+
+_INF = np.inf
+
+
+@njit()
+def manoeuvres(world, key, can_step, unevenness, out_key, out_cost, out_action, n):
+    """Write the successors of a valid state by manoeuvres, from position ``n`` on; returns the new number.
+
+    Args:
+        world, key, out_key, out_cost, out_action: as in ``successors``.
+        can_step: whether some foot can step from here.
+        unevenness: S under the four feet.
+        n: number of successors already written.
+    """
+    # Not inlined: what it names would have its references counted at every state, and few states get here.
+    ix, iy, heading, _, _, _, _ = unpack(key)
+    under = base_term(world, heading, cell_index(world, ix, iy))
+    n = _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n)
+    n = _base_shifts(world, key, can_step, under, unevenness, out_key, out_cost, out_action, n)
+    if can_step:
+        n = _steps(world, key, under, unevenness, out_key, out_cost, out_action, n)
+    return n
+
+
+@njit(inline="always")
+def _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n):
+    t = world.tables
+    foot, feet, k, price = world.foot, t.feet, world.constants.unevenness, world.constants.foot_move
+    ix, iy, heading, _, _, _, _ = unpack(key)
+    p = cell_index(world, ix, iy)
+    for i in range(4):
+        shift = 15 - 5 * i
+        offset = (key >> shift) & 0x1F
+        before = unevenness[0] if i == 0 else unevenness[1] if i == 1 else unevenness[2] if i == 2 else unevenness[3]
+        for backward in range(2):
+            change = 1 - 2 * backward
+            if (offset + t.lowest) * change >= 0:  # only toward neutral
+                continue
+            reached = foot[p + feet[foot_row(t, heading, i, offset + change)]]
+            if reached == _INF:
+                continue
+            new = key + (np.int64(change) << shift)
+            if not separated(world.constants, new):
+                continue
+            out_key[n] = new
+            out_cost[n] = price * (1.0 + 10.0 * k * 0.5 * (np.float64(before) + reached))
+            out_action[n] = FOOT_MOVE + 2 * i + backward
+            n += 1
+    return n
+
+
+@njit(inline="always")
+def _base_shifts(world, key, can_step, under, unevenness, out_key, out_cost, out_action, n):
+    t = world.tables
+    foot, feet, k, price = world.foot, t.feet, world.constants.unevenness, world.constants.base_shift
+    ix, iy, heading, o0, o1, o2, o3 = unpack(key)
+    cost = merged_cost(k, under, unevenness[0], unevenness[1], unevenness[2], unevenness[3])
+    for action in (BASE_FORWARD, BASE_BACKWARD):
+        if action == BASE_BACKWARD and not world.constants.shift_backward:
+            continue
+        sign = 1 if action == BASE_FORWARD else -1
+        leading = max(max(o0, o1), max(o2, o3)) if sign == 1 else min(min(o0, o1), min(o2, o3))
+        if not can_step and sign * (leading + t.lowest) <= 0:  # nobody to follow
+            continue
+        dx, dy, by = sign * t.shifts[heading, 0], sign * t.shifts[heading, 1], sign * t.shifts[heading, 2]
+        lowest, highest = min(min(o0, o1), min(o2, o3)) - by, max(max(o0, o1), max(o2, o3)) - by
+        if lowest < 0 or highest >= t.n_offsets:
+            continue
+        q = cell_index(world, ix + dx, iy + dy)
+        there = base_term(world, heading, q)
+        s0, s1 = foot[q + feet[foot_row(t, heading, 0, o0 - by)]], foot[q + feet[foot_row(t, heading, 1, o1 - by)]]
+        s2, s3 = foot[q + feet[foot_row(t, heading, 2, o2 - by)]], foot[q + feet[foot_row(t, heading, 3, o3 - by)]]
+        reached = merged_cost(k, there, s0, s1, s2, s3)
+        if reached == _INF:
+            continue
+        out_key[n] = pack(ix + dx, iy + dy, heading, o0 - by, o1 - by, o2 - by, o3 - by)
+        out_cost[n] = price * np.sqrt(np.float64(dx * dx + dy * dy)) * 0.5 * (cost + reached)
+        out_action[n] = action
+        n += 1
+    return n
+
+
+@njit(inline="always")
+def _steps(world, key, under, unevenness, out_key, out_cost, out_action, n):
+    t = world.tables
+    c = world.constants
+    foot, feet, height, swing, edge = world.foot, t.feet, world.height, world.swing, world.edge
+    line, steps = t.line, world.steps
+    ix, iy, heading, o0, o1, o2, o3 = unpack(key)
+    p = cell_index(world, ix, iy)
+    cost = merged_cost(c.unevenness, under, unevenness[0], unevenness[1], unevenness[2], unevenness[3])
+    for i in range(4):
+        shift = 15 - 5 * i
+        offset = (key >> shift) & 0x1F
+        at = p + feet[foot_row(t, heading, i, offset)]
+        possible = steps[at]
+        if possible == 0 or not supported(c, t.lowest, i, o0, o1, o2, o3):
+            continue
+        before = height[at]
+        for sign in (1, -1):
+            if sign < 0 and not c.step_backward:
+                continue
+            toward = heading if sign == 1 else (heading + HEADINGS // 2) % HEADINGS
+            if (possible >> np.uint64(toward)) & np.uint64(1) == 0:
+                continue
+            if foot[at + line[toward, 1]] < _INF:  # the foot can still roll on
+                continue
+            crossed = False
+            highest = before
+            for length in range(1, line.shape[1]):
+                to = offset + sign * length
+                if to < 0 or to >= t.n_offsets:
+                    break
+                highest = max(highest, swing[at + line[toward, length]])
+                crossed = crossed or edge[at + line[toward, length]]
+                landing = p + feet[foot_row(t, heading, i, to)]
+                reached = foot[landing]
+                if not crossed or reached == _INF:
+                    continue
+                after = height[landing]
+                if not step_fits(before, after, max(highest, after), c.step_max_height, c.step_max_clearance):
+                    continue
+                new = key + (np.int64(sign * length) << shift)
+                if not separated(c, new):
+                    continue
+                s0, s1, s2, s3 = _with_foot(unevenness, i, reached)
+                effort = c.step + c.step_per_metre * length * RESOLUTION + c.step_per_height * abs(after - before)
+                out_key[n] = new
+                out_cost[n] = effort * 0.5 * (cost + merged_cost(c.unevenness, under, s0, s1, s2, s3))
+                out_action[n] = STEP + 32 * i + 16 + sign * length
+                n += 1
+                break  # the nearest foothold; from there the foot can roll
+    return n
+
+
+@njit(inline="always")
+def _with_foot(unevenness, i, value):
+    """The four values with the one of foot ``i`` replaced."""
+    s0, s1, s2, s3 = unevenness
+    return (
+        value if i == 0 else s0, value if i == 1 else s1,
+        value if i == 2 else s2, value if i == 3 else s3,
+    )  # fmt: skip
