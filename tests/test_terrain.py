@@ -3,7 +3,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hdsp.errors import InputError
@@ -59,6 +59,7 @@ def test_obstacles_lie_in_the_published_ranges(seed, category, index):
 
 
 @settings(max_examples=25, deadline=None)
+@example(107, "wall_1", 1640)
 @given(seeds, st.sampled_from(["cuboid_1", "wall_1"]), indices)
 def test_a_rasterised_block_has_the_measured_size_of_the_block(seed, category, index):
     (block,) = random_scene(seed, category, index).obstacles
@@ -69,7 +70,11 @@ def test_a_rasterised_block_has_the_measured_size_of_the_block(seed, category, i
     assert abs(len(cells) * CELL**2 - block.length * block.width) <= border
     if len(cells) > 30:
         middle = (cells - WIDE // 2).mean(axis=0) * CELL
-        np.testing.assert_allclose(middle, (block.x, block.y), atol=0.03)
+        # A thin wall slightly off the axis may be n cells thick along one half and n + 1 along the other, which moves
+        # the mean of its cells toward the thicker half by a 4 (2 n + 1)th of its length.
+        thin = min(block.length, block.width)
+        moved = max(block.length, block.width) / (4 * (2 * math.floor(thin / CELL) + 1))
+        assert math.dist(middle, (block.x, block.y)) <= 0.03 + moved
         along = (cells - WIDE // 2) * CELL @ (math.cos(block.yaw), math.sin(block.yaw))
         assert abs(np.ptp(along) - block.length) <= 2.9 * CELL
 
