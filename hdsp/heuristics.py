@@ -13,7 +13,9 @@ import numpy as np
 from hdsp.abstract.costs import AbstractCosts
 from hdsp.abstract.dijkstra import PreparedGraph
 from hdsp.abstract.transform import best_feet
-from hdsp.detailed.estimate import Estimate, estimate, geometric_estimate
+from hdsp.detailed.actions import Rules
+from hdsp.detailed.estimate import Estimate, estimate, geometric_estimate, least_foot_cost, with_footing
+from hdsp.detailed.footing import Footing, efforts_to, find_footing
 from hdsp.detailed.states import pack_states
 from hdsp.detailed.world import World
 from hdsp.errors import InputError
@@ -84,7 +86,9 @@ class GeometricHeuristic(Heuristic):
 class AbstractHeuristic(Heuristic):
     """Costs-to-go of an abstraction: one backward Dijkstra over its edges per goal, looked up at T_d->a of a state.
 
-    Where the geometric heuristic says more (within one abstract cell of the goal, say), that counts. States that the
+    Where the geometric heuristic says more (within one abstract cell of the goal, say), that counts. The steps that
+    each foot still has to make are added (``hdsp.detailed.footing``): abstract states know no feet, so that without it
+    a search could not tell a step that leads on from one that does not. States that the
     abstraction cuts off from the goal are not given up: they come after all others, so that a mistake of the
     abstraction costs time but never makes a solvable task unsolvable.
 
@@ -101,6 +105,7 @@ class AbstractHeuristic(Heuristic):
         super().__init__(world)
         self.name, self.costs, self.terrain = name, costs, terrain
         self._graph: PreparedGraph | None = None
+        self._footing: Footing | None = None
 
     @property
     def graph(self) -> PreparedGraph:
@@ -110,12 +115,24 @@ class AbstractHeuristic(Heuristic):
             self._graph = PreparedGraph.from_edges(self.costs.edges(self.terrain, mask=mask))
         return self._graph
 
+    @property
+    def footing(self) -> Footing:
+        """Regions in which feet can roll, and the steps between them; computed when first used."""
+        if self._footing is None:
+            self._footing = find_footing(self.world, Rules(), least_foot_cost(self.world))
+        return self._footing
+
+    def prepare(self) -> None:
+        """Compute what the heuristic needs of the whole map, whatever the goal."""
+        _ = self.graph, self.footing
+
     def _prepare(self, goal: np.ndarray) -> Estimate:
         shape = abstract_shape(self.terrain.shape)
         a, b, k = (int(v) for v in detailed_to_abstract(goal))
         to_go = self.graph.cost_to_go((min(a, shape[0] - 1), min(b, shape[1] - 1), k))
         finite = to_go[np.isfinite(to_go)]
-        return geometric_estimate(self.world, goal)._replace(
+        efforts = efforts_to(self.footing, self.world, goal[None])
+        return with_footing(geometric_estimate(self.world, goal), self.footing, efforts)._replace(
             table=np.ascontiguousarray(to_go, dtype=np.float32).ravel(),
             table_nx=to_go.shape[1],
             table_ny=to_go.shape[2],
@@ -126,7 +143,7 @@ class AbstractHeuristic(Heuristic):
 
     def update(self, world: World, terrain: HeightMap) -> None:
         super().update(world, terrain)
-        self.terrain, self._graph = terrain, None
+        self.terrain, self._graph, self._footing = terrain, None, None
 
 
 def standing_states(world: World) -> np.ndarray:

@@ -126,7 +126,7 @@ class Planner:
     def prepare(self) -> Planner:
         """Compute what the heuristic needs of the whole map now instead of at the first query; returns the planner."""
         if isinstance(self.heuristic, AbstractHeuristic):
-            _ = self.heuristic.graph
+            self.heuristic.prepare()
         return self
 
     def valid(self, pose) -> bool:
