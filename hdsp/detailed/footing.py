@@ -14,9 +14,9 @@ import numpy as np
 
 from hdsp.detailed.actions import Rules
 from hdsp.detailed.state_costs import foot_row
-from hdsp.detailed.world import World, cell_index, step_fits
+from hdsp.detailed.world import World, cell_index, step_effort, step_fits
 from hdsp.jit import njit
-from hdsp.lattice import HEADINGS, RESOLUTION
+from hdsp.lattice import HEADINGS
 
 
 class Footing(NamedTuple):
@@ -114,7 +114,7 @@ def _collect_steps(world, region, headings, counted_per_cell, effort):
                         continue
                     after = height[q]
                     if step_fits(before, after, max(highest, after), c.step_max_height, c.step_max_clearance):
-                        cost = c.step + c.step_per_metre * length * RESOLUTION + c.step_per_height * abs(after - before)
+                        cost = step_effort(c.step, c.step_per_metre, c.step_per_height, length, before, after)
                         extra = np.float32(max(0.0, cost - counted_per_cell * length))
                         if extra < effort[region[p], region[q]]:
                             effort[region[p], region[q]] = extra

@@ -10,9 +10,9 @@ import numpy as np
 
 from hdsp.detailed.state_costs import foot_row, merged_cost, separated, supported
 from hdsp.detailed.states import BASE_BACKWARD, BASE_FORWARD, FOOT_MOVE, STEP, pack, unpack
-from hdsp.detailed.world import base_term, cell_index, step_fits
+from hdsp.detailed.world import base_term, cell_index, step_effort, step_fits
 from hdsp.jit import njit
-from hdsp.lattice import HEADINGS, RESOLUTION
+from hdsp.lattice import HEADINGS
 
 _INF = np.inf
 
@@ -139,7 +139,7 @@ def _steps(world, key, under, unevenness, out_key, out_cost, out_action, n):
                 if not separated(c, new):
                     continue
                 s0, s1, s2, s3 = _with_foot(unevenness, i, reached)
-                effort = c.step + c.step_per_metre * length * RESOLUTION + c.step_per_height * abs(after - before)
+                effort = step_effort(c.step, c.step_per_metre, c.step_per_height, length, before, after)
                 out_key[n] = new
                 out_cost[n] = effort * 0.5 * (cost + merged_cost(c.unevenness, under, s0, s1, s2, s3))
                 out_action[n] = STEP + 32 * i + 16 + sign * length

@@ -249,6 +249,12 @@ def step_fits(before, after, highest, max_height, max_clearance):
 
 
 @njit(inline="always")
+def step_effort(fixed, per_metre, per_height, length, before, after):
+    """What a step costs beside the state costs: ``length`` in cells, from height ``before`` to ``after`` (m)."""
+    return fixed + per_metre * length * RESOLUTION + per_height * abs(after - before)
+
+
+@njit(inline="always")
 def base_term(world, heading, p):
     """Largest S under the body at flat cell ``p``, or inf where the body collides or leaves the map."""
     known = world.base[heading * len(world.foot) + p]
