@@ -10,11 +10,14 @@ Importing this package imports neither torch nor matplotlib; learned abstraction
 ``hdsp.viz``.
 """
 
+from hdsp.detailed.motion import Motion
 from hdsp.detailed.solve import Status
-from hdsp.errors import InputError
+from hdsp.errors import InputError, RefinementError
 from hdsp.heightmap import HeightMap
 from hdsp.planner import Plan, Planner
 from hdsp.robot import Robot
 from hdsp.shards import read_tasks
 
-__all__ = ["HeightMap", "InputError", "Plan", "Planner", "Robot", "Status", "read_tasks"]
+__all__ = [
+    "HeightMap", "InputError", "Motion", "Plan", "Planner", "RefinementError", "Robot", "Status", "read_tasks",
+]  # fmt: skip

@@ -6,3 +6,15 @@ class InputError(ValueError):
 
     The message is a single line, ready to be printed to a user; entry points print it without a traceback.
     """
+
+
+class RefinementError(Exception):
+    """Raised when a plan cannot be carried out as a motion.
+
+    Attributes:
+        action: number of the first action of the plan that cannot be carried out; -1 for its start.
+    """
+
+    def __init__(self, action: int, words: str):
+        super().__init__(words)
+        self.action = action

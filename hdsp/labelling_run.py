@@ -101,7 +101,7 @@ class LabelRun:
             "labels_version": LABELS_VERSION,
             "code": code_fingerprint(["hdsp.labelling", "hdsp.terrain"]),
             "split": split,
-            "robot": self.robot.to_dict(),
+            "robot": self.robot.hash(),
             "terrain": asdict(self.terrain),
             "settings": asdict(self.settings),
         }

@@ -11,6 +11,8 @@ import numpy as np
 
 from hdsp.abstract.costs import AbstractCosts
 from hdsp.abstract.transform import feet_at
+from hdsp.detailed.motion import Motion
+from hdsp.detailed.refine import refine
 from hdsp.detailed.solve import Limits, Status, solve
 from hdsp.detailed.states import action_name
 from hdsp.detailed.validity import problems
@@ -67,6 +69,18 @@ class Plan:
             Status.TIME_LIMIT: f"not decided: stopped after {self.stats['seconds']:.1f} s",
         }
         return endings[self.status]
+
+    def refine(self) -> Motion:
+        """What the robot does to follow the plan: base and feet in each configuration, every one of them checked.
+
+        Raises:
+            InputError: if there is no plan.
+            RefinementError: if an action cannot be carried out; it says which and why. ``Planner.plan(...,
+                refinable=True)`` looks for a plan without such actions.
+        """
+        if not self.solved:
+            raise InputError(f"there is no plan to refine: {self.explain()}")
+        return refine(self.terrain, self.robot, self.states, self.actions)
 
     def show(self, path: str | Path | None = None):
         """Draw the plan on its terrain: saved as PNG if a path is given, else returned as a matplotlib figure."""

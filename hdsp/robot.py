@@ -114,6 +114,45 @@ class Step:
 
 
 @dataclass(frozen=True)
+class Legs:
+    """Hips in the frame of the base (m; those of the rear and right legs mirror these), and how long legs can be (m,
+    from the hip to where the foot touches the ground)."""
+
+    hip_x: float
+    hip_y: float
+    min_length: float
+    max_length: float
+
+
+@dataclass(frozen=True)
+class Stance:
+    """How a plan is made a motion (``hdsp.detailed.refine``); metres and radians.
+
+    Attributes:
+        base_height: of the hips above the ground on neutral feet; ``Box.above`` is measured on a robot that stands so.
+        max_roll, max_pitch: how far the base may lean.
+        reach_x, reach_y: how far the base may move over resting feet, ahead or behind and sideways.
+        mass_x, mass_z: centre of mass in the frame of the base, which has its origin between the hips.
+        margin: least distance of the centre of mass from the edges of the support polygon, seen from above.
+        swing_clearance: how far above the highest ground on its way a foot swings.
+    """
+
+    base_height: float
+    max_roll: float
+    max_pitch: float
+    reach_x: float
+    reach_y: float
+    mass_x: float
+    mass_z: float
+    margin: float
+    swing_clearance: float
+
+
+#: Parts of a robot on which motions depend, but neither plans nor labels.
+_OF_MOTIONS = ("legs", "stance")
+
+
+@dataclass(frozen=True)
 class Robot:
     """Everything the planner knows about a robot.
 
@@ -128,6 +167,8 @@ class Robot:
     foot_move: FootMove
     base_shift: BaseShift
     step: Step
+    legs: Legs
+    stance: Stance
 
     @classmethod
     def load(cls, source: "str | Path | dict | Robot") -> "Robot":
@@ -153,13 +194,19 @@ class Robot:
         return asdict(self)
 
     def hash(self) -> str:
-        """Hex digest of all values; equal robots have equal hashes on any machine."""
-        return hashlib.sha256(json.dumps(self.to_dict(), sort_keys=True).encode()).hexdigest()
+        """Hex digest of all values on which plans and labels depend; the same on any machine."""
+        values = {part: value for part, value in self.to_dict().items() if part not in _OF_MOTIONS}
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
     def neutral_feet(self) -> np.ndarray:
         """Neutral foot positions (x, y) in the robot frame, float64 [4, 2], m."""
         x, y = self.feet.neutral_x, self.feet.neutral_y
         return np.array([(x, y), (-x, y), (-x, -y), (x, -y)])
+
+    def hips(self) -> np.ndarray:
+        """Hips (x, y, z) in the frame of the base, float64 [4, 3], m."""
+        x, y = self.legs.hip_x, self.legs.hip_y
+        return np.array([(x, y, 0.0), (-x, y, 0.0), (-x, -y, 0.0), (x, -y, 0.0)])
 
     def offset_range(self) -> tuple[int, int]:
         """Smallest and largest foot offset, in lattice steps."""
@@ -229,6 +276,12 @@ def _check(robot: Robot) -> None:
         raise InputError(
             f"robot.step.max_length is {robot.step.max_length:g} m; it must not exceed {_LONGEST_STEP * RESOLUTION:g} m"
         )
+    legs, height = robot.legs, robot.stance.base_height
+    if not legs.min_length <= height <= legs.max_length:
+        raise InputError(
+            f"robot.stance.base_height is {height:g} m; legs of {legs.min_length:g} to {legs.max_length:g} m "
+            "(robot.legs.min_length, max_length) must reach the ground from there"
+        )
     low, high = robot.offset_range()
     if not (low <= 0 <= high and high - low < 32):
         raise InputError(
@@ -245,5 +298,7 @@ _POSITIVE = (
 _NOT_NEGATIVE = (
     "feet.clearance", "feet.min_separation", "feet.neutral_preference", "turn.unevenness_cost", "step.max_length",
     "step.max_height", "step.max_clearance", "step.cost", "step.cost_per_metre", "step.cost_per_height",
+    "legs.hip_x", "legs.hip_y", "legs.min_length", "stance.max_roll", "stance.max_pitch", "stance.reach_x",
+    "stance.reach_y", "stance.margin", "stance.swing_clearance",
 )  # fmt: skip
 _LONGEST_STEP = 15  # cells; what the code of an action can say (hdsp.detailed.states)

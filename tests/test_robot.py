@@ -56,6 +56,17 @@ def test_hashes_tell_robots_apart():
     assert Robot.load(changed("turn.cost", 0.0831)).hash() != Robot.load(TOY).hash()
 
 
+def test_labels_do_not_depend_on_how_plans_become_motions():
+    """Longer legs make no trained abstraction unusable."""
+    assert Robot.load(changed("legs.max_length", 0.4)).hash() == Robot.load(TOY).hash()
+    assert Robot.load(changed("stance.margin", 0.01)).hash() == Robot.load(TOY).hash()
+
+
+def test_legs_must_reach_the_ground():
+    assert_refused(changed("legs.max_length", 0.1), "stance.base_height", "0.16", "0.1")
+    assert_refused(changed("stance.base_height", 0.01), "stance.base_height", "0.01", "0.05")
+
+
 def test_the_deviation_factor_runs_through_its_knots():
     factor = Robot.load("momaro").drive.deviation_cost
     assert factor(0.0) == 1 and factor(math.pi / 4) == pytest.approx(3) and factor(math.pi) == pytest.approx(2.5)

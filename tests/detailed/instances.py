@@ -34,6 +34,11 @@ TOY = {
         "backward": True, "max_length": 0.1, "max_height": 0.14, "max_clearance": 0.15, "cost": 0.019,
         "cost_per_metre": 0.57, "cost_per_height": 0.23, "support_margin": 0.0,
     },
+    "legs": {"hip_x": 0.05, "hip_y": 0.025, "min_length": 0.05, "max_length": 0.3},
+    "stance": {
+        "base_height": 0.16, "max_roll": 0.2, "max_pitch": 0.3, "reach_x": 0.04, "reach_y": 0.02, "mass_x": 0.0,
+        "mass_z": 0.01, "margin": 0.003, "swing_clearance": 0.01,
+    },
 }  # fmt: skip
 
 
