@@ -272,17 +272,26 @@ def compute_base_term(world, heading, p):
 
 
 @njit()
-def _largest_under_body(world, heading, p):
-    tables = world.tables
-    if world.height[p] == -np.inf:
-        return np.float32(np.inf)
-    ground = min(world.height[p], _mean_foot_height(world, heading, p))
+def collides(world, heading, p):
+    """Whether the body hits what rises from the ground at flat cell ``p``, or has no known ground under its centre."""
+    tables, height = world.tables, world.height
+    if height[p] == -np.inf:
+        return True
+    ground = min(height[p], _mean_foot_height(world, heading, p))
     for b in range(len(tables.box_above)):
         limit = ground + tables.box_above[b]
         if world.window_height[p] > limit:
             for k in range(tables.box_count[b, heading]):
-                if world.height[p + tables.box_cells[b, heading, k]] > limit:
-                    return np.float32(np.inf)
+                if height[p + tables.box_cells[b, heading, k]] > limit:
+                    return True
+    return False
+
+
+@njit()
+def _largest_under_body(world, heading, p):
+    tables = world.tables
+    if collides(world, heading, p):
+        return np.float32(np.inf)
     largest = np.float32(0)
     if world.window_uneven[p] > 0:
         for k in range(tables.under_count[heading]):
