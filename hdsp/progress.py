@@ -1,19 +1,14 @@
 """What a label run shows while it works."""
 
 import sys
-from typing import Protocol
 
-import numpy as np
-
+from hdsp.label_counts import LabelCounts
 from hdsp.lattice import N_ABSTRACT_ACTIONS
 
 
-class Labelled(Protocol):
-    feasible: np.ndarray
-
-
 class TaskProgress:
-    """A bar with tasks per second, the share of infeasible tasks and the number of dropped maps; a context manager.
+    """A bar with tasks per second, the time left, the share of infeasible tasks by reason and the number of dropped
+    maps; a context manager.
 
     Args:
         name: what is being labelled.
@@ -24,7 +19,7 @@ class TaskProgress:
     def __init__(self, name: str, total: int, show: bool = True):
         self._name, self._total, self._show = name, total * N_ABSTRACT_ACTIONS, show
         self._bar = None
-        self._tasks = self._infeasible = self._dropped = 0
+        self.counts = LabelCounts()
 
     def __enter__(self) -> "TaskProgress":
         return self
@@ -37,6 +32,11 @@ class TaskProgress:
         """Lines on standard error."""
         for message in messages:
             print(f"{self._name}: {message}", file=sys.stderr)
+
+    def note(self, *messages: str) -> None:
+        """As `say`, but only where there is a bar."""
+        if self._show:
+            self.say(*messages)
 
     def begin(self, already_done: int = 0) -> None:
         """Shows the bar; ``already_done`` maps of the total need no work."""
@@ -51,15 +51,12 @@ class TaskProgress:
             desc=self._name, total=self._total, initial=done, unit="task", mininterval=interval, dynamic_ncols=True
         )
 
-    def count(self, labels: Labelled | None) -> Labelled | None:
-        """Counts the labels of one map (None = dropped), and returns them."""
-        if labels is None:
-            self._dropped += 1
-        else:
-            self._tasks += labels.feasible.size
-            self._infeasible += int(labels.feasible.size - labels.feasible.sum())
-        if self._bar is not None:
-            share = self._infeasible / max(self._tasks, 1)
-            self._bar.set_postfix_str(f"{share:.0%} infeasible, {self._dropped} maps dropped", refresh=False)
-            self._bar.update(N_ABSTRACT_ACTIONS)
-        return labels
+    def count(self, counts: LabelCounts) -> None:
+        """Adds the counts of maps that were labelled."""
+        self.counts += counts
+        if self._bar is None:
+            return
+        shares = {reason: share for reason, share in self.counts.shares().items() if reason != "solved"}
+        infeasible = " + ".join(f"{share:.0%} {reason}" for reason, share in shares.items()) or "0%"
+        self._bar.set_postfix_str(f"infeasible: {infeasible}; {self.counts.dropped} maps dropped", refresh=False)
+        self._bar.update((counts.maps + counts.dropped) * N_ABSTRACT_ACTIONS)

@@ -7,18 +7,31 @@ HDF5 parses the file.
 
 import hashlib
 import io
-import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from hdsp.errors import InputError
-from hdsp.files import existing_file, replacing
+from hdsp.files import existing_file
+from hdsp.storage import Place, is_folder, is_url, open_folder, split_place
 from hdsp.tasks import FIELDS, TaskSet
 
-__all__ = ["SCHEMA_VERSION", "SUFFIX", "Shard", "TaskSet", "read_shard", "read_tasks", "write_shard"]
+__all__ = [
+    "SCHEMA_VERSION",
+    "SUFFIX",
+    "Shard",
+    "TaskSet",
+    "read_shard",
+    "read_shards",
+    "read_tasks",
+    "shard_bytes",
+    "shard_names",
+    "shard_of",
+    "shard_paths",
+    "write_shard",
+]
 
 #: Raised when the layout of the file changes.
 SCHEMA_VERSION = 1
@@ -40,27 +53,42 @@ class Shard(NamedTuple):
     attributes: dict[str, str | int | float]
 
 
-def write_shard(path: str | os.PathLike, tasks: TaskSet, attributes: Attributes) -> Path:
-    """Writes a shard; the same tasks and attributes give the same bytes.
+def write_shard(path: Place, tasks: TaskSet, attributes: Attributes) -> Place:
+    """Writes a shard.
 
     Args:
-        path: the file; a shard that is there is replaced.
-        tasks: what it holds; may be empty.
-        attributes: texts and numbers by name; `labels_hash`, a hash of all that the labels depend on, has to be there.
+        path: the file, or its URL; a shard that is there is replaced.
+        tasks, attributes: see `shard_bytes`.
 
     Raises:
-        InputError: if `labels_hash` is missing, an attribute is of another type, or the file cannot be written.
+        InputError: as `shard_bytes`, or if the file cannot be written.
+    """
+    folder, name = split_place(path)
+    folder.write(name, shard_bytes(tasks, attributes, str(path)))
+    return path if is_url(path) else Path(path)
+
+
+def shard_bytes(tasks: TaskSet, attributes: Attributes, where: str = "") -> bytes:
+    """The contents of a shard's file.
+
+    Args:
+        tasks: what it holds; may be empty.
+        attributes: texts and numbers by name; `labels_hash`, a hash of all that the labels depend on, has to be there.
+        where: names the shard in errors.
+
+    Raises:
+        InputError: if `labels_hash` is missing, or an attribute is of another type.
     """
     import h5py
 
     if "labels_hash" not in attributes:
-        raise InputError(f"shard {path}: attribute labels_hash is missing")
+        raise InputError(f"shard {where}: attribute labels_hash is missing")
     for name, value in attributes.items():
         if name in _OWN_ATTRIBUTES or not isinstance(value, str | int | float):
-            raise InputError(f"shard {path}: attribute {name} = {value!r}; need a text or number, and a free name")
+            raise InputError(f"shard {where}: attribute {name} = {value!r}; need a text or number, and a free name")
     names = sorted(set(tasks.category.tolist()))
     if len(names) > 256:
-        raise InputError(f"shard {path}: {len(names)} categories; at most 256 fit")
+        raise InputError(f"shard {where}: {len(names)} categories; at most 256 fit")
     arrays = {name: tasks.arrays()[name] for name in FIELDS}
     arrays["category"] = np.searchsorted(names, tasks.category).astype(np.uint8)
     # Through memory: a full disk is then an ordinary OSError, which HDF5 reports in ways of its own.
@@ -75,49 +103,75 @@ def write_shard(path: str | os.PathLike, tasks: TaskSet, attributes: Attributes)
         for name, value in attributes.items():
             file.attrs[name] = value
     body = buffer.getvalue()[_USER_BLOCK:]
-    with replacing(path) as temporary:
-        temporary.write_bytes(_header(SCHEMA_VERSION, body) + body)
-    return Path(path)
+    return _header(SCHEMA_VERSION, body) + body
 
 
-def read_shard(path: str | os.PathLike) -> Shard:
+def read_shard(path: Place) -> Shard:
     """Reads and verifies a shard.
+
+    Args:
+        path: the file, or its URL.
 
     Raises:
         InputError: names the file and what is wrong: missing, no shard, other schema version, cut off, or damaged.
     """
+    if not is_url(path):
+        existing_file(path, "shard")
+    folder, name = split_place(path)
+    return shard_of(folder.read(name), str(path))
+
+
+def shard_of(content: bytes, where: str = "") -> Shard:
+    """The shard in the contents of a file; ``where`` names it in errors.
+
+    Raises:
+        InputError: names what is wrong: no shard, other schema version, cut off, or damaged.
+    """
     import h5py
 
-    path = existing_file(path, "shard")
-    _verify(path)
+    _verify(content, where)
     try:
-        with h5py.File(path) as file:
+        with h5py.File(io.BytesIO(content)) as file:
             arrays = {name: file[name][()] for name in (*FIELDS, "category")}
             names = np.array([*file.attrs[_CATEGORY_NAMES], ""], dtype=np.str_)
             attributes = {name: _plain(value) for name, value in file.attrs.items() if name not in _OWN_ATTRIBUTES}
         return Shard(TaskSet(**{**arrays, "category": names[arrays["category"]]}), attributes)
     except (OSError, KeyError, IndexError, ValueError, TypeError) as error:
-        raise InputError(f"shard {path}: {' '.join(str(error).split())}") from error
+        raise InputError(f"shard {where}: {' '.join(str(error).split())}") from error
 
 
-def read_tasks(path: str | os.PathLike) -> TaskSet:
-    """The tasks of a shard, or of all shards of a folder in the order of their names.
+def read_tasks(path: Place) -> TaskSet:
+    """The tasks of a shard, or of all shards of a folder in the order of their names; path or URL.
 
     Raises:
         InputError: if there is no such file or folder, the folder holds no shard, or a shard is damaged.
     """
-    path = Path(path)
-    if not path.is_dir():
+    if not is_folder(path):
         return read_shard(path).tasks
-    shards = shard_paths(path)
-    if not shards:
-        raise InputError(f"folder {path} holds no shard (*{SUFFIX})")
-    return TaskSet.concatenate([read_shard(shard).tasks for shard in shards])
+    return TaskSet.concatenate([shard.tasks for shard in read_shards(path)])
 
 
-def shard_paths(folder: str | os.PathLike) -> list[Path]:
-    """The shards of a folder by name; temporary files of a writer at work, or of one that was killed, are none."""
-    return sorted(path for path in Path(folder).glob(f"*{SUFFIX}") if not path.name.startswith("."))
+def read_shards(folder: Place) -> Iterator[Shard]:
+    """The shards of a folder one by one, in the order of their names; never more than one is in memory.
+
+    Raises:
+        InputError: if the folder holds no shard, or when a damaged one is met.
+    """
+    paths = shard_paths(folder)
+    if not paths:
+        raise InputError(f"folder {folder} holds no shard (*{SUFFIX})")
+    return map(read_shard, paths)
+
+
+def shard_paths(folder: Place) -> list[Place]:
+    """The shards of a folder by name: paths, or URLs if the folder is one."""
+    names = shard_names(open_folder(folder).names())
+    return [f"{str(folder).rstrip('/')}/{name}" if is_url(folder) else Path(folder) / name for name in names]
+
+
+def shard_names(names: list[str]) -> list[str]:
+    """Those that are shards; temporary files of a writer at work, or of one that was killed, are none."""
+    return [name for name in names if name.endswith(SUFFIX) and not name.startswith(".")]
 
 
 def _header(version: int, body: bytes) -> bytes:
@@ -125,20 +179,16 @@ def _header(version: int, body: bytes) -> bytes:
     return text.encode("ascii").ljust(_USER_BLOCK, b"\0")
 
 
-def _verify(path: Path) -> None:
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"shard {path} cannot be read: {error.strerror}") from error
+def _verify(content: bytes, where: str) -> None:
     if not content.startswith(_MAGIC.encode()):
-        raise InputError(f"shard {path} is damaged or no shard: it does not begin with {_MAGIC!r}")
+        raise InputError(f"shard {where} is damaged or no shard: it does not begin with {_MAGIC!r}")
     header, body = content[:_USER_BLOCK], content[_USER_BLOCK:]
     if header == _header(SCHEMA_VERSION, body):
         return
     line = header.split(b"\n")[1].decode("ascii", "replace") if header.count(b"\n") > 1 else ""
     if line.startswith("schema ") and line[7:].isdigit() and header == _header(int(line[7:]), body):
-        raise InputError(f"shard {path} has schema version {line[7:]}; need {SCHEMA_VERSION}: make it again")
-    raise InputError(f"shard {path} is damaged: its contents do not fit their checksum (cut off, or changed)")
+        raise InputError(f"shard {where} has schema version {line[7:]}; need {SCHEMA_VERSION}: make it again")
+    raise InputError(f"shard {where} is damaged: its contents do not fit their checksum (cut off, or changed)")
 
 
 def _plain(value):

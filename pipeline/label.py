@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 from omegaconf import DictConfig
 
 from hdsp.errors import InputError
@@ -10,24 +12,40 @@ from pipeline.stage import Folders, run_stage, write_json
 
 
 def label(config: DictConfig, folders: Folders, split: str) -> None:
+    from hdsp.labelling_run import label_split
+    from hdsp.workers import ClusterSettings
+
+    runtime, own = config.runtime, config.labelling
+    cluster = ClusterSettings(runtime.workers, own.scheduler, plain(own.slurm), runtime.dashboard, runtime.memory)
+    local = folders.write("data", "labels", split)
+    place = f"{own.destination.rstrip('/')}/{split}" if own.destination else local
+    result = label_split(label_run(config, split), place, cluster, progress=runtime.progress)
+    write_json(folders.write("reports", "labels", f"{split}.json"), result.summary)
+    if result.record:  # beside the labels and not in a report: no two runs are the same here
+        with folders.write("data", "label_runs", f"{split}.jsonl").open("a", encoding="utf-8") as file:
+            file.write(json.dumps(result.record) + "\n")
+
+
+def label_run(config: DictConfig, split: str):
+    """The `LabelRun` of a split of the configuration.
+
+    Raises:
+        InputError: there is no such split, or a setting is wrong.
+    """
     from hdsp.labelling import LabelSettings
-    from hdsp.labelling_run import SplitSettings, label_split
     from hdsp.robot import Robot
+    from hdsp.splits import LabelRun, SplitSettings
     from hdsp.terrain import TerrainSettings
 
     splits = config.labelling.splits
     if split not in splits:
         raise InputError(f"unknown split {split!r}; labelling.splits has {', '.join(splits)}")
-    summary = label_split(
+    return LabelRun(
         settings(SplitSettings, splits[split], f"labelling.splits.{split}"),
         Robot.load(plain(config.robot)),
         settings(TerrainSettings, config.terrain, "terrain"),
         settings(LabelSettings, config.labelling.settings, "labelling.settings"),
-        folders.write("data", "labels", split),
-        workers=config.runtime.workers,
-        progress=config.runtime.progress,
     )
-    write_json(folders.write("reports", "labels", f"{split}.json"), summary)
 
 
 if __name__ == "__main__":

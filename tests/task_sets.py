@@ -63,7 +63,7 @@ def fake_label(terrain, robot, settings, start_heading) -> FakeLabels | None:
 
 
 def slow_fake_label(*arguments) -> FakeLabels | None:
-    time.sleep(0.05)
+    time.sleep(0.03)
     return fake_label(*arguments)
 
 
@@ -73,6 +73,14 @@ def failing_label(*arguments) -> None:
 
 def suicidal_label(*arguments) -> None:
     os._exit(9)
+
+
+def unlucky_label(terrain, robot, settings, start_heading) -> FakeLabels | None:
+    """Ends its process at the first calls, until there are four files in ``settings.folder``: Dask then gives up."""
+    if len(list(Path(settings.folder).iterdir())) < 4:
+        Path(settings.folder, str(os.getpid())).touch()
+        os._exit(9)
+    return fake_label(terrain, robot, settings, start_heading)
 
 
 def modules_label(terrain, robot, settings, start_heading) -> FakeLabels | None:

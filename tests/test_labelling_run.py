@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from hdsp.errors import InputError
-from hdsp.labelling_run import LabelRun, SplitSettings, label_split, summary
+from hdsp.label_counts import LabelCounts, split_summary
+from hdsp.labelling_run import ClusterSettings, LabelRun, SplitSettings, label_split
 from hdsp.robot import Robot
 from hdsp.shards import read_shard, read_tasks, shard_paths, write_shard
-from hdsp.tasks import TaskSet
 from hdsp.terrain import CATEGORIES, TerrainSettings, random_map
 from tests.task_sets import (
     assert_same_tasks,
@@ -22,12 +22,12 @@ from tests.task_sets import (
     modules_label,
     random_tasks,
     slow_fake_label,  # noqa: F401 - the scripts of the killed runs take it from here
-    suicidal_label,
 )
 
 linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes through /proc")
 ROOT = Path(__file__).resolve().parents[1]
 ROBOT = Robot.load("momaro")
+HASH = {"labels_hash": "0"}
 SPLIT = SplitSettings(seed=1, maps_per_category=4, heading_residues=(0, 1), maps_per_shard=8)  # 36 maps, 5 shards
 
 
@@ -40,14 +40,18 @@ class FakeSettings:
 
 def label(folder, split=SPLIT, workers=1, function=fake_label, settings=None):
     """`label_split` with all but the interesting arguments given."""
-    settings = settings or FakeSettings()
-    return label_split(
-        split, ROBOT, TerrainSettings(), settings, folder, workers=workers, progress=False, label=function
-    )
+    run = LabelRun(split, ROBOT, TerrainSettings(), settings or FakeSettings())
+    cluster = ClusterSettings(workers, dashboard=None)
+    return label_split(run, folder, cluster, progress=False, label=function).summary
 
 
 def contents(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    """The bytes of every dataset of every shard, and its attributes. LZF may pack the same bytes in several ways."""
+    found = {}
+    for path in folder.iterdir():
+        shard = read_shard(path)
+        found[path.name] = {**{name: a.tobytes() for name, a in shard.tasks.arrays().items()}, **shard.attributes}
+    return found
 
 
 def test_all_maps_of_a_split_are_labelled_and_described(tmp_path):
@@ -84,10 +88,10 @@ def test_the_summary_counts_what_was_kept_and_dropped(tmp_path):
     assert found["share_per_reason"] == pytest.approx(
         {"solved": tasks.feasible.mean(), "infeasible": 1 - tasks.feasible.mean()}
     )
-    assert summary(SPLIT, [TaskSet.empty()])["feasible_share"] is None
+    assert split_summary({"cuboid_1": LabelCounts()}, 2)["feasible_share"] is None
 
 
-def test_several_workers_give_the_same_bytes_as_one(tmp_path):
+def test_several_workers_give_the_same_datasets_as_one(tmp_path):
     one = label(tmp_path / "one")
     assert label(tmp_path / "two", workers=2) == one
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
@@ -111,23 +115,37 @@ def test_more_maps_keep_the_full_shards_that_are_there(tmp_path):
     assert_same_tasks(read_tasks(tmp_path / "grown"), read_tasks(tmp_path / "fresh"))
 
 
-def test_damaged_and_foreign_shards_are_named_and_made_again(tmp_path, capsys):
-    label(tmp_path)
-    good = contents(tmp_path)
-    first, second, third, *_ = shard_paths(tmp_path)
+def test_damaged_and_foreign_files_are_named_and_nothing_foreign_is_lost(tmp_path, capsys):
+    folder = tmp_path / "labels"
+    label(folder)
+    good = contents(folder)
+    first, second, third, *_ = shard_paths(folder)
     first.write_bytes(first.read_bytes()[:-10])
     content = bytearray(second.read_bytes())
     content[3000] ^= 1
     second.write_bytes(content)
     write_shard(third, random_tasks(3), {"labels_hash": "of other settings", "maps": 8})
-    write_shard(tmp_path / "foreign.h5", random_tasks(2), {"labels_hash": "0"})
-    (tmp_path / ".00000-abc.77-ff.tmp.h5").write_bytes(b"half")
-    label(tmp_path)
-    assert contents(tmp_path) == good
+    foreign = {"foreign.h5": b"another's work", "mine.h5": (write_shard(folder / "mine.h5", random_tasks(2), HASH))}
+    foreign["mine.h5"] = foreign["mine.h5"].read_bytes()
+    (folder / "foreign.h5").write_bytes(foreign["foreign.h5"])
+    (folder / "00077-0123456789ab.h5").write_bytes(b"")
+    (folder / ".00000-abc.77-ff.tmp.h5").write_bytes(b"half")
+    label(folder)
+    assert contents(folder) == good
+    assert {path.name: path.read_bytes() for path in (tmp_path / "labels.foreign").iterdir()} == foreign
     said = capsys.readouterr().err
-    for name in (first.name, second.name, third.name, "foreign.h5", ".00000-abc.77-ff.tmp.h5"):
-        assert f"{name}" in said
-    assert "damaged" in said and "other settings" in said
+    for name in (first.name, second.name, third.name, *foreign, "00077-0123456789ab.h5", ".00000-abc.77-ff.tmp.h5"):
+        assert name in said
+    assert "damaged" in said and "other settings" in said and "labels.foreign/foreign.h5" in said
+
+
+def test_a_second_foreign_file_of_a_name_does_not_replace_the_first(tmp_path):
+    for word in (b"one", b"two"):
+        (tmp_path / "labels").mkdir(exist_ok=True)
+        (tmp_path / "labels/notes.h5").write_bytes(word)
+        label(tmp_path / "labels", SplitSettings(seed=1, maps_per_category=1))
+    aside = tmp_path / "labels.foreign"
+    assert ((aside / "notes.h5").read_bytes(), (aside / "notes.h5.1").read_bytes()) == (b"one", b"two")
 
 
 @pytest.mark.parametrize(
@@ -214,14 +232,9 @@ def test_a_fault_in_the_search_names_the_map(tmp_path):
             label(tmp_path, workers=workers, function=failing_label)
 
 
-def test_a_killed_worker_ends_the_run_with_advice(tmp_path):
-    with pytest.raises(InputError, match="fewer workers"):
-        label(tmp_path, workers=2, function=suicidal_label)
-
-
 def test_a_place_that_cannot_be_written_to_is_named_before_work_begins(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match=r"cannot write labels to .*file/labels"):
+    with pytest.raises(InputError, match=r"cannot write to .*file/labels"):
         label(tmp_path / "file" / "labels", function=failing_label)
 
 
@@ -259,13 +272,16 @@ def test_wrong_splits_are_refused_by_name(values, words):
     with pytest.raises(InputError, match=words):
         SplitSettings(**{"seed": 1, "maps_per_category": 1, **values})
     with pytest.raises(InputError, match="workers is 0"):
-        label("unused", workers=0)
+        ClusterSettings(workers=0)
+    with pytest.raises(InputError, match=r"scheduler is 'cluster'; need null .*, slurm, or an address"):
+        ClusterSettings(scheduler="cluster")
 
 
 def test_the_bar_shows_speed_and_the_infeasible_share(tmp_path, capsys):
-    label_split(SPLIT, ROBOT, TerrainSettings(), FakeSettings(), tmp_path, workers=1, label=fake_label)
+    run = LabelRun(SPLIT, ROBOT, TerrainSettings(), FakeSettings())
+    label_split(run, tmp_path, ClusterSettings(workers=1), label=fake_label)
     shown = capsys.readouterr().err
-    assert "task/s" in shown and "% infeasible" in shown and "maps dropped" in shown and "792/792" in shown
+    assert "task/s" in shown and "% infeasible;" in shown and "maps dropped" in shown and "792/792" in shown
 
 
 def children(pid: int) -> list[int]:

@@ -25,11 +25,6 @@ def test_a_shard_gives_back_what_was_written(tmp_path_factory, maps, seed):
     assert [file.name for file in path.parent.iterdir()] == ["0.h5"]
 
 
-def test_equal_contents_are_equal_bytes(tmp_path):
-    one, other = (write_shard(tmp_path / name, random_tasks(4), HASH).read_bytes() for name in ("a.h5", "b.h5"))
-    assert one == other
-
-
 def test_a_shard_is_plain_hdf5_with_a_map_for_a_chunk(tmp_path):
     tasks = random_tasks(4)
     with h5py.File(write_shard(tmp_path / "a.h5", tasks, HASH)) as file:

@@ -1,0 +1,94 @@
+"""What a worker does for a label run: labels some maps, counts, and writes a shard.
+
+Kept apart so that a worker imports this, the label function and nothing of what the scheduling side needs.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hdsp.errors import InputError
+from hdsp.heightmap import HeightMap
+from hdsp.label_counts import LabelCounts, counts_by_category
+from hdsp.robot import Robot
+from hdsp.shards import shard_bytes
+from hdsp.splits import LabelRun, ShardPlan, labels_code
+from hdsp.storage import Place, open_folder
+from hdsp.tasks import TaskSet
+
+if TYPE_CHECKING:
+    from hdsp.labelling import LabelSettings, MapTasks
+
+#: (map, robot, settings, start heading) -> labels, or None if the robot cannot start there.
+LabelMap = Callable[[HeightMap, Robot, "LabelSettings", int], "MapTasks | None"]
+Labels = list["MapTasks | None"]
+
+
+def label_maps(run: LabelRun, label: LabelMap | None, code: str, numbers: Sequence[int]) -> Labels:
+    """Labels maps of a split.
+
+    Args:
+        run: the split and all its labels depend on.
+        label: labels one map; None = `hdsp.labelling.label_map`.
+        code: `labels_code` of the process that asks.
+        numbers: of the maps.
+
+    Raises:
+        InputError: if this process has other code than the one that asks: shards would not be what they say they are.
+        RuntimeError: names the map on which labelling failed.
+    """
+    if _own_code() != code:
+        raise InputError("a worker has another version of hdsp than the process that asks it for labels")
+    if label is None:
+        from hdsp.labelling import label_map as label
+    return [_label_map(run, label, number) for number in numbers]
+
+
+def count_labels(labels: Labels) -> LabelCounts:
+    """Counts of the maps of a part."""
+    kept = [tasks for tasks in labels if tasks is not None]
+    if not kept:
+        return LabelCounts(dropped=len(labels))
+    arrays = (np.array([getattr(tasks, name) for tasks in kept]) for name in ("feasible", "cost", "reason"))
+    return LabelCounts.of(*arrays, dropped=len(labels) - len(kept))
+
+
+def store_shard(run: LabelRun, place: Place, shard: ShardPlan, parts: list[Labels]) -> dict[str, LabelCounts]:
+    """Writes the labels of a shard's maps, in parts, to the folder ``place``; returns the counts of each category.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    tasks = _task_set(run, shard.maps, [labels for part in parts for labels in part])
+    attributes = {
+        "labels_hash": run.labels_hash,
+        "labels_inputs": run.inputs_text,
+        "first_map": shard.maps.start,
+        "maps": len(shard.maps),
+    }
+    open_folder(place).write(shard.name, shard_bytes(tasks, attributes, shard.name))
+    return counts_by_category(tasks)
+
+
+@lru_cache(1)
+def _own_code() -> str:
+    return labels_code()
+
+
+def _label_map(run: LabelRun, label: LabelMap, number: int) -> "MapTasks | None":
+    try:
+        return label(run.terrain_of(number), run.robot, run.settings, run.map_of(number)[2])
+    except Exception as error:
+        raise RuntimeError(f"labelling failed on {run.describe(number)}: {error}") from error
+
+
+def _task_set(run: LabelRun, maps: range, labels: Labels) -> TaskSet:
+    kept = [(number, tasks) for number, tasks in zip(maps, labels, strict=True) if tasks is not None]
+    if not kept:
+        return TaskSet.empty()
+    numbers, tasks = zip(*kept, strict=True)
+    category, index, heading = zip(*map(run.map_of, numbers), strict=True)
+    arrays = {name: np.array(column) for name, column in zip(tasks[0]._fields, zip(*tasks, strict=True), strict=True)}
+    return TaskSet(**arrays, category=category, index=index, heading=heading, seed=np.full(len(kept), run.split.seed))
