@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
 from hdsp.errors import InputError
 from pipeline.config import plain, settings
 from pipeline.stage import Folders, run_stage, write_json
+
+if TYPE_CHECKING:
+    from hdsp.splits import LabelRun
 
 
 def label(config: DictConfig, folders: Folders, split: str) -> None:
@@ -17,8 +22,7 @@ def label(config: DictConfig, folders: Folders, split: str) -> None:
 
     runtime, own = config.runtime, config.labelling
     cluster = ClusterSettings(runtime.workers, own.scheduler, plain(own.slurm), runtime.dashboard, runtime.memory)
-    local = folders.write("data", "labels", split)
-    place = f"{own.destination.rstrip('/')}/{split}" if own.destination else local
+    place = shards_place(config, folders.outputs, split)
     result = label_split(label_run(config, split), place, cluster, progress=runtime.progress)
     write_json(folders.write("reports", "labels", f"{split}.json"), result.summary)
     if result.record:  # beside the labels and not in a report: no two runs are the same here
@@ -26,7 +30,13 @@ def label(config: DictConfig, folders: Folders, split: str) -> None:
             file.write(json.dumps(result.record) + "\n")
 
 
-def label_run(config: DictConfig, split: str):
+def shards_place(config: DictConfig, folder: Path, split: str) -> str | Path:
+    """Folder or URL of the shards of a split; `folder` holds data/."""
+    destination = config.labelling.destination
+    return f"{destination.rstrip('/')}/{split}" if destination else folder / "data" / "labels" / split
+
+
+def label_run(config: DictConfig, split: str) -> LabelRun:
     """The `LabelRun` of a split of the configuration.
 
     Raises:

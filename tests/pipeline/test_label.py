@@ -40,3 +40,25 @@ def test_a_second_run_changes_no_shard(labelled):
 def test_an_unknown_split_is_named(tmp_path):
     with pytest.raises(AssertionError, match=r"error: unknown split 'tset'; labelling.splits has train, val, random\n"):
         run_python("pipeline.label", "tset", *tiny(tmp_path))
+
+
+def test_the_report_sets_the_labels_beside_those_of_the_paper(labelled):
+    said = run_python("pipeline.label_report", *tiny(labelled)).stdout
+    report = json.loads((labelled / "reports/labels.json").read_text())
+    assert report["profile"] == "tiny"
+    for split in SPLITS:
+        ours, counted = report["splits"][split], json.loads((labelled / f"reports/labels/{split}.json").read_text())
+        assert {name: ours[name] for name in ("maps", "tasks", "feasible_share", "cost_mean")} == {
+            name: counted[name] for name in ("maps", "tasks", "feasible_share", "cost_mean")
+        }
+        assert {name: of_it["maps"] for name, of_it in ours["categories"].items()} == counted["maps_per_category"]
+        assert ours["dropped_maps_looked_at"] == counted["maps_dropped"]
+        assert sum(ours["dropped_for"].values()) == pytest.approx(1)
+        assert ours["runs"][0]["tasks"] == 22 * ours["maps_before"] and ours["runs"][0]["peak_memory"] < 1.5e9
+    assert report["splits"]["train"]["paper"]["maps"] == 11_327
+    assert "| 11,327 |" in said and "| 249,194 |" in said and "staircase_focused" in said
+
+
+def test_a_report_of_labels_of_other_settings_is_refused(labelled):
+    with pytest.raises(AssertionError, match="labels of other settings or code than these; label the split again"):
+        run_python("pipeline.label_report", *tiny(labelled), "labelling.settings.cost_limit=1.2")

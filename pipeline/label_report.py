@@ -1,0 +1,66 @@
+"""The labels of a profile beside the paper's: `reports/labels.json`, from the shards.
+
+    python -m pipeline.label_report profile=paper runtime.inputs=outputs/paper runtime.outputs=.
+
+No stage of dvc.yaml: it describes the profile that was labelled in full once, whatever profile the pipeline runs.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from omegaconf import DictConfig
+
+from pipeline.label import label_run, shards_place
+from pipeline.paper import LABELS
+from pipeline.stage import Folders, run_stage, write_json
+
+
+def label_report(config: DictConfig, folders: Folders) -> None:
+    from hdsp.label_report import describe_labels
+
+    splits: dict[str, Any] = {}
+    for split in config.labelling.splits:
+        place = shards_place(config, folders.inputs, split)
+        ours = describe_labels(label_run(config, split), place)
+        records = folders.read("data", "label_runs", f"{split}.jsonl")
+        lines = records.read_text(encoding="utf-8").splitlines() if records.is_file() else []
+        splits[split] = {**ours, "paper": LABELS.get(split), "runs": [json.loads(line) for line in lines]}
+    write_json(folders.write("reports", "labels.json"), {"profile": config.profile, "splits": splits})
+    print(table(splits))
+
+
+def table(splits: dict[str, Any]) -> str:
+    """Markdown: a row for each split and category, the paper's counts beside ours."""
+    header = ["split", "category", "maps kept", "of", "paper", "tasks", "paper", "feasible", "cost", "paper"]
+    rows = []
+    for split, values in splits.items():
+        paper = values["paper"] or {}
+        rows.append(_row(split, "all", values, paper))
+        rows += [_row("", name, of_it, {}) for name, of_it in values["categories"].items()]
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _row(split: str, category: str, values: dict[str, Any], paper: dict[str, Any]) -> list[str]:
+    return [
+        split,
+        category,
+        f"{values['maps']:,}",
+        f"{values['maps_before']:,}",
+        f"{paper['maps']:,}" if "maps" in paper else "",
+        f"{values['tasks']:,}",
+        f"{paper['tasks']:,}" if "tasks" in paper else "",
+        f"{100 * values['feasible_share']:.1f} %" if values["maps"] else "",
+        _cost(values["cost_mean"], values["cost_std"]),
+        _cost(paper.get("cost_mean"), paper.get("cost_std")),
+    ]
+
+
+def _cost(mean: float | None, std: float | None) -> str:
+    return f"{mean:.3f} ± {std:.3f}" if mean is not None and std is not None else ""
+
+
+if __name__ == "__main__":
+    run_stage(label_report, "label_report")
