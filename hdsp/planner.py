@@ -11,13 +11,14 @@ import numpy as np
 
 from hdsp.abstract.costs import AbstractCosts
 from hdsp.abstract.transform import feet_at
+from hdsp.detailed.explain import explain
 from hdsp.detailed.motion import Motion
-from hdsp.detailed.refine import refine
+from hdsp.detailed.refine import ban, last_step, refine
 from hdsp.detailed.solve import Limits, Status, solve
 from hdsp.detailed.states import action_name
 from hdsp.detailed.validity import problems
 from hdsp.detailed.world import build_world
-from hdsp.errors import InputError
+from hdsp.errors import InputError, RefinementError
 from hdsp.heightmap import HeightMap
 from hdsp.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
 from hdsp.lattice import RESOLUTION, Grid, heading_index
@@ -38,6 +39,7 @@ class Plan:
         action_costs: float64 [n - 1]; they add up to ``cost``.
         stats: expansions, states seen, bytes of memory, seconds (heuristic included), weight, heuristic.
         problems: what is wrong with start or goal, in words.
+        refused: steps of former plans that could not be carried out, in words, if a refinable plan was asked for.
     """
 
     status: Status
@@ -47,28 +49,18 @@ class Plan:
     action_costs: np.ndarray
     stats: dict[str, Any]
     problems: list[str] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
     terrain: HeightMap | None = field(default=None, repr=False)
     robot: Robot | None = field(default=None, repr=False)
+    _motion: Motion | None = field(default=None, repr=False, init=False)
 
     @property
     def solved(self) -> bool:
         return self.status == Status.SOLVED
 
     def explain(self) -> str:
-        """In one sentence, what came out and why."""
-        if self.solved:
-            return f"solved: {len(self.actions)} actions, cost {self.cost:.3f}"
-        if self.status in (Status.INVALID_START, Status.INVALID_GOAL):
-            which = "start" if self.status == Status.INVALID_START else "goal"
-            return f"the robot cannot stand at the {which}: " + "; ".join(self.problems)
-        endings = {
-            Status.INFEASIBLE: "there is no way: everything that can be reached from the start was searched",
-            Status.COST_LIMIT: "there is no plan within the cost limit",
-            Status.EXPANSION_LIMIT: f"not decided: stopped after {self.stats['expansions']:,} expansions",
-            Status.MEMORY_LIMIT: f"not decided: stopped at {self.stats['memory'] / 2**20:,.0f} MiB of states",
-            Status.TIME_LIMIT: f"not decided: stopped after {self.stats['seconds']:.1f} s",
-        }
-        return endings[self.status]
+        """What came out and why, in words for an operator; one line."""
+        return explain(self)
 
     def refine(self) -> Motion:
         """What the robot does to follow the plan: base and feet in each configuration, every one of them checked.
@@ -80,7 +72,9 @@ class Plan:
         """
         if not self.solved:
             raise InputError(f"there is no plan to refine: {self.explain()}")
-        return refine(self.terrain, self.robot, self.states, self.actions)
+        if self._motion is None:
+            self._motion = refine(self.terrain, self.robot, self.states, self.actions)
+        return self._motion
 
     def show(self, path: str | Path | None = None):
         """Draw the plan on its terrain: saved as PNG if a path is given, else returned as a matplotlib figure."""
@@ -161,6 +155,7 @@ class Planner:
         expansions: int = Limits.expansions,
         memory: int = Limits.memory,
         time: float = Limits.time,
+        refinable: bool = False,
         progress=None,
     ) -> Plan:
         """Plan from start to goal.
@@ -172,6 +167,8 @@ class Planner:
             weight: W >= 1 of weighted A*. With an admissible heuristic the cost is at most W times optimal.
             cost: look for no plan that costs more.
             expansions, memory, time: give up after so many expanded states, bytes of states, seconds.
+            refinable: refine the plan, and as long as one of its steps cannot be carried out, report that step in
+                ``refused`` and search again without it.
             progress: called now and then with (expansions, seconds).
 
         Returns:
@@ -180,6 +177,7 @@ class Planner:
 
         Raises:
             InputError: if a value is not a number, a pose lies off the map, or weight < 1.
+            RefinementError: if ``refinable`` and something other than a step cannot be carried out.
         """
         if not (np.isfinite(weight) and weight >= 1):
             raise InputError(f"weight is {weight}; it must be a finite number >= 1")
@@ -193,8 +191,15 @@ class Planner:
         kernel_view = self.heuristic.set_goal(ends["goal"])
         prepared = _now() - began
         limits = Limits(cost=cost, expansions=expansions, memory=memory, time=time)
+        plan = self._search(self.world, ends, kernel_view, weight, limits, progress)
+        if refinable:
+            plan = self._refined(plan, ends, kernel_view, weight, limits, progress)
+        plan.stats |= {"heuristic_seconds": prepared, "seconds": _now() - began}
+        return plan
+
+    def _search(self, world, ends, kernel_view, weight: float, limits: Limits, progress) -> Plan:
         result = solve(
-            self.world,
+            world,
             ends["start"],
             ends["goal"][None],
             kernel_view,
@@ -209,9 +214,7 @@ class Planner:
             "expansions": result.expansions,
             "seen": result.seen,
             "memory": result.memory,
-            "heuristic_seconds": prepared,
             "search_seconds": result.seconds,
-            "seconds": _now() - began,
         }
         states = result.states[0] if result.states and result.states[0] is not None else np.empty((0, 7))
         codes = result.actions[0] if result.states and result.actions[0] is not None else []
@@ -227,13 +230,45 @@ class Planner:
             robot=self.robot,
         )
 
+    def _refined(self, plan: Plan, ends, kernel_view, weight: float, limits: Limits, progress) -> Plan:
+        """Search again, without the steps that cannot be carried out, until all can; or until there is no other plan.
+
+        Raises:
+            RefinementError: if an action before the first step cannot be carried out.
+        """
+        refused: list[str] = []
+        banned = self.world.banned
+        spent = {name: plan.stats[name] for name in ("expansions", "search_seconds")}
+        while plan.solved:
+            try:
+                plan.refine()
+                break
+            except RefinementError as error:
+                to_blame = last_step(plan.actions, error.action)
+                if to_blame is None:
+                    raise
+                refused.append(str(error))
+                banned = ban(banned, self.world, self.grid, plan.states[to_blame], plan.actions[to_blame])
+            left = Limits(
+                cost=limits.cost,
+                expansions=limits.expansions - spent["expansions"],
+                memory=limits.memory,
+                time=limits.time - spent["search_seconds"],
+            )
+            plan = self._search(self.world._replace(banned=banned), ends, kernel_view, weight, left, progress)
+            for name in spent:
+                spent[name] += plan.stats[name]
+        plan.refused = refused
+        plan.stats |= spent
+        return plan
+
     def _without_path(self, status: Status, wrong: list[str], weight: float, seconds: float) -> Plan:
         stats = {
             "heuristic": self.heuristic.name, "weight": float(weight), "expansions": 0, "seen": 0, "memory": 0,
             "heuristic_seconds": 0.0, "search_seconds": 0.0, "seconds": seconds,
         }  # fmt: skip
         empty = np.empty((0, 7))
-        return Plan(status, np.inf, empty, [], np.empty(0), stats, wrong, self.terrain, self.robot)
+        return Plan(status, np.inf, empty, [], np.empty(0), stats, wrong, terrain=self.terrain, robot=self.robot)
 
     def _locate(self, pose, name: str) -> tuple[np.ndarray, list[str]]:
         """The detailed state of a pose, int64 [7], and what is wrong with it."""

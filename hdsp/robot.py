@@ -203,6 +203,18 @@ class Robot:
         x, y = self.feet.neutral_x, self.feet.neutral_y
         return np.array([(x, y), (-x, y), (-x, -y), (x, -y)])
 
+    def foot_positions(self, states) -> np.ndarray:
+        """World (x, y) of the four feet, float64 [..., 4, 2] m, at detailed states [..., 7] (m, m, rad, 4 x m).
+
+        Convention: foot offsets are along the x axis of the robot, from the neutral positions.
+        """
+        states = np.asarray(states, float)
+        ahead = self.neutral_feet()[:, 0] + states[..., 3:]
+        aside = self.neutral_feet()[:, 1]
+        cos, sin = np.cos(states[..., 2:3]), np.sin(states[..., 2:3])
+        turned = np.stack([cos * ahead - sin * aside, sin * ahead + cos * aside], axis=-1)
+        return turned + states[..., None, :2]
+
     def hips(self) -> np.ndarray:
         """Hips (x, y, z) in the frame of the base, float64 [4, 3], m."""
         x, y = self.legs.hip_x, self.legs.hip_y

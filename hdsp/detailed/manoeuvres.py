@@ -100,7 +100,7 @@ def _steps(world, key, under, unevenness, out_key, out_cost, out_action, n):
     t = world.tables
     c = world.constants
     foot, feet, height, swing, edge = world.foot, t.feet, world.height, world.swing, world.edge
-    line, steps = t.line, world.steps
+    line, steps, banned = t.line, world.steps, world.banned
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     p = cell_index(world, ix, iy)
     cost = merged_cost(c.unevenness, under, unevenness[0], unevenness[1], unevenness[2], unevenness[3])
@@ -110,6 +110,8 @@ def _steps(world, key, under, unevenness, out_key, out_cost, out_action, n):
         at = p + feet[foot_row(t, heading, i, offset)]
         possible = steps[at]
         if possible == 0 or not supported(c, t.lowest, i, o0, o1, o2, o3):
+            continue
+        if len(banned) > 0 and is_banned(banned, i, at, heading, o0, o1, o2, o3):
             continue
         before = height[at]
         for sign in (1, -1):
@@ -146,6 +148,26 @@ def _steps(world, key, under, unevenness, out_key, out_cost, out_action, n):
                 n += 1
                 break  # the nearest foothold; from there the foot can roll
     return n
+
+
+@njit()
+def is_banned(banned, foot, cell, heading, o0, o1, o2, o3):
+    """Whether a step is banned, int64 rows [n, 7]: the foot, its flat cell, the heading, how far the offsets of the
+    next three feet are ahead of its own, and by how many cells they may differ from that.
+
+    A base shift changes none of these: what cannot be carried out from one position of the base cannot from another.
+    """
+    offsets = (o0, o1, o2, o3)
+    for k in range(len(banned)):
+        if banned[k, 0] != foot or banned[k, 1] != cell or banned[k, 2] != heading:
+            continue
+        near = True
+        for j in range(3):
+            ahead = offsets[(foot + 1 + j) % 4] - offsets[foot]
+            near = near and abs(ahead - banned[k, 3 + j]) <= banned[k, 6]
+        if near:
+            return True
+    return False
 
 
 @njit(inline="always")

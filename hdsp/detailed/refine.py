@@ -12,9 +12,11 @@ import numpy as np
 
 from hdsp.detailed.motion import PHASES, Motion
 from hdsp.detailed.stance import FOUND, OUT_OF_REACH, UNBALANCED, Ground, find_stance, limits_of, resting_stances
+from hdsp.detailed.state_costs import foot_row
+from hdsp.detailed.world import World, cell_index
 from hdsp.errors import RefinementError
 from hdsp.heightmap import HeightMap
-from hdsp.lattice import RESOLUTION
+from hdsp.lattice import RESOLUTION, Grid
 from hdsp.robot import FEET, Robot
 
 _STRIDE = RESOLUTION  # m; how far a foot or the base moves from one configuration to the next, at most
@@ -42,12 +44,39 @@ def refine(terrain: HeightMap, robot: Robot, states: np.ndarray, actions: list[s
     return _Refinement(terrain, robot, np.asarray(states, float), actions).motion()
 
 
+def last_step(actions: list[str], before: int) -> int | None:
+    """Number of the last step among actions 0 to ``before``, inclusive: what an action that cannot be carried out is
+    put down to. None if there is none."""
+    return next((k for k in range(before, -1, -1) if actions[k].startswith("step ")), None)
+
+
+def ban(banned: np.ndarray, world: World, grid: Grid, state: np.ndarray, action: str) -> np.ndarray:
+    """Add a step to those that a search must not use (``World.banned``).
+
+    A step is banned with the feet as they stand. When the same foot fails again at the same place, feet that stand
+    within 1, then 2, 4, ... cells of that are banned with it, so that searches do not go through them one by one.
+
+    Args:
+        banned: int64 [n, 7], so far.
+        world, grid: terrain and robot, and where they lie.
+        state: float64 [7], world coordinates, from which the foot steps.
+        action: name of the step.
+    """
+    ix, iy, heading, *offsets = (int(v) for v in grid.to_lattice(state[:3], state[3:]))
+    foot = FEET.index(action.split()[1])
+    row = foot_row(world.tables, heading, foot, offsets[foot] - world.tables.lowest)
+    cell = int(cell_index(world, ix, iy)) + int(world.tables.feet[row])
+    again = int((banned[:, :3] == (foot, cell, heading)).all(axis=1).sum())
+    ahead = [offsets[(foot + j) % 4] - offsets[foot] for j in (1, 2, 3)]
+    return np.concatenate([banned, np.array([[foot, cell, heading, *ahead, 1 << again >> 1]], dtype=np.int64)])
+
+
 class _Refinement:
     def __init__(self, terrain, robot, states, actions):
         self.terrain, self.robot, self.states, self.actions = terrain, robot, states, actions
         self.limits = limits_of(robot)
         self.ground = Ground(terrain.heights, *terrain.origin, terrain.resolution)
-        self.feet = self._on_ground(_feet_xy(states, robot))
+        self.feet = self._on_ground(robot.foot_positions(states))
         self.wanted_z, self.wanted_pitch = self._wanted()
         self.parts: list[tuple] = []
 
@@ -104,7 +133,7 @@ class _Refinement:
         t = np.linspace(0, 1, n + 1)[1:, None]
         state = self.states[k] + t * (self.states[k + 1] - self.states[k])
         state[:, 2] = self.states[k, 2] + t[:, 0] * (after[5] - before[5])
-        self._add(k, ROLL, before + t * (after - before), self._on_ground(_feet_xy(state, self.robot)))
+        self._add(k, ROLL, before + t * (after - before), self._on_ground(self.robot.foot_positions(state)))
 
     def _add(self, k: int, phase: int, stances: np.ndarray, feet: np.ndarray, lifted: int | None = None) -> None:
         carries = np.ones((len(stances), 4), bool)
@@ -154,14 +183,6 @@ class _Refinement:
         x, y = self.states[max(k, 0), :2]
         what = self.actions[k] if k >= 0 else "the start"
         return RefinementError(k, f"{what} at ({x:.2f}, {y:.2f}) m cannot be carried out: {why}")
-
-
-def _feet_xy(states: np.ndarray, robot: Robot) -> np.ndarray:
-    """World (x, y) of the four feet, float64 [n, 4, 2], at states [n, 7]."""
-    ahead = robot.neutral_feet()[:, 0] + states[:, 3:]
-    aside = np.broadcast_to(robot.neutral_feet()[:, 1], ahead.shape)
-    cos, sin = np.cos(states[:, 2:3]), np.sin(states[:, 2:3])
-    return np.stack([cos * ahead - sin * aside, sin * ahead + cos * aside], axis=-1) + states[:, None, :2]
 
 
 def _line(start: np.ndarray, end: np.ndarray) -> np.ndarray:

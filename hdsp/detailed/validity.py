@@ -44,5 +44,24 @@ def problems(world: World, grid: Grid, robot: Robot, state: np.ndarray) -> list[
         if world.height[base] == -np.inf:
             found.append("the ground under the base is unknown")
         else:
-            found.append("the body would hit what rises from the ground around it")
+            found.append("the body would hit " + _hit(world, grid, body_hits(world, *(int(v) for v in state[:3]))))
     return found
+
+
+def body_hits(world: World, ix: int, iy: int, heading: int) -> np.ndarray:
+    """Cells of the map that the body would hit at a pose, int64 [n, 2], with the highest first."""
+    t, p = world.tables, int(cell_index(world, ix, iy))
+    feet = world.height[[p + t.feet[foot_row(t, heading, foot, -t.lowest)] for foot in range(4)]]
+    feet = feet[feet > -np.inf]
+    ground = min(world.height[p], feet.mean() if len(feet) else np.inf)
+    boxes = [p + t.box_cells[b, heading, : t.box_count[b, heading]] for b in range(len(t.box_above))]
+    hit = np.concatenate([cells[world.height[cells] > ground + t.box_above[b]] for b, cells in enumerate(boxes)])
+    hit = np.unique(hit)
+    hit = hit[np.argsort(-world.height[hit], kind="stable")]
+    return np.stack([hit // world.stride - world.pad, hit % world.stride - world.pad], axis=1)
+
+
+def _hit(world: World, grid: Grid, cells: np.ndarray) -> str:
+    """What the body hits, by its height and place."""
+    x, y = grid.center(cells[0])
+    return f"what rises to {world.height[cell_index(world, *cells[0])]:.2f} m at ({x:.2f}, {y:.2f}) m"

@@ -89,6 +89,7 @@ class World(NamedTuple):
     window_uneven: np.ndarray  # float32 flat: largest S within the body's reach
     edge: np.ndarray  # bool flat: no wheel passes
     steps: np.ndarray  # uint64 flat: bit h set if a foot here can step toward heading h
+    banned: np.ndarray  # int64 [n, 7]: steps that a search must not use (manoeuvres.is_banned)
     base: np.ndarray  # float32 [64 * cells]: 1 + largest S under the body, inf on collision, 0 = not yet computed
     tables: Tables
     constants: Constants
@@ -139,6 +140,7 @@ def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) 
         window_height=padded(maximum_filter(heights, window, mode="constant", cval=-np.inf), -np.inf),
         window_uneven=padded(maximum_filter(maps.unevenness, window, mode="constant", cval=0.0), 0.0),
         steps=steps,
+        banned=np.empty((0, 7), dtype=np.int64),
         base=np.zeros(HEADINGS * len(foot_flat), dtype=np.float32),
         tables=tables,
         constants=constants,

@@ -3,7 +3,7 @@
 from hdsp.viz.charts import save_planning_bars, save_quality_bars, save_training_curves
 from hdsp.viz.patches import save_example_patches
 from hdsp.viz.path import draw_path, planned_path_figure, save_planned_path
-from hdsp.viz.robot import draw_pose, draw_robot, foot_positions
+from hdsp.viz.robot import draw_pose, draw_robot
 from hdsp.viz.style import draw_terrain
 
 __all__ = [
@@ -11,7 +11,6 @@ __all__ = [
     "draw_pose",
     "draw_robot",
     "draw_terrain",
-    "foot_positions",
     "planned_path_figure",
     "save_example_patches",
     "save_planned_path",

@@ -12,7 +12,7 @@ from hdsp.errors import InputError
 from hdsp.heightmap import HeightMap
 from hdsp.robot import FEET as FOOT_NAMES
 from hdsp.robot import Robot
-from hdsp.viz.robot import draw_pose, draw_robot, foot_positions
+from hdsp.viz.robot import draw_pose, draw_robot
 from hdsp.viz.style import BLACK, FEET, GOAL, GREY, START, VERMILLION, draw_terrain, figure, save
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def draw_path(axes, states: np.ndarray, actions: list[str], robot: Robot, spacin
     The robot is drawn about every `spacing` metres of its way, a half turn counting as much, and before each group of
     steps.
     """
-    feet = foot_positions(states, robot)
+    feet = robot.foot_positions(states)
     for foot, (color, name) in enumerate(zip(FEET, FOOT_NAMES, strict=True)):
         axes.plot(*feet[:, foot].T, color=color, linewidth=0.8, zorder=3, label=name.replace("_", " ") + " foot")
     axes.plot(states[:, 0], states[:, 1], color=BLACK, linewidth=1.8, zorder=4, label="base")

@@ -10,19 +10,6 @@ from hdsp.robot import Robot
 from hdsp.viz.style import BLACK, FEET
 
 
-def foot_positions(state: np.ndarray, robot: Robot) -> np.ndarray:
-    """World (x, y) of the four feet, float64 [..., 4, 2] m, at detailed states [..., 7] (m, m, rad, 4 x m).
-
-    Convention: foot offsets are along the x axis of the robot, from the neutral positions.
-    """
-    state = np.asarray(state, float)
-    in_robot = np.broadcast_to(robot.neutral_feet(), (*state.shape[:-1], 4, 2)).copy()
-    in_robot[..., 0] += state[..., 3:]
-    cos, sin = np.cos(state[..., 2])[..., None], np.sin(state[..., 2])[..., None]
-    x, y = in_robot[..., 0], in_robot[..., 1]
-    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + state[..., None, :2]
-
-
 def draw_robot(axes, state, robot: Robot, color: str = BLACK, alpha: float = 1.0, feet: bool = True) -> None:
     """Draws the base as an outline with a notch at its front, and the feet in their colours.
 
@@ -43,7 +30,7 @@ def draw_robot(axes, state, robot: Robot, color: str = BLACK, alpha: float = 1.0
     turned = outline @ rotation(float(state[2])).T + state[:2]
     axes.add_patch(Polygon(turned, closed=True, fill=False, edgecolor=color, linewidth=1.2, alpha=alpha, zorder=5))
     if feet:
-        places = foot_positions(state, robot)
+        places = robot.foot_positions(state)
         look = {"s": 16, "c": FEET, "marker": "s", "edgecolors": color, "linewidths": 0.6, "alpha": alpha}
         axes.scatter(*places.T, zorder=6, **look)
 

@@ -10,7 +10,6 @@ from hdsp.robot import Robot
 from hdsp.tasks import FIELDS, TaskSet
 from hdsp.viz import (
     draw_terrain,
-    foot_positions,
     save_example_patches,
     save_planned_path,
     save_planning_bars,
@@ -44,9 +43,9 @@ def some_tasks(categories, share=0.5):
 
 def test_feet_stand_where_the_state_says():
     x, y = MOMARO.feet.neutral_x, MOMARO.feet.neutral_y
-    feet = foot_positions([1.0, 2.0, 0.0, 0.1, 0.0, 0.0, 0.0], MOMARO)
+    feet = MOMARO.foot_positions([1.0, 2.0, 0.0, 0.1, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(feet, [(1 + x + 0.1, 2 + y), (1 - x, 2 + y), (1 - x, 2 - y), (1 + x, 2 - y)])
-    turned = foot_positions([0.0, 0.0, np.pi / 2, 0.1, 0.0, 0.0, 0.0], MOMARO)
+    turned = MOMARO.foot_positions([0.0, 0.0, np.pi / 2, 0.1, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(turned[0], (-y, x + 0.1), atol=1e-12)
 
 
