@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,11 @@ from hdsp.abstract.costs import AbstractCosts
 from hdsp.abstract.transform import feet_at
 from hdsp.detailed.explain import explain
 from hdsp.detailed.motion import Motion
+from hdsp.detailed.proofs import why_unreachable
 from hdsp.detailed.refine import ban, last_step, refine
 from hdsp.detailed.solve import Limits, Status, solve
 from hdsp.detailed.states import action_name
-from hdsp.detailed.validity import problems
+from hdsp.detailed.validity import in_words, problems
 from hdsp.detailed.world import build_world
 from hdsp.errors import InputError, RefinementError
 from hdsp.heightmap import HeightMap
@@ -38,7 +39,7 @@ class Plan:
         actions: the n - 1 actions between them, e.g. ``drive``, ``turn_left``, ``step front_left +0.250``.
         action_costs: float64 [n - 1]; they add up to ``cost``.
         stats: expansions, states seen, bytes of memory, seconds (heuristic included), weight, heuristic.
-        problems: what is wrong with start or goal, in words.
+        problems: what is wrong with start or goal, or what cuts them off from each other, in words.
         refused: steps of former plans that could not be carried out, in words, if a refinable plan was asked for.
     """
 
@@ -191,10 +192,26 @@ class Planner:
         kernel_view = self.heuristic.set_goal(ends["goal"])
         prepared = _now() - began
         limits = Limits(cost=cost, expansions=expansions, memory=memory, time=time)
-        plan = self._search(self.world, ends, kernel_view, weight, limits, progress)
+        plan = self._search_or_proof(ends, kernel_view, weight, limits, progress)
         if refinable:
             plan = self._refined(plan, ends, kernel_view, weight, limits, progress)
         plan.stats |= {"heuristic_seconds": prepared, "seconds": _now() - began}
+        return plan
+
+    def _search_or_proof(self, ends, kernel_view, weight: float, limits: Limits, progress) -> Plan:
+        """Search a little; if that finds no plan, try to prove that there is none, which also says why; else search on.
+
+        A proof takes longer than most searches, and searches without a plan would take forever.
+        """
+        few = replace(limits, expansions=min(limits.expansions, _FEW))
+        plan = self._search(self.world, ends, kernel_view, weight, few, progress)
+        undecided = plan.status == Status.EXPANSION_LIMIT and limits.expansions > _FEW
+        if not undecided and plan.status != Status.INFEASIBLE:
+            return plan
+        proof = why_unreachable(self.world, ends["start"], ends["goal"])
+        if proof is None:
+            return plan if not undecided else self._search(self.world, ends, kernel_view, weight, limits, progress)
+        plan.status, plan.problems = Status.INFEASIBLE, [in_words(proof, self.world, self.grid)]
         return plan
 
     def _search(self, world, ends, kernel_view, weight: float, limits: Limits, progress) -> Plan:
@@ -287,3 +304,4 @@ class Planner:
 
 
 _now = time.perf_counter
+_FEW = 50_000  # expansions; about a tenth of a second

@@ -109,6 +109,28 @@ def test_a_wall_without_a_gap_is_proved_to_cut_off_the_goal():
     assert "no way" in plan.explain()
 
 
+def between_rooms(wall):
+    """3 x 3 m, with a wall across: ``wall(y)`` gives its height at y (m)."""
+    heights = np.zeros((120, 120), np.float32)
+    heights[58:62] = wall(np.arange(120) * RESOLUTION)
+    return Planner(HeightMap(heights), heuristic="manual")
+
+
+def test_a_door_too_narrow_is_proved_and_explained_by_what_the_body_hits():
+    planner = between_rooms(lambda y: abs(y - 1.5) > 0.25)
+    plan = planner.plan((0.6, 1.5, 0.0), (2.4, 1.5, 0.0))
+    assert plan.status == Status.INFEASIBLE and plan.stats["expansions"] == 50_000
+    words = plan.explain()
+    assert words.startswith("there is no way: the robot cannot get from (") and "\n" not in words
+    assert "the body would hit what rises to 1.00 m at (1.4" in words
+
+
+def test_a_wall_too_high_is_explained_by_the_foot_that_cannot_pass():
+    plan = between_rooms(lambda y: 0.5).plan((0.6, 1.5, 0.0), (2.4, 1.5, 0.0))
+    assert plan.status == Status.INFEASIBLE
+    assert "foot gets nowhere from (1." in plan.explain() and "up to 0.50 m" in plan.explain()
+
+
 def test_limits_end_with_their_status_in_words(flat):
     least = flat.plan(START, GOAL).cost
     assert flat.plan(START, GOAL, cost=0.9 * least).status == Status.COST_LIMIT

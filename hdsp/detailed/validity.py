@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from hdsp.detailed.proofs import FOOT, Unreachable
 from hdsp.detailed.state_costs import foot_row
 from hdsp.detailed.world import World, base_term, cell_index
-from hdsp.lattice import RESOLUTION, Grid
+from hdsp.lattice import RESOLUTION, Grid, heading_angle
 from hdsp.robot import FEET, Robot
 
 
@@ -46,6 +47,30 @@ def problems(world: World, grid: Grid, robot: Robot, state: np.ndarray) -> list[
         else:
             found.append("the body would hit " + _hit(world, grid, body_hits(world, *(int(v) for v in state[:3]))))
     return found
+
+
+def in_words(proof: Unreachable, world: World, grid: Grid) -> str:
+    """What cuts a start off from a goal."""
+    (x0, y0), (x1, y1) = grid.center(proof.from_start), grid.center(proof.from_goal)
+    gap = f"from ({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f}) m"
+    if proof.proof == FOOT:
+        cells = np.concatenate([proof.from_start[None], proof.blocked, proof.from_goal[None]])
+        heights = world.height[[cell_index(world, *cell) for cell in cells]]
+        words = f"the {FEET[proof.foot]} foot gets nowhere {gap}, neither by rolling nor by stepping"
+        if np.isfinite(heights).all():
+            words += (
+                f": the ground is at {heights[0]:.2f} m, at {heights[-1]:.2f} m and between up to {heights.max():.2f} m"
+            )
+        return words
+    found = [f"the {FEET[foot]} foot finds no foothold" for foot in proof.footless]
+    if len(proof.body_hits):
+        highest = np.argsort([-world.height[cell_index(world, *cell)] for cell in proof.body_hits], kind="stable")
+        found.append("the body would hit " + _hit(world, grid, proof.body_hits[highest]))
+    where = f"the robot cannot get {gap}, where the ways from start and goal come nearest to each other"
+    if not found:
+        return where
+    degrees = float(np.degrees(heading_angle(proof.heading)))
+    return f"{where}: between, heading {degrees:.0f} degrees, " + " and ".join(found)
 
 
 def body_hits(world: World, ix: int, iy: int, heading: int) -> np.ndarray:
