@@ -26,8 +26,9 @@ class LabelledSplit(NamedTuple):
 
     Attributes:
         summary: counts of the split; they depend on its labels alone.
-        record: how this run went: tasks labelled (those of dropped maps included), seconds, tasks per second, workers,
-            the most bytes that one of them held. None if nothing was missing.
+        record: how this run went: tasks labelled (those of dropped maps included), seconds (`start_seconds` of them
+            until the workers were there), tasks per second after that, workers, the most bytes that one of them held.
+            None if nothing was missing.
     """
 
     summary: dict[str, Any]
@@ -83,26 +84,30 @@ def _label(
     maps = sum(len(shard.maps) for shard in missing)
     jobs = sum(-(-len(shard.maps) // MAPS_PER_PART) for shard in missing)
     began = time.perf_counter()
+    started = began
     if cluster.scheduler is None and cluster.processes(jobs) == 1:
         bar.begin(already_done=run.split.maps - maps)
         for shard, found in _label_here(missing, run, label, files, bar):
             counts[shard.name] = found
         peaks = [peak_memory()]
+        ended = time.perf_counter()
     else:
         if files.of_one_process:
             raise InputError(f"{files.place} is seen by one process alone: need workers = 1, or another place")
         with connected(cluster, jobs) as client:
+            started = time.perf_counter()
             bar.note(f"dashboard at {client.dashboard_link}" if client.dashboard_link else "no dashboard")
             bar.begin(already_done=run.split.maps - maps)
             for shard, found in ClusterLabelling(client, run, label, files.place, bar).shards(missing):
                 counts[shard.name] = found
             peaks = list(client.run(peak_memory).values())
-    seconds = time.perf_counter() - began
+            ended = time.perf_counter()
     tasks = maps * N_ABSTRACT_ACTIONS
     return {
         "tasks": tasks,
-        "seconds": seconds,
-        "tasks_per_second": tasks / seconds,
+        "seconds": ended - began,
+        "start_seconds": started - began,
+        "tasks_per_second": tasks / (ended - started),
         "workers": len(peaks),
         "peak_memory": max(peaks),
     }

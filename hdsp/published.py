@@ -3,9 +3,15 @@
 The format is text. After a header with the number of maps, each map is: a line with its number; a line of 72 x 72
 heights in metres; 22 lines `x y yaw cost` (m, m, rad) in the order of `hdsp.lattice.ABSTRACT_ACTIONS`, with `inf` as
 the cost of infeasible tasks. The robot stands in the middle of the patch with heading 0.
+
+    python -m hdsp.published export data/labels/random tasks.txt     # shards -> text
+    python -m hdsp.published import tasks.txt data/mine/tasks.h5     # text -> a shard
 """
 
+import argparse
+import hashlib
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +20,8 @@ import numpy as np
 from hdsp.errors import InputError
 from hdsp.files import existing_file, replacing
 from hdsp.lattice import ABSTRACT_ACTIONS, N_ABSTRACT_ACTIONS, PATCH_CELLS, abstract_steps, abstract_steps_to_world
+from hdsp.shards import read_tasks, write_shard
+from hdsp.storage import Place
 from hdsp.tasks import REASON_UNKNOWN, TaskSet
 
 #: Environment variable that names a folder with data sets that others published.
@@ -130,6 +138,43 @@ def write_published(path: str | os.PathLike, tasks: TaskSet) -> Path:
     return Path(path)
 
 
+def export_tasks(source: Place, target: str | os.PathLike) -> TaskSet:
+    """Writes the tasks of a shard, or of a folder of shards, as text; path or URL. Returns them.
+
+    Raises:
+        InputError: as `hdsp.read_tasks` and `write_published`.
+    """
+    tasks = read_tasks(source)
+    write_published(target, tasks)
+    return tasks
+
+
+def import_tasks(source: str | os.PathLike, target: Place) -> TaskSet:
+    """Writes the tasks of a text file as a shard; path or URL. Returns them.
+
+    Raises:
+        InputError: as `read_published` and `write_shard`.
+    """
+    tasks = read_published(source)
+    checksum = hashlib.sha256(Path(source).read_bytes()).hexdigest()
+    write_shard(target, tasks, {"labels_hash": checksum, "source": Path(source).name})
+    return tasks
+
+
+def main(argv: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(prog="python -m hdsp.published", description="Tasks as text and back.")
+    parser.add_argument("action", choices=("export", "import"))
+    parser.add_argument("source", help="export: a shard, or a folder of shards; import: a text file")
+    parser.add_argument("target", help="export: a text file; import: a shard (.h5)")
+    arguments = parser.parse_args(argv)
+    try:
+        move = export_tasks if arguments.action == "export" else import_tasks
+        tasks = move(arguments.source, arguments.target)
+    except InputError as error:
+        sys.exit(f"error: {error}")
+    print(f"{len(tasks)} maps, {tasks.feasible.size} tasks: {arguments.source} -> {arguments.target}")
+
+
 def _fetch(timeout: float) -> Path:
     import pooch
 
@@ -180,3 +225,7 @@ def _maps(path: Path, lines: list[str]) -> Iterator[tuple[int, np.ndarray, np.nd
 
 def _numbers(values) -> str:
     return " ".join(f"{value:.{_DIGITS}f}" for value in values)
+
+
+if __name__ == "__main__":
+    main()

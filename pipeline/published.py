@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 
 from omegaconf import DictConfig
@@ -12,8 +11,7 @@ from pipeline.stage import Folders, run_stage, write_json
 
 
 def published(config: DictConfig, folders: Folders) -> None:
-    from hdsp.published import find_published, read_published
-    from hdsp.shards import write_shard
+    from hdsp.published import find_published, import_tasks
 
     folder = folders.write("data", "published")
     shutil.rmtree(folder, ignore_errors=True)
@@ -22,9 +20,7 @@ def published(config: DictConfig, folders: Folders) -> None:
         print(f"skipped: {reason}")
         write_json(folder / ABSENT, {"reason": reason})
         return
-    tasks = read_published(source)
-    checksum = hashlib.sha256(source.read_bytes()).hexdigest()
-    write_shard(folder / "published.h5", tasks, {"labels_hash": checksum, "source": source.name})
+    tasks = import_tasks(source, folder / "published.h5")
     print(f"{len(tasks)} maps, {tasks.feasible.size} tasks from {source.name}")
 
 

@@ -7,6 +7,7 @@ from hdsp import published
 from hdsp.errors import InputError
 from hdsp.lattice import ABSTRACT_ACTIONS
 from hdsp.published import find_published, read_published, write_published
+from hdsp.shards import read_tasks, write_shard
 from hdsp.tasks import REASON_UNKNOWN, TaskSet
 from tests.task_sets import random_tasks
 
@@ -77,6 +78,20 @@ def test_goals_at_other_headings_cannot_be_written(tmp_path):
     tasks = published_tasks(1)
     with pytest.raises(InputError, match="goals equal to the abstract actions"):
         write_published(tmp_path / "x.txt", TaskSet(**{**tasks.arrays(), "goals": tasks.goals + 0.5}))
+
+
+def test_shards_go_to_text_and_back(tmp_path, capsys):
+    """Through the command line, from a folder of shards and into a store."""
+    write_shard(tmp_path / "labels/00000-a.h5", published_tasks(2, 1), {"labels_hash": "a"})
+    write_shard(tmp_path / "labels/00001-a.h5", published_tasks(3, 2), {"labels_hash": "a"})
+    published.main(["export", str(tmp_path / "labels"), str(tmp_path / "tasks.txt")])
+    published.main(["import", str(tmp_path / "tasks.txt"), "memory://published/back.h5"])
+    assert capsys.readouterr().out.count("5 maps, 110 tasks") == 2
+    before, after = read_tasks(tmp_path / "labels"), read_tasks("memory://published")
+    for name in ("heights", "goals", "feasible", "cost", "index", "goal"):
+        np.testing.assert_allclose(after.arrays()[name], before.arrays()[name], atol=1e-6, err_msg=name)
+    with pytest.raises(SystemExit, match=r"error: shard .*none\.h5: no such file"):
+        published.main(["export", str(tmp_path / "none.h5"), str(tmp_path / "x.txt")])
 
 
 def test_the_file_is_found_in_the_named_folder_then_in_the_environment(tmp_path, monkeypatch):

@@ -5,7 +5,7 @@ Importing this package imports torch; ``hdsp`` itself does not.
 
 from hdsp.learning.callbacks import PlateauLossWeights, PublishedLossWeights
 from hdsp.learning.costs import LearnedCosts
-from hdsp.learning.data import task_loader
+from hdsp.learning.data import TaskStream, task_loader
 from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.hardware import HardwareSettings
 from hdsp.learning.module import AbstractionModule
@@ -25,6 +25,7 @@ __all__ = [
     "Provenance",
     "PublishedLossWeights",
     "TaskNetwork",
+    "TaskStream",
     "TrainResult",
     "TrainingConfig",
     "build_network",

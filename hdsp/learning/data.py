@@ -1,4 +1,5 @@
-"""Labelled tasks as batches of tensors: everything in memory once, batches are picked by index."""
+"""Labelled tasks as batches of tensors: everything in memory once, batches are picked by index (`task_loader`); or read
+shard by shard, where that is too much (`TaskStream`)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,11 +8,12 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset, Sampler
+from torch.utils.data import DataLoader, Dataset, IterableDataset, Sampler, get_worker_info
 
 from hdsp.errors import InputError
 
 if TYPE_CHECKING:
+    from hdsp.storage import Place
     from hdsp.tasks import TaskSet
 
 
@@ -128,6 +130,68 @@ def task_loader(
     dataset = TaskDataset(tasks)
     sampler = BatchSampler(len(dataset), dataset.goals.shape[1], settings, shuffle, mirror, seed)
     return DataLoader(dataset, batch_size=None, sampler=sampler, collate_fn=_as_is)
+
+
+class TaskStream(IterableDataset):
+    """Batches of a labelled split that need not fit into memory: its shards are read a few at a time.
+
+    The same maps as those of `task_loader`, each once an epoch. Shards come in an order that is new every epoch, and
+    maps are shuffled among the shards that are in memory together; the last batch of these may be smaller. All is a
+    function of (seed, epoch) alone.
+
+    Args:
+        place: folder or URL of shards.
+        settings: batches by map or single tasks.
+        shuffle, mirror, seed: as for `task_loader`.
+        shards_in_memory: how many are read at a time.
+
+    Raises:
+        InputError: if there is no shard, or, when it is met, one is damaged.
+    """
+
+    def __init__(
+        self,
+        place: "Place",
+        settings: BatchSettings,
+        shuffle: bool = False,
+        mirror: bool = False,
+        seed: int = 0,
+        shards_in_memory: int = 8,
+    ):
+        from hdsp.shards import shard_paths
+
+        self.paths = shard_paths(place)
+        if not self.paths:
+            raise InputError(f"folder {place} holds no shard")
+        self.settings, self.shuffle, self.mirror = settings, shuffle, mirror
+        self.seed, self.shards_in_memory, self.epoch = seed, shards_in_memory, 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Which epoch the next iteration is."""
+        self.epoch = epoch
+
+    def __iter__(self) -> Iterator[Batch]:
+        from hdsp.shards import read_shard
+        from hdsp.tasks import TaskSet
+
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
+        count = len(self.paths)
+        order = torch.randperm(count, generator=generator) if self.shuffle else torch.arange(count)
+        groups = list(enumerate(order.split(self.shards_in_memory)))
+        if (worker := get_worker_info()) is not None:
+            groups = groups[worker.id :: worker.num_workers]  # each process of a loader reads shards of its own
+        for number, chosen in groups:
+            tasks = TaskSet.concatenate([read_shard(self.paths[k]).tasks for k in chosen.tolist()])
+            if not len(tasks):
+                continue
+            dataset = TaskDataset(tasks)
+            goals = dataset.goals.shape[1]
+            sampler = BatchSampler(
+                len(dataset), goals, self.settings, self.shuffle, self.mirror, self.seed * 10_007 + number
+            )
+            sampler.set_epoch(self.epoch)
+            for index in sampler:
+                yield dataset[index]
 
 
 def mirror_heights(heights: Tensor) -> Tensor:

@@ -6,7 +6,8 @@ import torch
 
 from hdsp.errors import InputError
 from hdsp.heightmap import HeightMap
-from hdsp.learning.data import BatchSettings, TaskDataset, mirror_goals, mirror_heights, task_loader
+from hdsp.learning.data import BatchSettings, TaskDataset, TaskStream, mirror_goals, mirror_heights, task_loader
+from hdsp.shards import write_shard
 from hdsp.tasks import TaskSet
 from tests.learning.synthetic import synthetic_tasks
 
@@ -97,3 +98,53 @@ def test_mirroring_concerns_map_and_goals_together(tasks):
 def test_empty_task_sets_are_refused():
     with pytest.raises(InputError, match="holds no maps"):
         task_loader(TaskSet.empty(), BatchSettings())
+
+
+@pytest.fixture(scope="module")
+def shards(tasks, tmp_path_factory):
+    """The ten maps in five shards, one of them empty."""
+    folder = tmp_path_factory.mktemp("shards")
+    for number, part in enumerate([tasks[:3], tasks[3:4], tasks[:0], tasks[4:8], tasks[8:]]):
+        write_shard(folder / f"{number}.h5", part, {"labels_hash": "x"})
+    return folder
+
+
+def test_a_stream_gives_every_map_once_in_a_new_order_each_epoch(tasks, shards):
+    stream = TaskStream(shards, BatchSettings("map", 2), shuffle=True, mirror=False, seed=1, shards_in_memory=2)
+
+    def maps(number):
+        stream.set_epoch(number)
+        return torch.cat([batch.heights[:, 0] for batch in torch.utils.data.DataLoader(stream, batch_size=None)])
+
+    first, second = maps(0), maps(1)
+    assert torch.equal(first, maps(0)) and not torch.equal(first, second)
+    for found in (first, second):
+        assert {one.numpy().tobytes() for one in found} == {one.tobytes() for one in tasks.heights}
+        assert len(found) == len(tasks)
+
+
+def test_a_stream_in_order_is_the_split_in_order(tasks, shards):
+    batches = list(TaskStream(shards, BatchSettings("map", 4), shards_in_memory=1))
+    assert [len(batch.heights) for batch in batches] == [3, 1, 4, 2]
+    for name in ("goals", "feasible", "cost"):
+        found = torch.cat([getattr(batch, name) for batch in batches]).numpy()
+        np.testing.assert_array_equal(found, tasks.arrays()[name])
+
+
+def test_a_stream_holds_no_more_shards_than_it_may(shards, monkeypatch):
+    import hdsp.shards
+
+    alive = []
+    real = hdsp.shards.read_shard
+    monkeypatch.setattr(hdsp.shards, "read_shard", lambda path: alive.append(path) or real(path))
+    stream = iter(TaskStream(shards, BatchSettings("map", 1), shards_in_memory=2))
+    next(stream)
+    assert len(alive) == 2
+    with pytest.raises(InputError, match="holds no shard"):
+        TaskStream(shards / "nothing", BatchSettings())
+
+
+def test_processes_of_a_loader_share_the_shards(tasks, shards):
+    stream = TaskStream(shards, BatchSettings("map", 4), shards_in_memory=1)
+    loader = torch.utils.data.DataLoader(stream, batch_size=None, num_workers=2)
+    assert sum(len(batch.heights) for batch in loader) == len(tasks)

@@ -1,0 +1,145 @@
+"""Labels of maps: one search for all goals of a map against a search of its own for each goal, and what a split takes.
+
+    python -m benchmarks.labelling [--maps 100] [--seed 3] [--workers 2] [--skip-separate]
+
+Maps of the paper's nine categories in turn, those without a valid start left out. Both ways use the same rules, cost
+limits, lower bounds and proofs, and the compiled world of the map (`build_world`), whose time is given apart:
+
+- shared: `hdsp.abstract.oracle.task_costs`, all 22 goals at once;
+- separate: the same function for each goal alone: its own relaxed problem, its own lower bounds, its own search.
+
+Then a label run (`hdsp.labelling_run`) of the same maps, generation and shards included, on one process and on
+`--workers`. `minutes_for_249194_tasks` is that time for the paper's training set: as many maps, dropped ones included,
+and the start of the processes. Prints one JSON line last.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from hdsp.abstract import oracle
+from hdsp.abstract.transform import feet_at
+from hdsp.detailed.solve import Status
+from hdsp.detailed.world import build_world
+from hdsp.labelling_run import ClusterSettings, label_split
+from hdsp.lattice import ABSTRACT_ACTIONS, CELLS_PER_ABSTRACT, HEADINGS, HEADINGS_PER_ABSTRACT
+from hdsp.splits import LabelRun
+from pipeline.config import compose
+from pipeline.label import label_run
+
+#: Maps of the paper's training set before those without a valid start are dropped; 249,194 tasks are left of them.
+MAPS = 18_000
+
+
+def main(argv=None) -> dict:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--maps", type=int, default=100, help="with a valid start")
+    parser.add_argument("--seed", type=int, default=3)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--skip-separate", action="store_true", help="only the rates of label runs")
+    arguments = parser.parse_args(argv)
+
+    run = paper_run(arguments.seed, arguments.maps)
+    result = {}
+    if not arguments.skip_separate:
+        result |= compare(run, arguments.maps)
+    for workers in (1, arguments.workers):
+        with tempfile.TemporaryDirectory() as folder:
+            cluster = ClusterSettings(workers, dashboard=None)
+            labelled = label_split(run, Path(folder) / "labels", cluster, progress=False)
+        record = labelled.record
+        labelling = record["seconds"] - record["start_seconds"]
+        result[f"{workers} worker{'s' if workers > 1 else ''}"] = {
+            "maps_before_dropping": run.split.maps,
+            "maps": labelled.summary["maps"],
+            "start_s": round(record["start_seconds"], 1),
+            "labelling_s": round(labelling, 1),
+            "tasks_per_s": round(labelled.summary["tasks"] / labelling, 1),
+            "minutes_for_249194_tasks": round((record["start_seconds"] + labelling * MAPS / run.split.maps) / 60, 1),
+            "peak_memory_of_a_worker_gb": round(record["peak_memory"] / 1e9, 3),
+        }
+    print(json.dumps(result))
+    return result
+
+
+def paper_run(seed: int, maps: int) -> LabelRun:
+    """A split of the paper's settings with at least about ``maps`` maps that have a valid start."""
+    per_category = -(-2 * maps // 9)
+    split = f"labelling.splits.random={{seed: {seed}, maps_per_category: {per_category}, maps_per_shard: 45}}"
+    return label_run(compose(["profile=paper", split]), "random")
+
+
+def compare(run: LabelRun, maps: int) -> dict:
+    """Seconds of both ways on the first ``maps`` maps with a valid start, and how far their labels are apart."""
+    seconds = {"world": 0.0, "shared": 0.0, "separate": 0.0}
+    worst, different, compared, feasible = 0.0, 0, 0, 0
+    warmed = False
+    for number in range(run.split.maps):
+        if compared == maps:
+            break
+        terrain = run.terrain_of(number)
+        began = time.perf_counter()
+        world = build_world(terrain, run.robot)
+        start = feet_at(world, (terrain.shape[0] // 2, terrain.shape[1] // 2, run.map_of(number)[2]))
+        built = time.perf_counter() - began
+        if start is None:
+            continue
+        if not warmed:  # compiles
+            oracle.task_costs(world, start, run.settings)
+            separate_costs(world, start, run.settings)
+            warmed, built = True, 0.0
+        seconds["world"] += built
+        ways = {"shared": oracle.task_costs, "separate": separate_costs}
+        # In turn the one or the other first, so that neither always finds the caches warm.
+        found = {}
+        for name in sorted(ways, reverse=bool(compared % 2)):
+            began = time.perf_counter()
+            found[name] = ways[name](world, start, run.settings)
+            seconds[name] += time.perf_counter() - began
+        (_, cost, reason), (_, other_cost, other_reason) = found["shared"], found["separate"]
+        solved, other_solved = reason == Status.SOLVED, other_reason == Status.SOLVED
+        both = solved & other_solved
+        different += int((solved != other_solved).sum())
+        worst = max(worst, float(np.abs(cost[both] - other_cost[both]).max(initial=0.0)))
+        feasible += int(solved.sum())
+        compared += 1
+    return {
+        "maps": compared,
+        "tasks": 22 * compared,
+        "feasible_share": round(feasible / (22 * max(compared, 1)), 4),
+        "world_s": round(seconds["world"], 3),
+        "shared_s": round(seconds["shared"], 3),
+        "separate_s": round(seconds["separate"], 3),
+        "ratio": round(seconds["separate"] / seconds["shared"], 2),
+        "ratio_with_world": round(
+            (seconds["separate"] + 22 * seconds["world"]) / (seconds["shared"] + seconds["world"]), 2
+        ),
+        "feasibility_differs": different,
+        "cost_difference_max": worst,
+    }
+
+
+def separate_costs(world, start: np.ndarray, settings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """As `oracle.task_costs`, each goal on its own: the oracle is shown one action at a time."""
+    actions = ABSTRACT_ACTIONS
+    found = []
+    try:
+        for action in actions:
+            oracle.ABSTRACT_ACTIONS = action[None]
+            found.append(oracle.task_costs(world, start, settings))
+    finally:
+        oracle.ABSTRACT_ACTIONS = actions
+    goals, cost, reason = (np.concatenate(column) for column in zip(*found, strict=True))
+    steps = actions * np.array([CELLS_PER_ABSTRACT, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT])
+    expected = start[:3] + steps
+    expected[:, 2] %= HEADINGS
+    assert (goals[:, :3] == expected).all(), "the oracle has to take its actions from ABSTRACT_ACTIONS"
+    return goals, cost, reason
+
+
+if __name__ == "__main__":
+    main()
