@@ -77,6 +77,7 @@ def compare(run: LabelRun, maps: int) -> dict:
     """Seconds of both ways on the first ``maps`` maps with a valid start, and how far their labels are apart."""
     seconds = {"world": 0.0, "shared": 0.0, "separate": 0.0}
     worst, different, compared, feasible = 0.0, 0, 0, 0
+    undecided = {"shared": 0, "separate": 0}
     warmed = False
     for number in range(run.split.maps):
         if compared == maps:
@@ -106,6 +107,8 @@ def compare(run: LabelRun, maps: int) -> dict:
         different += int((solved != other_solved).sum())
         worst = max(worst, float(np.abs(cost[both] - other_cost[both]).max(initial=0.0)))
         feasible += int(solved.sum())
+        for name, (_, _, reasons) in found.items():
+            undecided[name] += int((reasons == Status.EXPANSION_LIMIT).sum())
         compared += 1
     return {
         "maps": compared,
@@ -119,6 +122,7 @@ def compare(run: LabelRun, maps: int) -> dict:
             (seconds["separate"] + 22 * seconds["world"]) / (seconds["shared"] + seconds["world"]), 2
         ),
         "feasibility_differs": different,
+        "ended_by_expansion_limit": undecided,  # the limit is one search's: such tasks may differ
         "cost_difference_max": worst,
     }
 
