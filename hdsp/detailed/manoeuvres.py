@@ -17,7 +17,7 @@ from hdsp.lattice import HEADINGS
 _INF = np.inf
 
 
-@njit()
+@njit(allocates=False)
 def manoeuvres(world, key, can_step, unevenness, out_key, out_cost, out_action, n):
     """Write the successors of a valid state by manoeuvres, from position ``n`` on; returns the new number.
 

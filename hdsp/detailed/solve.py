@@ -6,11 +6,12 @@ from enum import IntEnum
 
 import numpy as np
 
-from hdsp.detailed import search
+from hdsp.detailed import open_list, search
 from hdsp.detailed.actions import MAX_SUCCESSORS, Rules, successors
 from hdsp.detailed.estimate import Estimate
 from hdsp.detailed.state_costs import state_cost
-from hdsp.detailed.states import pack_states, unpack_states
+from hdsp.detailed.states import neutral_feet, pack_states, unpack_states
+from hdsp.detailed.store import EXPANDED, GOALS_LEFT, SEEN, grown, has_room, new_store, trace
 from hdsp.detailed.world import World
 
 
@@ -59,7 +60,8 @@ class SearchResult:
         edge_costs: per goal float64 [n - 1], or None.
         expansions: states expanded.
         seen: states generated.
-        memory: bytes used at the end.
+        memory: bytes used at the end, all told.
+        open_memory: of these, bytes of the open list.
         seconds: time spent.
     """
 
@@ -71,6 +73,7 @@ class SearchResult:
     expansions: int = 0
     seen: int = 0
     memory: int = 0
+    open_memory: int = 0
     seconds: float = 0.0
 
 
@@ -99,8 +102,7 @@ def solve(
         heuristic: must not exceed the cost to the nearest goal by more than the plan may be worse than optimal.
         weight: W >= 1; with an admissible heuristic, costs are at most W times optimal.
         admissible: whether the heuristic never exceeds the cost to the nearest goal; if so, it helps to prove that a
-        cost
-            limit cannot be kept.
+            cost limit cannot be kept.
         rules: restrictions, e.g. of labelling.
         limits: when to give up.
         paths: whether to return states and actions.
@@ -124,11 +126,15 @@ def solve(
     valid = np.array([np.isfinite(state_cost(world, int(k))) for k in keys], dtype=bool)
     wanted = keys[valid]
     settled = np.full(len(wanted), np.inf, dtype=np.float32)
-    store = search.new_store()
-    store.count[search.GOALS_LEFT] = len(wanted)
-    search.insert_start(store, heuristic, weight, start_key)
+    store = new_store((world.nx, world.ny), neutral_feet(lowest))
     reason = None
     if len(wanted):
+        for key in wanted:
+            if not has_room(store):
+                store = grown(store)
+            search.mark_goal(store, key)
+        store.count[GOALS_LEFT] = len(wanted)
+        search.insert_start(store, heuristic, weight, start_key)
         task = world, rules, heuristic, store, weight, wanted, settled, limits.cost
         reason, store = _loop(task, weight * limits.cost if admissible else np.inf, limits, began, progress)
 
@@ -142,9 +148,9 @@ def solve(
         else:
             status[i] = reason
     result.cost = costs
-    result.expansions = int(store.count[search.EXPANDED])
-    result.seen = int(store.count[search.NODES])
-    result.memory = store.nbytes()
+    result.expansions = int(store.count[EXPANDED])
+    result.seen = int(store.count[SEEN])
+    result.memory, result.open_memory = store.nbytes(), store.open_nbytes()
     if paths:
         for i, key in enumerate(keys):
             _add_path(result, world, rules, store, int(key), status[i], lowest, i)
@@ -155,10 +161,10 @@ def solve(
 def _loop(task, f_limit, limits, began, progress):
     world, rules, heuristic, store, *rest = task
     while True:
-        left = limits.expansions - int(store.count[search.EXPANDED])
+        left = limits.expansions - int(store.count[EXPANDED])
         if left <= 0:
             return Status.EXPANSION_LIMIT, store
-        code = search.run(world, rules, heuristic, store, *rest, f_limit, min(left, _SLICE))
+        code = search.run(world, rules, heuristic, store, *rest, f_limit, min(left, _SLICE), True)
         if code == search.SOLVED:
             return Status.SOLVED, store
         if code == search.EXHAUSTED:
@@ -168,10 +174,10 @@ def _loop(task, f_limit, limits, began, progress):
         if code == search.FULL:
             if 2 * store.nbytes() > limits.memory:
                 return Status.MEMORY_LIMIT, store
-            store = search.grown(store)
+            store = open_list.with_room(grown(store), MAX_SUCCESSORS)
         elapsed = time.perf_counter() - began
         if progress is not None:
-            progress(int(store.count[search.EXPANDED]), elapsed)
+            progress(int(store.count[EXPANDED]), elapsed)
         if elapsed > limits.time:
             return Status.TIME_LIMIT, store
 
@@ -182,14 +188,12 @@ def _add_path(result, world, rules, store, key, status, lowest, i):
         result.actions.append(None)
         result.edge_costs.append(None)
         return
-    nodes = search.trace(world, store, key)
-    path = store.key[nodes]
-    actions = store.action[nodes[1:]]
+    path, actions = trace(world, store, key)
     costs = np.array(
         [edge_cost(world, rules, int(a), int(b), int(c)) for a, b, c in zip(path, path[1:], actions, strict=False)]
     )
     result.states.append(unpack_states(path, lowest))
-    result.actions.append(actions.copy())
+    result.actions.append(actions)
     result.edge_costs.append(costs)
     # The store keeps single precision; the plan's own cost is the sum of its edges.
     result.cost[i] = costs.sum()

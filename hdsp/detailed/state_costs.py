@@ -10,7 +10,7 @@ from hdsp.detailed.world import base_term, cell_index
 from hdsp.jit import njit
 
 
-@njit()
+@njit(allocates=False)
 def state_cost(world, key):
     """State cost C of a packed state; inf if a foot cannot stand there or the body collides."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)

@@ -21,6 +21,7 @@ _HEADING_BITS = 20
 _Y_BITS = 26
 _X_BITS = 42
 MAX_CELLS = 1 << 16
+FEET_MASK = (1 << 20) - 1  # the feet bits of a packed state
 
 
 @njit(inline="always")
@@ -33,12 +34,23 @@ def pack(ix, iy, heading, o0, o1, o2, o3):
 
 
 @njit(inline="always")
+def neutral_feet(lowest):
+    """The feet bits of a packed state on neutral feet."""
+    return -lowest * (1 << 15 | 1 << 10 | 1 << 5 | 1)
+
+
+@njit(inline="always")
 def unpack(key):
     """(ix, iy, heading, o0, o1, o2, o3) of a packed state."""
     return (
         key >> 42, (key >> 26) & 0xFFFF, (key >> 20) & 0x3F,
         (key >> 15) & 0x1F, (key >> 10) & 0x1F, (key >> 5) & 0x1F, key & 0x1F,
     )  # fmt: skip
+
+
+def pack_steps(steps: np.ndarray) -> np.ndarray:
+    """What steps (dx, dy), int64 [n, 2], add to a packed state, int64 [n]."""
+    return (steps[:, 0] << _X_BITS) + (steps[:, 1] << _Y_BITS)
 
 
 def pack_states(states, lowest: int) -> np.ndarray:

@@ -19,6 +19,7 @@ from hdsp.detailed.geometry import (
     rectangle_cells,
     step_line,
 )
+from hdsp.detailed.states import pack_steps
 from hdsp.heightmap import HeightMap
 from hdsp.jit import njit
 from hdsp.lattice import DRIVE_MOVES, HEADINGS, RESOLUTION, cells, heading_angle
@@ -35,11 +36,13 @@ class Tables(NamedTuple):
     move_dx: np.ndarray  # int64 [20]
     move_dy: np.ndarray
     move_flat: np.ndarray  # int64 [20]
+    move_key: np.ndarray  # int64 [20], what a move adds to a packed state
     move_length: np.ndarray  # float64 [20], metres
     move_first: np.ndarray  # int64 [20]
     move_count: np.ndarray
     deviation: np.ndarray  # float64 [64, 20], factor on driving
     straight: np.ndarray  # bool [64, 20], whether the move leads ahead or back
+    drive_price: np.ndarray  # float64 [2, 64, 20], length times factor; [1] for feet not level: inf unless straight
     base_sample: np.ndarray  # int64 [samples]
     shifts: np.ndarray  # int64 [64, 3]
     line: np.ndarray  # int64 [64, longest step + 1]
@@ -196,6 +199,8 @@ def _tables(robot: Robot, stride: int) -> Tables:
     turned = travel[None, :] - heading_angle(np.arange(HEADINGS))[:, None]
     deviation = abs(np.mod(turned + math.pi, 2 * math.pi) - math.pi)
     factor = np.vectorize(robot.drive.deviation_cost)(np.round(deviation, 12))
+    length = np.hypot(DRIVE_MOVES[:, 0], DRIVE_MOVES[:, 1]) * RESOLUTION
+    straight = np.minimum(deviation, math.pi - deviation) <= robot.drive.straight_deviation + 1e-9
     return Tables(
         feet=np.ascontiguousarray(feet.astype(np.int32).ravel()),
         n_offsets=feet.shape[2],
@@ -204,11 +209,13 @@ def _tables(robot: Robot, stride: int) -> Tables:
         move_dx=DRIVE_MOVES[:, 0].copy(),
         move_dy=DRIVE_MOVES[:, 1].copy(),
         move_flat=flat(DRIVE_MOVES),
-        move_length=np.hypot(DRIVE_MOVES[:, 0], DRIVE_MOVES[:, 1]) * RESOLUTION,
+        move_key=pack_steps(DRIVE_MOVES),
+        move_length=length,
         move_first=MOVE_SAMPLES.first,
         move_count=MOVE_SAMPLES.count,
         deviation=factor,
-        straight=np.minimum(deviation, math.pi - deviation) <= robot.drive.straight_deviation + 1e-9,
+        straight=straight,
+        drive_price=np.stack([length * factor, np.where(straight, length * factor, np.inf)]),
         base_sample=flat(base_cells()),
         shifts=base_shifts(),
         line=flat(step_line(robot)),
@@ -265,7 +272,7 @@ def base_term(world, heading, p):
     return known - np.float32(1)
 
 
-@njit()
+@njit(allocates=False)
 def compute_base_term(world, heading, p):
     """Compute and keep an entry of ``world.base``: 1 + largest S under the body, or inf."""
     known = np.float32(1) + _largest_under_body(world, heading, p)
@@ -273,7 +280,7 @@ def compute_base_term(world, heading, p):
     return known
 
 
-@njit()
+@njit(allocates=False)
 def collides(world, heading, p):
     """Whether the body hits what rises from the ground at flat cell ``p``, or has no known ground under its centre."""
     tables, height = world.tables, world.height
@@ -289,7 +296,7 @@ def collides(world, heading, p):
     return False
 
 
-@njit()
+@njit(allocates=False)
 def _largest_under_body(world, heading, p):
     tables = world.tables
     if collides(world, heading, p):
@@ -301,7 +308,7 @@ def _largest_under_body(world, heading, p):
     return largest
 
 
-@njit()
+@njit(allocates=False)
 def _mean_foot_height(world, heading, p):
     """Mean height of the known cells under the neutral feet; inf if none is known."""
     t = world.tables

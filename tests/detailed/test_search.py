@@ -4,7 +4,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hdsp.detailed import search
+from hdsp.detailed import solve as solving
 from hdsp.detailed.estimate import geometric_estimate
 from hdsp.detailed.solve import Limits, Status, solve
 from hdsp.detailed.world import build_world
@@ -173,7 +173,7 @@ def test_an_expansion_limit_ends_with_its_own_status(tasks):
 def test_a_memory_limit_ends_with_its_own_status():
     world = build_world(HeightMap.flat((120, 120)), NIMBLE)
     start, goal = (20, 20, 0, 0, 0, 0, 0), (100, 100, 32, 0, 0, 0, 0)
-    limit = 4 * search.new_store().nbytes()
+    limit = 1 << 20
     result = planned(world, start, goal, limits=Limits(memory=limit))
     assert result.status == [Status.MEMORY_LIMIT]
     assert result.memory <= limit
@@ -193,8 +193,8 @@ def test_growing_memory_loses_nothing(monkeypatch):
     world, twin = build_world(HeightMap(heights), NIMBLE), Naive(heights, NIMBLE)
     states = valid_states(twin, np.random.default_rng(6), 8, headings=[0, 1, 2])
     before = [planned(world, start, goal) for start, goal in pairwise(states)]
-    ordinary = search.new_store
-    monkeypatch.setattr(search, "new_store", lambda: ordinary(256))
+    ordinary = solving.new_store
+    monkeypatch.setattr(solving, "new_store", lambda shape, neutral: ordinary(shape, neutral, blocks=0))
     for (start, goal), expected in zip(pairwise(states), before, strict=True):
         result = planned(world, start, goal)
         assert result.cost[0] == expected.cost[0]
