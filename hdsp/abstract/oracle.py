@@ -13,7 +13,7 @@ from hdsp.abstract.transform import feet_at
 from hdsp.detailed.actions import Rules
 from hdsp.detailed.estimate import least_foot_cost, pose_estimate, with_footing
 from hdsp.detailed.footing import efforts_to, find_footing
-from hdsp.detailed.relaxed import pose_costs, pose_distances
+from hdsp.detailed.relaxed import costs_to_go, explore, least_costs
 from hdsp.detailed.solve import Limits, Status, solve
 from hdsp.detailed.world import World
 from hdsp.errors import InputError
@@ -28,23 +28,18 @@ class LabelSettings:
         heading_window: in a translation task, the most heading steps (5.625 degrees) away from its heading.
         turn_cost_factor: in a translation task, what turning costs relative to its normal cost.
         cost_limit: tasks that cost more count as infeasible; the published labels end at 1.48.
-        cost_ratio, cost_margin: tasks that driving alone cannot do also count as infeasible if they cost more than
-            this ratio of, plus this margin over, what they would cost if feet could be anywhere (the relaxed problem;
-            on flat ground the cost itself). Of the published ones none does.
-        max_expansions: a search that takes more ends undecided; its tasks count as infeasible and say so.
+        max_expansions: a safety net for memory, far above what searches take. One that takes more ends undecided; its
+            tasks count as infeasible and say so.
     """
 
     heading_window: int = 3
     turn_cost_factor: float = 1.58235
     cost_limit: float = 1.6
-    cost_ratio: float = 2.0
-    cost_margin: float = 0.15
-    max_expansions: int = 100_000
+    max_expansions: int = 10_000_000
 
     def __post_init__(self):
-        positive = (self.turn_cost_factor, self.cost_limit, self.cost_ratio, self.max_expansions)
-        if self.heading_window < 0 or self.cost_margin < 0 or min(positive) <= 0:
-            raise InputError(f"{self}: the window and the margin must not be negative, all else must be positive")
+        if self.heading_window < 0 or min(self.turn_cost_factor, self.cost_limit, self.max_expansions) <= 0:
+            raise InputError(f"{self}: the window must not be negative, all else must be positive")
 
 
 def task_costs(world: World, start: np.ndarray, settings: LabelSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -82,42 +77,45 @@ def task_costs(world: World, start: np.ndarray, settings: LabelSettings) -> tupl
 
 
 def _search(world: World, start: np.ndarray, goals: np.ndarray, rules: Rules, settings: LabelSettings):
-    """Costs and statuses of goals under the same rules, each up to its own cost limit.
+    """Costs and statuses of goals under the same rules.
 
-    First by driving alone, a problem of three dimensions; then with all actions, where only what is cheaper than that
-    is still looked for, again in one search for all goals.
+    What the relaxed problem cannot reach is infeasible, and what it reaches beyond the limit is over it. For the rest,
+    first driving alone, a problem of three dimensions; then all actions, where only what is cheaper than that is still
+    looked for, again in one search for all goals.
     """
-    cost, status = np.full(len(goals), np.inf), np.full(len(goals), Status.COST_LIMIT)
-    costs = pose_costs(world, rules)
-    # What even the relaxed problem cannot reach, or only beyond its limit, needs no search.
-    reach = pose_distances(world, rules, costs, start[None, :3], np.zeros(1), False, settings.cost_limit)
-    least = reach[goals[:, 2], goals[:, 0], goals[:, 1]].astype(float)
-    possible = np.isfinite(least)
+    relaxed = explore(world, rules, start, settings.cost_limit)
+    least = least_costs(world, relaxed, start, goals)
+    possible = least <= settings.cost_limit
+    unreached = Status.COST_LIMIT if relaxed.cut[0] else Status.INFEASIBLE
+    cost = np.full(len(goals), np.inf)
+    status = np.where(np.isfinite(least), Status.COST_LIMIT, unreached).astype(np.int64)
     limit = np.full(len(goals), settings.cost_limit)
+    footing = find_footing(world, rules, least_foot_cost(world))
 
     def search(chosen: np.ndarray, rules: Rules):
         # Goals that may cost less start later: f then has one limit for all.
         highest = limit[chosen].max()
-        to_go = pose_distances(world, rules, costs, goals[chosen, :3], highest - limit[chosen], True, highest)
-        limits = Limits(cost=highest, expansions=settings.max_expansions)
-        view = pose_estimate(world, to_go, goals[chosen, 3:])
+        to_go, cut = costs_to_go(world, rules, relaxed, start, goals[chosen], highest - limit[chosen], highest)
+        view = pose_estimate(world, to_go, relaxed.follow, goals[chosen, 3:])
         if not rules.drive_only:
             view = with_footing(view, footing, efforts_to(footing, world, goals[chosen]))
-        return solve(world, start, goals[chosen], view, rules=rules, limits=limits, paths=False)
+        limits = Limits(cost=highest, expansions=settings.max_expansions)
+        result = solve(world, start, goals[chosen], view, rules=rules, limits=limits, paths=False)
+        status = np.array(result.status)
+        if cut:  # the estimate keeps out what is over the limit, which the search takes for what leads nowhere
+            status[status == Status.INFEASIBLE] = Status.COST_LIMIT
+        return result.cost, status
 
-    footing = find_footing(world, rules, least_foot_cost(world))
     driven = np.flatnonzero(possible & ~goals[:, 3:].any(axis=1))
     if len(driven) and not start[3:].any():
-        result = search(driven, rules._replace(drive_only=True))
-        solved = driven[np.isfinite(result.cost)]
-        cost[driven], status[solved] = result.cost, Status.SOLVED
-    bounded = np.minimum(settings.cost_ratio * least + settings.cost_margin, settings.cost_limit)
-    limit = np.where(np.isfinite(cost), cost * (1 - 1e-6), bounded)
-    chosen = np.flatnonzero(possible)
+        cost[driven], _ = search(driven, rules._replace(drive_only=True))
+        status[np.isfinite(cost)] = Status.SOLVED
+        limit = np.where(np.isfinite(cost), cost * (1 - 1e-6), limit)
+    chosen = np.flatnonzero(possible & (limit > least))
     if len(chosen):
-        result = search(chosen, rules)
-        better = result.cost < cost[chosen]
-        cost[chosen[better]] = result.cost[better]
+        found, ended = search(chosen, rules)
+        better = found < cost[chosen]
         undriven = np.isinf(cost[chosen]) | better
-        status[chosen[undriven]] = np.asarray(result.status)[undriven]
+        cost[chosen[better]] = found[better]
+        status[chosen[undriven]] = ended[undriven]
     return cost, status

@@ -21,7 +21,11 @@ class Estimate(NamedTuple):
         goal_x, goal_y, goal_heading: base of the goal, lattice units.
         foot: cost per cell by which feet differ from the goal's configuration, up to a common shift.
         goal_feet: int64 [n, 4], foot offsets of one or several goals counted from the lowest; the nearest counts.
-        table: float32 [headings, nx, ny] flattened, costs to go; empty = none.
+        table: float32 [layers, headings, nx, ny] flattened, costs to go; empty = none.
+        layered: whether the table has two layers, for neutral feet and for any.
+        follow: times the sum of the foot offsets, counted from the lowest, is what a state has less to go than its
+            entry in the table.
+        neutral: the offset of a neutral foot, counted from the lowest.
         table_nx, table_ny: its extent.
         cells: detailed cells per table cell.
         heading_steps: detailed headings per table heading.
@@ -39,6 +43,9 @@ class Estimate(NamedTuple):
     foot: float
     goal_feet: np.ndarray
     table: np.ndarray
+    layered: bool
+    follow: float
+    neutral: int
     table_nx: int
     table_ny: int
     cells: int
@@ -82,7 +89,10 @@ def estimate(e, key):
         k = ((heading + e.heading_steps // 2) // e.heading_steps) % (HEADINGS // e.heading_steps)
         looked_up = np.float64(np.inf)
         if a < e.table_nx and b < e.table_ny:
-            looked_up = np.float64(e.table[(k * e.table_nx + a) * e.table_ny + b])
+            row = k
+            if e.layered and not (o0 == e.neutral and o1 == e.neutral and o2 == e.neutral and o3 == e.neutral):
+                row += HEADINGS
+            looked_up = np.float64(e.table[(row * e.table_nx + a) * e.table_ny + b]) - e.follow * (o0 + o1 + o2 + o3)
         if looked_up == np.inf:
             h += e.outside
         else:
@@ -128,6 +138,9 @@ def geometric_estimate(world, goal) -> Estimate:
         foot=least_foot_cost(world),
         goal_feet=np.asarray(goal[None, 3:], dtype=np.int64) - world.tables.lowest,
         table=NO_TABLE,
+        layered=False,
+        follow=0.0,
+        neutral=-world.tables.lowest,
         table_nx=0,
         table_ny=0,
         cells=1,
@@ -143,22 +156,26 @@ def geometric_estimate(world, goal) -> Estimate:
     )
 
 
-def pose_estimate(world, to_go: np.ndarray, feet: np.ndarray) -> Estimate:
+def pose_estimate(world, to_go: np.ndarray, follow: float, feet: np.ndarray) -> Estimate:
     """Costs-to-go of the relaxed problem, plus the feet that still have to reach a goal's configuration.
 
     Args:
         world: terrain and robot.
-        to_go: float32 [64, nx, ny].
+        to_go: float32 [2, 64, nx, ny], see ``relaxed``.
+        follow: what of the feet's way is in there already, cost per cell.
         feet: int64 [n, 4], configurations of the goals.
     """
     table = np.ascontiguousarray(to_go, dtype=np.float32).ravel()
     return geometric_estimate(world, np.zeros(7, dtype=np.int64))._replace(
         distance=0.0,
         turn=0.0,
+        foot=0.0 if follow > 0 else least_foot_cost(world),
         goal_feet=np.unique(np.asarray(feet, dtype=np.int64), axis=0) - world.tables.lowest,
         table=table,
-        table_nx=to_go.shape[1],
-        table_ny=to_go.shape[2],
+        layered=True,
+        follow=follow,
+        table_nx=to_go.shape[2],
+        table_ny=to_go.shape[3],
         outside=np.inf,
     )
 

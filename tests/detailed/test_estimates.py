@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hdsp.detailed.actions import Rules
 from hdsp.detailed.estimate import estimate, geometric_estimate, least_foot_cost, pose_estimate, with_footing
 from hdsp.detailed.footing import efforts_to, find_footing
-from hdsp.detailed.relaxed import _least_edge, _neighbour, pose_costs, pose_distances
+from hdsp.detailed.relaxed import costs_to_go, explore, least_costs
 from hdsp.detailed.states import pack_states, unpack_states
 from hdsp.detailed.world import build_world
 from hdsp.heightmap import HeightMap
@@ -37,8 +37,11 @@ def robots(draw):
         },
         turn={"cost": draw(st.floats(0.001, 0.2))},
         foot_move={"cost_per_metre": draw(costs)},
-        base_shift={"cost_per_metre": draw(costs)},
-        step={"cost": draw(st.floats(0.0, 0.1)), "cost_per_metre": draw(costs), "cost_per_height": draw(costs)},
+        base_shift={"cost_per_metre": draw(costs), "backward": draw(st.booleans())},
+        step={
+            "backward": draw(st.booleans()), "cost": draw(st.floats(0.0, 0.1)), "cost_per_metre": draw(costs),
+            "cost_per_height": draw(costs),
+        },
     )  # fmt: skip
 
 
@@ -94,53 +97,103 @@ def test_geometric_heuristic_of_momaro_is_consistent(category):
 
 
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
-@given(robot=robots(), seed=st.integers(0, 10_000))
-def test_relaxed_poses_feet_and_steps_never_exceed_the_true_cost(robot, seed):
+@given(robot=robots(), seed=st.integers(0, 10_000), limit=st.sampled_from([0.3, 9.0]))
+def test_relaxed_costs_feet_and_steps_never_exceed_the_true_cost(robot, seed, limit):
     world, twin, states = scene(robot, seed)
-    rules = Rules()
-    relaxed, footing = pose_costs(world, rules), find_footing(world, rules, least_foot_cost(world))
-    true = dijkstra(twin, states[0], most=80).cost
-    reach = pose_distances(world, rules, relaxed, np.array([states[0][:3]]), np.zeros(1), False, np.inf)
-    for goal, cost in list(true.items())[::13]:
-        assert reach[goal[2], goal[0], goal[1]] <= cost * (1 + 1e-5) + 1e-6
-        to_go = pose_distances(world, rules, relaxed, np.array([goal[:3]]), np.zeros(1), True, np.inf)
-        parameters = pose_estimate(world, to_go, np.array([goal[3:]]))
-        parameters = with_footing(parameters, footing, efforts_to(footing, world, np.array([goal])))
-        assert estimates(parameters, world, [states[0]])[0] <= cost * (1 + 1e-5) + 1e-6
-        assert estimates(parameters, world, [goal])[0] == 0
+    rules, start = Rules(), np.array(states[0])
+    footing, relaxed = find_footing(world, rules, least_foot_cost(world)), explore(world, rules, start, limit)
+    true = {state: cost for state, cost in dijkstra(twin, states[0], most=80).cost.items() if cost <= limit}
+    goals = np.array(list(true))
+    least = least_costs(world, relaxed, start, goals)
+    assert (least <= np.array(list(true.values())) * (1 + 1e-5) + 1e-6).all()
+    for goal in goals[::13]:
+        parameters = relaxed_estimate(world, rules, relaxed, start, goal[None], limit)
+        parameters = with_footing(parameters, footing, efforts_to(footing, world, goal[None]))
+        assert estimates(parameters, world, [start])[0] <= true[tuple(goal.tolist())] * (1 + 1e-5) + 1e-6
+        assert estimates(parameters, world, [goal])[0] == pytest.approx(0, abs=1e-6)
+
+
+def relaxed_estimate(world, rules, relaxed, start, goals, limit):
+    table, _ = costs_to_go(world, rules, relaxed, start, goals, np.zeros(len(goals)), limit)
+    return pose_estimate(world, table, relaxed.follow, goals[:, 3:])
 
 
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
-@given(
-    robot=robots(), seed=st.integers(0, 10_000), factor=st.sampled_from([0.4, 1.0, 1.6]), backward=st.booleans(),
-    limit=st.sampled_from([0.3, np.inf]),
-)  # fmt: skip
-def test_relaxed_distances_equal_a_plain_dijkstra_over_poses(robot, seed, factor, backward, limit):
-    world, _, states = scene(robot, seed)
-    rules = Rules(heading_center=states[0][2], heading_window=3, turn_cost_factor=factor)
-    relaxed = pose_costs(world, rules)
-    source = states[0][:3]
-    found = pose_distances(world, rules, relaxed, np.array([source]), np.zeros(1), backward, limit)
-    expected = plain_pose_distances(world, rules, relaxed, source, backward)
-    expected[expected > limit] = np.inf
-    assert np.allclose(found, expected, rtol=1e-5, atol=1e-6)
+@given(robot=robots(), seed=st.integers(0, 10_000))
+def test_the_relaxed_heuristic_is_consistent_along_every_edge(robot, seed):
+    world, twin, states = scene(robot, seed)
+    rules, start = Rules(), np.array(states[0])
+    relaxed = explore(world, rules, start, 20.0)
+    footing = find_footing(world, rules, least_foot_cost(world))
+    reached = list(dijkstra(twin, states[0], most=60).cost)
+    goals = np.array(reached[-3:])
+    parameters = relaxed_estimate(world, rules, relaxed, start, goals, 20.0)
+    parameters = with_footing(parameters, footing, efforts_to(footing, world, goals))
+    for state in reached[::4]:
+        keys, prices, _ = successor_arrays(world, state)
+        here = estimates(parameters, world, [state])[0]
+        there = estimates(parameters, world, unpack_states(keys, world.tables.lowest))
+        assert (here <= prices + there + 1e-5).all()
 
 
-def plain_pose_distances(world, rules, relaxed, source, backward):
-    distance = np.full((HEADINGS, world.nx, world.ny), np.inf)
-    queue, settled = [(0.0, source)], set()
+@settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
+@given(robot=robots(), seed=st.integers(0, 10_000), factor=st.sampled_from([0.4, 1.0, 1.6]))
+def test_relaxed_distances_equal_a_plain_dijkstra(robot, seed, factor):
+    world, twin, states = scene(robot, seed)
+    start = states[0]
+    rules = Rules(heading_center=start[2], heading_window=1, turn_cost_factor=factor)
+    twin = Naive(twin.heights, robot, start[2], 1, factor, drive_only=True)
+    relaxed = explore(world, rules, np.array(start), 100.0)
+    expected = plain_relaxed_distances(twin, start, relaxed.follow)
+    assert not relaxed.cut[0]
+    assert np.isfinite(relaxed.distance).sum() == len(expected)
+    for (layer, x, y, heading), cost in expected.items():
+        pose = ((heading - relaxed.first) % HEADINGS * world.nx + x) * world.ny + y
+        assert relaxed.distance[layer, pose] == pytest.approx(cost, rel=1e-5, abs=1e-6)
+    for goal in [key for key in expected if key[0] == 0][::7]:
+        state = np.array([[*goal[1:], 0, 0, 0, 0]])
+        back, _ = costs_to_go(world, rules, relaxed, np.array(start), state, np.zeros(1), 100.0)
+        home = relaxed.follow * 4 * -world.tables.lowest
+        layer = int(any(start[3:]))
+        assert back[layer, start[2], start[0], start[1]] - home == pytest.approx(expected[goal], rel=1e-5, abs=1e-6)
+
+
+def plain_relaxed_distances(twin, start, follow):
+    """{(layer, x, y, heading): cost} from the words of `hdsp.detailed.relaxed`."""
+    low, high = twin.robot.offset_range()
+    price = twin.robot.base_shift.cost_per_metre * 0.025
+    ways = (1, -1) if twin.robot.base_shift.backward else (1,)
+
+    def least_cost(x, y, heading):
+        uneven = []
+        for foot in range(4):
+            states = [(x, y, heading, *([offset] * 4)) for offset in range(low, high + 1)]
+            cells = [twin.foothold(state, foot) for state in states]
+            uneven.append(min((twin.unevenness(cell) for cell in cells if twin.standable(cell)), default=np.inf))
+        return 1 + twin.robot.drive.unevenness_cost * (max([*uneven, twin.under_body((x, y), heading)]) + sum(uneven))
+
+    def edges(layer, x, y, heading):
+        neutral = (x, y, heading, 0, 0, 0, 0)
+        if layer == 0:
+            for _, reached, cost in twin.successors(neutral):
+                yield (0, *reached[:3]), cost
+            if twin.any_foot_can_step(neutral):
+                yield (1, x, y, heading), 0.0
+            return
+        n, dx, dy = twin.shift(heading)
+        for way in ways:
+            u, v = x + way * dx, y + way * dy
+            if twin.inside((u, v)) and least_cost(u, v, heading) < np.inf:
+                mean = (least_cost(x, y, heading) + least_cost(u, v, heading)) / 2
+                yield (1, u, v, heading), price * np.hypot(dx, dy) * mean + 4 * follow * n
+        if twin.valid(neutral):
+            yield (0, x, y, heading), 0.0
+
+    settled, queue = {}, [(0.0, (int(any(start[3:])), *start[:3]))]
     while queue:
-        cost, (x, y, h) = heapq.heappop(queue)
-        if (x, y, h) in settled:
-            continue
-        settled.add((x, y, h))
-        distance[h, x, y] = cost
-        for action in range(24):
-            kind, other, nx, ny = _neighbour(world.tables, h, x, y, action, backward)
-            if not (0 <= nx < world.nx and 0 <= ny < world.ny) or np.isinf(relaxed[other, nx, ny]):
-                continue
-            ends = [relaxed[h, x, y], relaxed[other, nx, ny]]
-            if backward:
-                ends.reverse()
-            heapq.heappush(queue, (cost + _least_edge(world, rules, h, kind, *ends), (nx, ny, other)))
-    return distance
+        cost, node = heapq.heappop(queue)
+        if node not in settled:
+            settled[node] = cost
+            for reached, step in edges(*node):
+                heapq.heappush(queue, (cost + step, reached))
+    return settled

@@ -1,0 +1,78 @@
+"""How the tasks of random maps are decided, and how long a map takes.
+
+    python -m benchmarks.labels_decided [--maps 200] [--seed 3] [--robot momaro]
+
+Labels random maps of all nine categories in turn and prints one JSON line last: the share of tasks solved, with an
+invalid goal, proved infeasible, proved to cost more than the limit, and undecided at a cap of the search
+(`capped_share`); the most expansions of a search; milliseconds a map, with those that are dropped for want of a valid
+start and without, and tasks per second on one core.
+"""
+
+import argparse
+import json
+import time
+from collections import Counter
+
+from hdsp.abstract import oracle
+from hdsp.detailed.solve import Status
+from hdsp.labelling import LabelSettings, label_map
+from hdsp.robot import Robot
+from hdsp.terrain import CATEGORIES, TerrainSettings, random_map
+
+_CAPS = Status.EXPANSION_LIMIT, Status.MEMORY_LIMIT, Status.TIME_LIMIT
+
+
+def main(argv=None) -> dict:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--maps", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=3)
+    parser.add_argument("--robot", default="momaro", help="preset or YAML file")
+    arguments = parser.parse_args(argv)
+    robot, settings, terrain = Robot.load(arguments.robot), LabelSettings(), TerrainSettings()
+    expansions = count_expansions()
+    reasons: Counter = Counter()
+    kept, seconds = 0, 0.0
+    for number in range(-len(CATEGORIES), arguments.maps):  # the first ones only compile
+        index, category = divmod(max(number, 0), len(CATEGORIES))
+        category = CATEGORIES[category if number >= 0 else number]
+        heights = random_map(arguments.seed, category, index, terrain)
+        began = time.perf_counter()
+        labels = label_map(heights, robot, settings)
+        if number < 0:
+            continue
+        seconds += time.perf_counter() - began
+        if labels is not None:
+            kept += 1
+            reasons.update(Status(int(reason)) for reason in labels.reason)
+    total = sum(reasons.values())
+    result = {
+        "maps": arguments.maps,
+        "maps_kept": kept,
+        "tasks": total,
+        "share_per_reason": {str(status): round(count / total, 4) for status, count in sorted(reasons.items())},
+        "capped_share": sum(reasons[status] for status in _CAPS) / total,
+        "most_expansions": max(expansions),
+        "ms_per_map": round(1000 * seconds / arguments.maps, 1),
+        "ms_per_map_kept": round(1000 * seconds / kept, 1),
+        "tasks_per_s": round(total / seconds, 1),
+    }
+    print(json.dumps(result))
+    return result
+
+
+def count_expansions() -> list[int]:
+    """A list to which every search of the oracle adds its expansions from now on."""
+    found: list[int] = []
+    solve = oracle.solve
+
+    def counted(*arguments, **options):
+        result = solve(*arguments, **options)
+        found.append(result.expansions)
+        return result
+
+    oracle.solve = counted
+    return found
+
+
+if __name__ == "__main__":
+    main()
