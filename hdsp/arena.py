@@ -1,10 +1,14 @@
-"""Random arenas: two rooms with a door, blocks, and a platform that is reached over stairs.
+"""Arenas: walled squares with obstacles, described in a file or drawn from a seed.
 
-Convention: an arena spans [0, size] x [0, size] metres; x forward, y left.
+Random arenas have two rooms with a door, blocks, and a platform that is reached over stairs.
+
+Convention: an arena spans [0, size] x [0, size] metres, its walls included; x forward, y left.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -13,7 +17,100 @@ from hdsp import lattice
 from hdsp.errors import InputError
 from hdsp.heightmap import HeightMap
 from hdsp.lattice import Grid
-from hdsp.terrain import Block, Obstacle, Range, Scene, Staircase
+from hdsp.terrain import Block, Obstacle, Ramp, Range, Scene, Staircase
+
+
+@dataclass(frozen=True)
+class Arena:
+    """A walled square: the one description that height map, physics and pictures are made from.
+
+    Attributes:
+        size: its side, m; a multiple of the cells of a height map.
+        scene: its obstacles, the surrounding walls among them, in world coordinates.
+
+    Raises:
+        InputError: if the size is no positive multiple of a cell.
+    """
+
+    size: float
+    scene: Scene
+
+    def __post_init__(self):
+        cells = lattice.cells(self.size) if math.isfinite(self.size) else 0.0
+        if cells < 1 or abs(cells - round(cells)) > 1e-6:
+            raise InputError(f"arena of {self.size} m; need a positive multiple of {lattice.RESOLUTION} m")
+
+    def height_map(self) -> HeightMap:
+        """The heights at the centres of cells, nothing unknown; lower corner at world (0, 0)."""
+        cells = round(lattice.cells(self.size))
+        x, y = np.moveaxis(Grid((0.0, 0.0), (cells, cells)).center(np.stack(np.indices((cells, cells)), -1)), -1, 0)
+        return HeightMap(self.scene.heights_at(x, y))
+
+    def blocks(self) -> list[Block]:
+        """All blocks, those of staircases and ramps included."""
+        return [block for obstacle in self.scene.obstacles for block in obstacle.blocks()]
+
+
+def read_arena(description: Mapping[str, Any]) -> Arena:
+    """An arena from plain values, as in ``conf/arena/paper.yaml``.
+
+    Args:
+        description: `size` (m), `wall_height`, `wall_thickness` (m) and, where there are any, lists of `walls` (from x,
+            y to x, y: the middle line, which the wall exceeds by half its thickness at both ends), `blocks`, `ramps`
+            and `staircases` (the attributes of the classes of `hdsp.terrain`; `yaw` may be left out). Walls around
+            the arena are added. Other keys do not matter here.
+
+    Raises:
+        InputError: names what is missing, unknown, or not a number.
+    """
+    known = {name: description.get(name) for name in ("size", "wall_height", "wall_thickness")}
+    for name, value in known.items():
+        _positive(value, f"arena.{name}")
+    size, height, thickness = known.values()
+    obstacles = walls_around(size, height, thickness)
+    for line in description.get("walls") or ():
+        if len(line) != 4 or not all(_is_number(value) for value in line):
+            raise InputError(f"arena.walls {line}; need four numbers: from x, y to x, y, in m")
+        obstacles.append(_wall(line, height, thickness))
+    for key, kind in (("blocks", Block), ("ramps", Ramp), ("staircases", Staircase)):
+        obstacles += [_obstacle(kind, values, f"arena.{key}") for values in description.get(key) or ()]
+    return Arena(size, Scene(tuple(obstacles)))
+
+
+def walls_around(size: float, height: float, thickness: float) -> list[Obstacle]:
+    """The walls along the inside of the border of an arena; lengths in m."""
+    low, high = thickness / 2, size - thickness / 2
+    lines = [(low, low, high, low), (high, low, high, high), (high, high, low, high), (low, high, low, low)]
+    return [_wall(line, height, thickness) for line in lines]
+
+
+def _wall(line: Sequence[float], height: float, thickness: float) -> Block:
+    x0, y0, x1, y1 = line
+    length = math.hypot(x1 - x0, y1 - y0) + thickness
+    return Block((x0 + x1) / 2, (y0 + y1) / 2, math.atan2(y1 - y0, x1 - x0), length, thickness, height)
+
+
+def _obstacle(kind: type, values: Mapping[str, Any], where: str) -> Obstacle:
+    names = [field.name for field in fields(kind)]
+    values = {"yaw": 0.0, **values}
+    if wrong := sorted(set(names) ^ set(values)):
+        raise InputError(f"{where} {dict(values)}: {wrong[0]!r} is missing or unknown; need {', '.join(names)}")
+    for name, value in values.items():
+        if name in ("x", "y", "yaw"):
+            if not _is_number(value):
+                raise InputError(f"{where}: {name} is {value!r}; need a finite number")
+        else:
+            _positive(value, f"{where}: {name}")
+    return kind(**values)
+
+
+def _positive(value, where: str) -> None:
+    if not _is_number(value) or value <= 0:
+        raise InputError(f"{where} is {value!r}; need a positive number")
+
+
+def _is_number(value) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 @dataclass(frozen=True)
@@ -125,9 +222,7 @@ def _draw(random: np.random.Generator, size: float, settings: ArenaSettings) -> 
         *cuboids(settings.blocks, settings.block_side, settings.block_height),
         *cuboids(settings.bumps, settings.bump_side, settings.bump_height),
     ]
-    cells = round(lattice.cells(size))
-    centers = Grid((0.0, 0.0), (cells, cells)).center(np.stack(np.indices((cells, cells)), axis=-1))
-    return HeightMap(Scene(tuple(obstacles)).heights_at(centers[..., 0], centers[..., 1])), stairs
+    return Arena(size, Scene(tuple(obstacles))).height_map(), stairs
 
 
 def _stairs(random: np.random.Generator, far: float, inside: Range, settings: ArenaSettings) -> Staircase:

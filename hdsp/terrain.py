@@ -108,6 +108,19 @@ class Block:
         across = turn[1, 0] * (x - self.x) + turn[1, 1] * (y - self.y)
         return (np.abs(along) <= self.length / 2 + _ON_SIDE) & (np.abs(across) <= self.width / 2 + _ON_SIDE)
 
+    def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray | float:
+        """Height of the upper side at points (x, y) on the block, m."""
+        return self.height
+
+
+@dataclass(frozen=True)
+class Ramp(Block):
+    """A wedge: its upper side rises along ``yaw`` from the ground to ``height`` over ``length``."""
+
+    def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        along = math.cos(self.yaw) * (x - self.x) + math.sin(self.yaw) * (y - self.y)
+        return self.height * np.clip(0.5 + along / self.length, 0.0, 1.0)
+
 
 @dataclass(frozen=True)
 class Staircase:
@@ -172,7 +185,8 @@ class Scene:
         heights = np.zeros(np.shape(x), np.float32)
         for obstacle in self.obstacles:
             for block in obstacle.blocks():
-                np.maximum(heights, np.float32(block.height), out=heights, where=block.covers(x, y))
+                top = np.asarray(block.top(x, y), np.float32)
+                np.maximum(heights, top, out=heights, where=block.covers(x, y))
         return heights
 
 
