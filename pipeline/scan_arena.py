@@ -1,0 +1,114 @@
+"""Stage `scan_arena`: the paper's arena and random courses, scanned by a simulated lidar; the simulated patches."""
+
+from __future__ import annotations
+
+import shutil
+from typing import Any
+
+import numpy as np
+from omegaconf import DictConfig
+
+from hdsp.errors import InputError
+from hdsp.robot import Robot
+from pipeline.config import plain, settings
+from pipeline.data import ABSENT
+from pipeline.stage import Folders, run_stage, write_json
+
+FIGURES = "reports", "figures"
+PICTURES = "arena.png", "simulated_courses.png"
+
+
+def scan_arena(config: DictConfig, folders: Folders) -> None:
+    from hdsp.simulation.lidar import Lidar
+    from hdsp.simulation.world import is_available
+    from hdsp.viz import save_note
+
+    simulated, arena = folders.write("data", "simulated"), folders.write("data", "arena")
+    for folder in (simulated, arena):
+        shutil.rmtree(folder, ignore_errors=True)
+    available, reason = is_available()
+    if not available:
+        print(f"skipped: {reason}")
+        for folder in (simulated, arena):
+            write_json(folders.write("data", folder.name, ABSENT), {"reason": reason})
+        write_json(folders.write("reports", "arena.json"), {"available": False, "reason": reason})
+        for picture in PICTURES:
+            save_note(f"not simulated: {reason}", folders.write(*FIGURES, picture))
+        return
+    robot = Robot.load(plain(config.robot))
+    lidar = settings(Lidar, config.simulation.lidar, "simulation.lidar")
+    report = {
+        "available": True,
+        "arena": scan_paper_arena(config, folders, robot, lidar),
+        "patches": scan_courses(config, folders, robot, lidar),
+    }
+    write_json(folders.write("reports", "arena.json"), report)
+
+
+def scan_paper_arena(config: DictConfig, folders: Folders, robot: Robot, lidar) -> dict[str, Any]:
+    """Maps of the arena, true and scanned, and its picture; returns how true the scan is."""
+    from hdsp.arena import read_arena
+    from hdsp.planner import Planner
+    from hdsp.simulation.mapping import accuracy, scanned_map
+    from hdsp.viz import save_arena
+
+    section = config.simulation.arena
+    arena = read_arena(plain(section))
+    tasks = {task["name"]: (tuple(task["start"]), tuple(task["goal"])) for task in plain(section.tasks)}
+    start = next(iter(tasks.values()))[0]
+    scanned, true = scanned_map(arena, start, lidar, config.simulation.seed), arena.height_map()
+    scanned.save(folders.write("data", "arena", "scanned.npz"))
+    true.save(folders.write("data", "arena", "true.npz"))
+    planner = Planner(scanned, robot)
+    ends = {name: {"start": planner.valid(a), "goal": planner.valid(b)} for name, (a, b) in tasks.items()}
+    save_arena(_picture(arena), scanned, true, tasks, folders.write(*FIGURES, PICTURES[0]))
+    found = accuracy(scanned, true, robot)
+    print(", ".join(f"{name} {value:.3g}" for name, value in found.items()))
+    return {"accuracy": found, "valid": ends}
+
+
+def scan_courses(config: DictConfig, folders: Folders, robot: Robot, lidar) -> dict[str, Any]:
+    """The set of simulated patches and its picture; returns how many there are of each kind."""
+    from hdsp.labelling import LabelSettings
+    from hdsp.lattice import heading_angle
+    from hdsp.shards import write_shard
+    from hdsp.simulation.courses import CourseSettings
+    from hdsp.simulation.patches import PatchRun, PatchSettings, simulated_courses, task_set
+    from hdsp.viz import save_courses
+    from hdsp.workers import ClusterSettings
+
+    run = PatchRun(
+        settings(PatchSettings, config.simulation.patches, "simulation.patches"),
+        settings(CourseSettings, config.simulation.courses, "simulation.courses"),
+        lidar,
+        robot,
+        settings(LabelSettings, config.labelling.settings, "labelling.settings"),
+    )
+    courses = []
+    cluster = ClusterSettings(config.runtime.workers, dashboard=config.runtime.dashboard, memory=config.runtime.memory)
+    for course in simulated_courses(run, cluster):
+        courses.append(course)
+        if config.runtime.progress:
+            print(f"course {course.index}: {len(course.patches)} patches", flush=True)
+    tasks = task_set(run, courses)
+    path = folders.write("data", "simulated", "simulated.h5")
+    write_shard(path, tasks, {"labels_hash": run.hash(), "maps": len(tasks)})
+    starts = [[(p.kind, *p.start[:2], float(heading_angle(p.start[2]))) for p in course.patches] for course in courses]
+    save_courses([course.terrain for course in courses], starts, folders.write(*FIGURES, PICTURES[1]))
+    kinds, counts = np.unique(tasks.category, return_counts=True)
+    return {"maps": len(tasks), "kinds": dict(zip(kinds.tolist(), counts.tolist(), strict=True))}
+
+
+def _picture(arena) -> np.ndarray | None:
+    """A rendering, or None where the machine cannot draw."""
+    from hdsp.simulation.world import World
+
+    try:
+        return World(arena).picture()
+    except InputError as error:
+        print(f"no picture of the arena: {error}")
+        return None
+
+
+if __name__ == "__main__":
+    run_stage(scan_arena, "scan_arena")
