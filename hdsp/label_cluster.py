@@ -6,6 +6,8 @@ that ends them, if it is one, can be named.
 """
 
 import secrets
+import time
+from asyncio import CancelledError
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -25,6 +27,13 @@ MAPS_PER_PART = 10
 
 #: How often the writing of a shard may lose its worker as often as Dask allows.
 STORE_ATTEMPTS = 3
+
+#: Seconds without any worker after which a run on its own processes gives up, and another one says that it waits.
+NO_WORKER_SECONDS = 60.0
+
+SCHEDULER_GONE = "the Dask scheduler is gone; finished shards stay, run again for the others"
+
+_POLL_SECONDS = 0.02
 
 
 @dataclass
@@ -55,10 +64,17 @@ class ClusterLabelling:
         label: labels one map; None = `hdsp.labelling.label_map`. Pickled by name.
         place: of the shards; seen by all workers.
         progress: is told of each part.
+        own_workers: nobody else starts workers; without any there is nothing to wait for.
     """
 
     def __init__(
-        self, client: "Client", run: LabelRun, label: LabelMap | None, place: str, progress: TaskProgress
+        self,
+        client: "Client",
+        run: LabelRun,
+        label: LabelMap | None,
+        place: str,
+        progress: TaskProgress,
+        own_workers: bool = False,
     ) -> None:
         from distributed import as_completed
 
@@ -66,6 +82,8 @@ class ClusterLabelling:
         self._code, self._token, self._submitted = labels_code(), secrets.token_hex(4), 0
         self._jobs: dict[str, _Job] = {}  # by the keys of the futures that are waited for
         self._done = as_completed(loop=client.loop)
+        self._own_workers, self._workers, self._looked, self._last_seen = own_workers, 0, -1.0, time.monotonic()
+        self._said_waiting = False
 
     def shards(self, shards: Sequence[ShardPlan]) -> Iterator[tuple[ShardPlan, dict[str, LabelCounts]]]:
         """Labels and writes shards; yields each with its counts, by category, once it is written.
@@ -74,13 +92,20 @@ class ClusterLabelling:
             InputError: if a shard cannot be written, or a map keeps ending its workers. Finished shards stay.
             RuntimeError: what labelling raises; names the map.
         """
+        try:
+            yield from self._shards(shards)
+        except (CancelledError, OSError) as error:
+            # Dask's own words for a lost scheduler; what a worker raises of that kind comes as `InputError`.
+            raise InputError(SCHEDULER_GONE) from error
+
+    def _shards(self, shards: Sequence[ShardPlan]) -> Iterator[tuple[ShardPlan, dict[str, LabelCounts]]]:
         waiting, written = list(reversed(shards)), 0
         if waiting:
             self._begin(waiting.pop(), alone=True)
         while written < len(shards):
             while waiting and len(shards) - len(waiting) - written < self._window():
                 self._begin(waiting.pop())
-            future = next(self._done)
+            future = self._next()
             job = self._jobs.pop(future.key, None)
             if job is None:
                 continue  # of an attempt that was given up
@@ -96,20 +121,51 @@ class ClusterLabelling:
 
     def _window(self) -> int:
         """How many shards are on their way at a time: enough for all workers, and not the whole split in memory."""
-        return 2 + 2 * len(self._client.scheduler_info(n_workers=-1)["workers"])
+        return 2 + 2 * self._workers
+
+    def _next(self) -> "Future":
+        """Waits for a future, and meanwhile looks after the workers."""
+        while not self._done.has_ready():
+            self._look_at_workers()
+            time.sleep(_POLL_SECONDS)
+        self._look_at_workers()
+        return next(self._done)
+
+    def _wait_for(self, future: "Future") -> None:
+        while not future.done():
+            self._look_at_workers()
+            time.sleep(_POLL_SECONDS)
+
+    def _look_at_workers(self) -> None:
+        now = time.monotonic()
+        if now < self._looked + 1.0:
+            return
+        self._looked = now
+        try:
+            self._workers = len(self._client.scheduler_info(n_workers=-1)["workers"])
+        except (OSError, KeyError, TypeError) as error:
+            raise InputError(SCHEDULER_GONE) from error
+        if self._workers:
+            self._last_seen, self._said_waiting = now, False
+        elif now > self._last_seen + NO_WORKER_SECONDS:
+            if self._own_workers:
+                raise InputError(
+                    "all worker processes have ended, and none could be started anew; finished shards stay"
+                )
+            if not self._said_waiting:
+                self._progress.say("no worker is there; waiting for one")
+                self._said_waiting = True
 
     def _begin(self, shard: ShardPlan, alone: bool = False) -> None:
         """Submits a shard; ``alone``: waits for its first part, so that one process fills the cache of compiled
         kernels before others read it."""
-        from distributed import wait
-
         job = _Job(shard)
         for first in range(0, len(shard.maps), MAPS_PER_PART):
             maps = shard.maps[first : first + MAPS_PER_PART]
             job.parts.append(self._submit(label_maps, self._run, self._label, self._code, maps))
             job.maps.append(maps)
             if alone and first == 0:
-                wait(job.parts)
+                self._wait_for(job.parts[0])
         self._count(job, job.parts)
         self._store(job)
 
@@ -138,7 +194,7 @@ class ClusterLabelling:
         from distributed import KilledWorker
 
         if future.status == "cancelled":
-            raise InputError("the Dask scheduler is gone; finished shards stay, run again for the others")
+            raise InputError(SCHEDULER_GONE)
         error = future.exception()
         if not isinstance(error, KilledWorker):
             raise error
@@ -157,13 +213,13 @@ class ClusterLabelling:
             self._store(job)
 
     def _one_by_one(self, maps: Sequence[int]) -> list["Future"]:
-        from distributed import KilledWorker, wait
+        from distributed import KilledWorker
 
         self._progress.say(f"maps {maps[0]} to {maps[-1]} have lost several workers; labelling them one by one")
         futures = []
         for number in maps:
             futures.append(self._submit(label_maps, self._run, self._label, self._code, [number]))
-            wait(futures[-1:])
+            self._wait_for(futures[-1])
             if futures[-1].status == "error" and isinstance(futures[-1].exception(), KilledWorker):
                 raise InputError(
                     f"worker processes end whenever they label {self._run.describe(number)}; "

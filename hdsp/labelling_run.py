@@ -98,7 +98,8 @@ def _label(
             started = time.perf_counter()
             bar.note(f"dashboard at {client.dashboard_link}" if client.dashboard_link else "no dashboard")
             bar.begin(already_done=run.split.maps - maps)
-            for shard, found in ClusterLabelling(client, run, label, files.place, bar).shards(missing):
+            own = cluster.scheduler is None
+            for shard, found in ClusterLabelling(client, run, label, files.place, bar, own).shards(missing):
                 counts[shard.name] = found
             peaks = list(client.run(peak_memory).values())
             ended = time.perf_counter()

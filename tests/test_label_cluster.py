@@ -1,5 +1,6 @@
 """Label runs on many processes, some of which are killed."""
 
+import json
 import os
 import random
 import subprocess
@@ -88,6 +89,39 @@ def test_a_worker_that_dies_for_good_leaves_its_work_to_the_others(scheduler, tm
     kill_with_children(worker.pid)
     assert run.wait(60) == 0
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
+
+
+def test_a_scheduler_that_dies_ends_the_run_with_what_is_finished(tmp_path):
+    file = tmp_path / "scheduler.json"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "dask", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    dask = subprocess.Popen(
+        [*command, "--scheduler-file", str(file)], env=environment, cwd=tmp_path, stderr=subprocess.DEVNULL
+    )
+    worker = None
+    try:
+        assert wait_for(file.exists)
+        address = json.loads(file.read_text())["address"]
+        command = [sys.executable, "-m", "dask", "worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
+        worker = subprocess.Popen(command, env=environment, cwd=tmp_path, stderr=subprocess.DEVNULL)
+        script = (
+            "from tests.test_label_cluster import *\n"
+            f"try: {call(tmp_path / 'labels', address)}\n"
+            "except InputError as error: print(error)"
+        )
+        run = subprocess.Popen(
+            [sys.executable, "-c", script], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        assert wait_for(lambda: shard_paths(tmp_path / "labels"))
+        kill_with_children(dask.pid)
+        said, errors = run.communicate(timeout=60)
+        assert "the Dask scheduler is gone; finished shards stay" in said, errors
+        assert contents(tmp_path / "labels")
+    finally:
+        for process in (dask, worker):
+            if process is not None:
+                kill_with_children(process.pid)
+                process.wait()
 
 
 def test_no_answer_at_an_address_is_said(tmp_path):
