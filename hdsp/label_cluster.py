@@ -7,8 +7,8 @@ that ends them, if it is one, can be named.
 
 import secrets
 import time
-from asyncio import CancelledError
 from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,7 @@ from hdsp.label_jobs import LabelMap, count_labels, label_maps, store_shard
 from hdsp.progress import TaskProgress
 from hdsp.splits import LabelRun, ShardPlan, labels_code
 from hdsp.storage import open_folder
+from hdsp.workers import dead_workers, replace_workers
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -29,7 +30,7 @@ MAPS_PER_PART = 10
 STORE_ATTEMPTS = 3
 
 #: Seconds without any worker after which a run on its own processes gives up, and another one says that it waits.
-NO_WORKER_SECONDS = 60.0
+NO_WORKER_SECONDS = 120.0
 
 SCHEDULER_GONE = "the Dask scheduler is gone; finished shards stay, run again for the others"
 
@@ -83,7 +84,7 @@ class ClusterLabelling:
         self._jobs: dict[str, _Job] = {}  # by the keys of the futures that are waited for
         self._done = as_completed(loop=client.loop)
         self._own_workers, self._workers, self._looked, self._last_seen = own_workers, 0, -1.0, time.monotonic()
-        self._said_waiting = False
+        self._said_waiting, self._dead = False, set()
 
     def shards(self, shards: Sequence[ShardPlan]) -> Iterator[tuple[ShardPlan, dict[str, LabelCounts]]]:
         """Labels and writes shards; yields each with its counts, by category, once it is written.
@@ -145,6 +146,10 @@ class ClusterLabelling:
             self._workers = len(self._client.scheduler_info(n_workers=-1)["workers"])
         except (OSError, KeyError, TypeError) as error:
             raise InputError(SCHEDULER_GONE) from error
+        if self._own_workers:
+            dead = dead_workers(self._client.cluster)
+            replace_workers(self._client.cluster, dead & self._dead)  # Dask had a second to do it
+            self._dead = dead - self._dead
         if self._workers:
             self._last_seen, self._said_waiting = now, False
         elif now > self._last_seen + NO_WORKER_SECONDS:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from hdsp.errors import InputError
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, LocalCluster
 
 #: Schemes of the addresses of Dask schedulers.
 SCHEMES = ("tcp://", "tls://", "ucx://", "ws://", "wss://", "inproc://")
@@ -98,6 +98,27 @@ def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
         yield client
 
 
+def dead_workers(cluster: "LocalCluster") -> set[Any]:
+    """Names of the workers of a local cluster that have no process."""
+    from distributed.core import Status
+
+    ended = (Status.stopped, Status.failed, Status.closed)
+    return {
+        name
+        for name, nanny in dict(cluster.workers).items()
+        if nanny.status in ended or (nanny.process is not None and nanny.process.status in ended)
+    }
+
+
+def replace_workers(cluster: "LocalCluster", names: set[Any]) -> None:
+    """Starts others in the place of workers of a local cluster. Dask does so itself, unless one ended as it began."""
+    if names:
+        wanted = len(cluster.worker_spec)
+        for name in names:
+            cluster.worker_spec.pop(name, None)
+        cluster.scale(wanted)
+
+
 def peak_memory() -> int:
     """Most bytes that this process has held at a time."""
     status = Path("/proc/self/status")
@@ -108,7 +129,7 @@ def peak_memory() -> int:
     return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-def _local_cluster(settings: ClusterSettings, jobs: int):
+def _local_cluster(settings: ClusterSettings, jobs: int) -> "LocalCluster":
     from distributed import LocalCluster
 
     for attempt in range(START_ATTEMPTS):
