@@ -10,6 +10,7 @@ centre of patch cell ``(c, c)``. Sampling takes the nearest cell; outside the ma
 """
 
 import functools
+import importlib
 import math
 import os
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ import numpy as np
 from hdsp import lattice
 from hdsp.errors import InputError
 from hdsp.lattice import PATCH_CELLS, RESOLUTION
-from hdsp.map_files import read_map, write_map
+from hdsp.map_files import is_map, read_map, write_map
 
 #: Positions this close (in cells) to the border between two cells count as on the border, whatever rounding error says.
 TIE = 1e-6
@@ -72,16 +73,35 @@ class HeightMap:
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> "HeightMap":
-        """Reads a map written by `save` (.npz, .h5, .hdf5).
+        """Reads a map written by `save` (.npz, .h5, .hdf5), or makes one from a file of points in metres, z up.
+
+        Files of points (.pcd, .ply, .las, ...: `hdsp.pointcloud.FORMATS`) are levelled on their floor; where units,
+        axes or what is cut differ, use `hdsp.pointcloud.read_points` and `from_points`.
 
         Raises:
             InputError: if the file is missing, damaged, of another kind, or holds no valid map.
         """
+        if not is_map(path):
+            return cls.from_points(_pointcloud().read_points(path))
         fields = read_map(path)
         try:
             return cls(*fields)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
+
+    @classmethod
+    def from_points(cls, points, settings=None, resolution: float = RESOLUTION) -> "HeightMap":
+        """The map of a point cloud: levelled on its floor, ceilings and overhangs removed, small holes filled.
+
+        Args:
+            points: float [n, 3], m, z roughly up.
+            settings: `hdsp.pointcloud.MapSettings`; None = its defaults.
+            resolution: side of a cell, m.
+
+        Raises:
+            InputError: if no floor is found, no point is left, or the extent is not one of metres.
+        """
+        return _pointcloud().height_map(points, settings, resolution)
 
     def save(self, path: str | os.PathLike) -> Path:
         """Writes the map; the suffix chooses the format: .npz, or .h5 / .hdf5.
@@ -241,6 +261,12 @@ def _crop_kernel(heights, bases, headings, offsets, patches):
                     u, v = x + dx[i, j], y + dy[i, j]
                     inside = 0 <= u < nx and 0 <= v < ny
                     patches[p, i, j] = heights[u, v] if inside else np.nan
+
+
+def _pointcloud():
+    # By name and not by an import statement: labels depend on all that this module imports (`hdsp.fingerprint`), and no
+    # label depends on how points become maps.
+    return importlib.import_module("hdsp.pointcloud")
 
 
 def _round(values):

@@ -22,6 +22,11 @@ class MapFields(NamedTuple):
     resolution: float
 
 
+def is_map(path: str | os.PathLike) -> bool:
+    """Whether the suffix of a file is that of a kind of map."""
+    return Path(path).suffix in _FORMATS
+
+
 def read_map(path: str | os.PathLike) -> MapFields:
     """Reads a file of a kind that its suffix names.
 

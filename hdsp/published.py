@@ -17,15 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
+from hdsp.data_files import DATA_DIR_VARIABLE, data_folder, fetch, first_words
 from hdsp.errors import InputError
 from hdsp.files import existing_file, replacing
 from hdsp.lattice import ABSTRACT_ACTIONS, N_ABSTRACT_ACTIONS, PATCH_CELLS, abstract_steps, abstract_steps_to_world
 from hdsp.shards import read_tasks, write_shard
 from hdsp.storage import Place
 from hdsp.tasks import REASON_UNKNOWN, TaskSet
-
-#: Environment variable that names a folder with data sets that others published.
-DATA_DIR_VARIABLE = "HDSP_DATA_DIR"
 
 COMMIT = "2bedf130c4e8bf3008ace07dc3bde445cd98cf38"
 URL = (
@@ -69,18 +67,18 @@ def find_published(data_dir: str | os.PathLike | None = None, timeout: float = 3
     Returns:
         (path, ""), or (None, why there is none and how to get it).
     """
-    folder = data_dir or os.environ.get(DATA_DIR_VARIABLE)
+    folder = data_folder(data_dir)
     if folder:
         for place in PLACES:
-            if (Path(folder) / place).is_file():
-                return Path(folder) / place, ""
+            if (folder / place).is_file():
+                return folder / place, ""
     try:
         return _fetch(timeout), ""
     except Exception as error:  # whatever a download can fail with must not stop a pipeline that can go without
-        reason = f"{type(error).__name__}: {str(error).split('(Caused by')[-1]}"
+        reason = first_words(error)
     where = f"not in {folder}" if folder else f"{DATA_DIR_VARIABLE} is not set"
     return None, (
-        f"published labels: {where} and not fetched from {URL}: {reason[:160].splitlines()[0]}; "
+        f"published labels: {where} and not fetched from {URL}: {reason}; "
         f"put the file at {PLACES[0]} in a folder and name that folder in {DATA_DIR_VARIABLE}"
     )
 
@@ -176,11 +174,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def _fetch(timeout: float) -> Path:
-    import pooch
-
-    downloader = pooch.HTTPDownloader(timeout=timeout)
-    folder = pooch.os_cache("hdsp")
-    return Path(pooch.retrieve(URL, f"sha256:{SHA256}", Path(PLACES[0]).name, folder, downloader=downloader))
+    return fetch(URL, SHA256, Path(PLACES[0]).name, timeout)
 
 
 def _maps(path: Path, lines: list[str]) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:

@@ -7,6 +7,7 @@ HDF5 parses the file.
 
 import hashlib
 import io
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -23,6 +24,7 @@ __all__ = [
     "SUFFIX",
     "Shard",
     "TaskSet",
+    "is_shard",
     "read_shard",
     "read_shards",
     "read_tasks",
@@ -138,6 +140,12 @@ def shard_of(content: bytes, where: str = "") -> Shard:
         return Shard(TaskSet(**{**arrays, "category": names[arrays["category"]]}), attributes)
     except (OSError, KeyError, IndexError, ValueError, TypeError) as error:
         raise InputError(f"shard {where}: {' '.join(str(error).split())}") from error
+
+
+def is_shard(path: str | os.PathLike) -> bool:
+    """Whether a local file begins as a shard does; it may still be damaged."""
+    with existing_file(path, "shard").open("rb") as file:
+        return file.read(len(_MAGIC)) == _MAGIC.encode()
 
 
 def read_tasks(path: Place) -> TaskSet:

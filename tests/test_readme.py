@@ -18,5 +18,5 @@ def test_the_library_example_runs(tmp_path, monkeypatch, capsys):
 
 def test_every_link_to_a_file_of_the_project_leads_somewhere():
     text = (ROOT / "README.md").read_text() + (ROOT / "docs/pipeline.md").read_text()
-    for target in re.findall(r"\]\((?!http)([^)]+)\)", text):
+    for target in re.findall(r"\]\((?!http)([^)#]+)", text):
         assert (ROOT / target).exists(), target

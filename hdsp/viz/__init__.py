@@ -5,9 +5,11 @@ from hdsp.viz.charts import save_planning_bars, save_quality_bars, save_training
 from hdsp.viz.patches import save_example_patches
 from hdsp.viz.path import draw_path, planned_path_figure, save_planned_path
 from hdsp.viz.robot import draw_pose, draw_robot
+from hdsp.viz.scans import ScanPicture, save_map, save_scan_sheet
 from hdsp.viz.style import draw_terrain
 
 __all__ = [
+    "ScanPicture",
     "draw_path",
     "draw_pose",
     "draw_robot",
@@ -16,9 +18,11 @@ __all__ = [
     "save_arena",
     "save_courses",
     "save_example_patches",
+    "save_map",
     "save_note",
     "save_planned_path",
     "save_planning_bars",
     "save_quality_bars",
+    "save_scan_sheet",
     "save_training_curves",
 ]

@@ -1,0 +1,75 @@
+"""Occupied cells of OctoMap's binary octrees (.bt) as points.
+
+The format (Hornung et al. 2013, and the documentation of octomap::OccupancyOcTreeBase): lines of text from
+``# Octomap OcTree binary file`` to ``data``, among them ``id``, ``size`` (nodes) and ``res`` (metres of the smallest
+cell); then the nodes, parents before children, first child first. A node that has children is two bytes, with two bits
+for each of its eight children, lowest bits first: 0 unknown, 1 free, 2 occupied, 3 has children. Child number
+``x + 2 y + 4 z`` is the upper half along the axes whose digit is 1. The tree has 16 levels around the origin.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+_LEVELS = 16
+_OCCUPIED, _INNER = 2, 3
+
+
+def read_octree(content: bytes) -> np.ndarray:
+    """Centres [n, 3], in metres, of the smallest cells that are occupied; a larger occupied cell counts as all of its
+    smallest ones on its surface.
+
+    Raises:
+        ValueError: if it is no such file, or cut off.
+    """
+    header, resolution = _header(content)
+    nodes = np.frombuffer(content, np.uint8, offset=header)
+    lows, sizes = _occupied(nodes.tobytes())
+    if not len(lows):
+        return np.zeros((0, 3))
+    cells = np.concatenate([_surface(int(size)) + low for size in np.unique(sizes) for low in lows[sizes == size]])
+    return (cells - 2 ** (_LEVELS - 1) + 0.5) * resolution
+
+
+def _header(content: bytes) -> tuple[int, float]:
+    """Where the nodes begin, and the resolution."""
+    if not content.startswith(b"# Octomap OcTree binary file"):
+        raise ValueError("not a binary octree: the first line is not '# Octomap OcTree binary file'")
+    end = content.find(b"\ndata\n")
+    if end < 0:
+        raise ValueError("no line 'data'")
+    entries = dict(line.split(maxsplit=1) for line in content[:end].splitlines() if len(line.split(maxsplit=1)) == 2)
+    if (resolution := float(entries.get(b"res", b"nan"))) > 0:
+        return end + len(b"\ndata\n"), resolution
+    raise ValueError("no positive resolution in a line 'res'")
+
+
+def _occupied(nodes: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """Lower corners int64 [n, 3] and sizes int64 [n], in smallest cells, of the occupied leaves."""
+    leaves: list[tuple[int, int, int, int]] = []
+    at = 0
+    stack = [(0, 0, 0, 2**_LEVELS)] if nodes else []
+    while stack:
+        x, y, z, size = stack.pop()
+        if at + 2 > len(nodes) or size == 1:
+            raise ValueError("cut off or damaged: the nodes end too early or go too deep")
+        bits, half, inner = nodes[at] | nodes[at + 1] << 8, size // 2, []
+        at += 2
+        for child in range(8):
+            kind = bits >> 2 * child & 3
+            place = (x + half * (child & 1), y + half * (child >> 1 & 1), z + half * (child >> 2), half)
+            if kind == _OCCUPIED:
+                leaves.append(place)
+            elif kind == _INNER:
+                inner.append(place)
+        stack += reversed(inner)  # the first child is read first
+    array = np.array(leaves, dtype=np.int64).reshape(-1, 4)
+    return array[:, :3], array[:, 3]
+
+
+def _surface(size: int) -> np.ndarray:
+    """Smallest cells on the surface of a cube of ``size`` cells, int64 [n, 3]."""
+    if size > 64:
+        raise ValueError(f"an occupied cell of {size} smallest cells; a map of that is no scan")
+    cells = np.stack(np.meshgrid(*[np.arange(size)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    return cells[((cells == 0) | (cells == size - 1)).any(axis=1)]

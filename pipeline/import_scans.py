@@ -1,0 +1,84 @@
+"""Stage `import_scans`: scans of real places -> height maps, patches where the robot can stand, and their labels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from omegaconf import DictConfig
+
+from pipeline.config import plain, settings
+from pipeline.data import ABSENT
+from pipeline.stage import Folders, run_stage, write_json
+
+
+def import_scans(config: DictConfig, folders: Folders) -> None:
+    from hdsp.labelling import LabelSettings
+    from hdsp.robot import Robot
+    from hdsp.scan_patches import PatchSettings, draw_starts, label_scan
+    from hdsp.scans import Scan, build_map, find_files
+    from hdsp.viz import ScanPicture, save_scan_sheet
+
+    robot = Robot.load(plain(config.robot))
+    rules = settings(LabelSettings, config.labelling.settings, "labelling.settings")
+    patches = settings(PatchSettings, config.scans.patches, "scans.patches")
+    scans = [Scan.from_dict(name, values) for name, values in plain(config.scans.sources).items()]
+
+    folder = folders.write("data", "real")
+    folder.mkdir(exist_ok=True)
+    _remove_others(folder, {f"{scan.name}.h5" for scan in scans})
+    maps = folders.write("data", "real_maps")
+    maps.mkdir(exist_ok=True)
+    report: dict[str, Any] = {"scans": {}, "missing": {}}
+    pictures = []
+    for scan in scans:
+        paths, reason = find_files(scan, config.runtime.data_dir)
+        if not paths:
+            print(f"skipped: {reason}")
+            report["missing"][scan.name] = reason
+            (folder / f"{scan.name}.h5").unlink(missing_ok=True)
+            continue
+        terrain = build_map(scan, paths)
+        terrain.save(maps / f"{scan.name}.npz")
+        about = {name: getattr(scan, name) for name in ("place", "sensor", "licence", "source")} | {"scan": scan.name}
+        shard = folder / f"{scan.name}.h5"
+        tasks = label_scan(terrain, robot, patches, rules, shard, about)
+        report["scans"][scan.name] = about | _figures(terrain, tasks)
+        pictures.append(
+            ScanPicture(scan.name, scan.place, scan.licence, terrain, draw_starts(terrain, robot, patches), tasks)
+        )
+        print(f"{scan.place} ({scan.name}): {len(tasks)} patches, {tasks.feasible.sum()} feasible tasks")
+    if not pictures:
+        write_json(folder / ABSENT, {"reason": "; ".join(report["missing"].values())})
+    places = {scan["place"]: 0 for scan in report["scans"].values()}
+    for scan in report["scans"].values():
+        places[scan["place"]] += scan["patches"]
+    report |= {"patches": sum(places.values()), "patches_per_place": places}
+    write_json(folders.write("reports", "real_scans.json"), report)
+    save_scan_sheet(pictures, folders.write("reports", "figures", "real_scans.png"), robot)
+    print(f"{report['patches']} patches from {len(places)} places")
+
+
+def _remove_others(folder, names: set[str]) -> None:
+    """Shards of scans that are no longer listed, and the note of a run without any."""
+    for path in folder.iterdir():
+        if path.name not in names:
+            path.unlink()
+
+
+def _figures(terrain, tasks) -> dict[str, Any]:
+    known = np.isfinite(terrain.heights)
+    heights = terrain.heights[known]
+    return {
+        "size": [float(side) for side in terrain.size],
+        "known_area": float(known.sum() * terrain.resolution**2),
+        "on_floor": float((np.abs(heights) < 0.03).mean()),
+        "highest": float(heights.max()),
+        "patches": len(tasks),
+        "tasks": int(tasks.feasible.size),
+        "feasible": int(tasks.feasible.sum()),
+    }
+
+
+if __name__ == "__main__":
+    run_stage(import_scans, "import_scans")

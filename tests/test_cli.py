@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+
+from hdsp.cli import main
+from hdsp.heightmap import HeightMap
+from hdsp.shards import write_shard
+from tests.pointcloud.clouds import moved, room
+from tests.task_sets import random_tasks
+
+
+@pytest.fixture
+def cloud(tmp_path):
+    path = tmp_path / "room.xyz"
+    np.savetxt(path, moved(room(ceiling=2.4), 3, shift=(0, 0, -1)))
+    return path
+
+
+def test_a_cloud_becomes_a_map_and_a_picture(tmp_path, cloud, capsys):
+    out, picture = tmp_path / "map.npz", tmp_path / "map.png"
+    assert main(["map", str(cloud), "--out", str(out), "--picture", str(picture)]) == 0
+    terrain = HeightMap.load(out)
+    assert abs(np.nanmedian(terrain.heights)) < 0.01
+    assert np.nanmax(terrain.heights) < 0.4
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert "cells of 0.025 m" in capsys.readouterr().out
+
+
+def test_several_clouds_are_fused_and_options_reach_the_map(tmp_path, cloud):
+    np.savetxt(tmp_path / "more.xyz", moved(room() + (3, 0, 0), 3, shift=(0, 0, -1)) * 1000)
+    out = tmp_path / "map.h5"
+    files = [str(tmp_path / "more.xyz")]
+    options = ["--out", str(out), "--units", "0.001", "--box", "1.5", "-1", "4.5", "1", "--resolution", "0.05"]
+    assert main(["map", *files, *options]) == 0
+    terrain = HeightMap.load(out)
+    assert terrain.resolution == 0.05
+    assert terrain.size == pytest.approx((3, 2), abs=0.11)
+    assert main(["map", str(cloud), str(cloud), "--out", str(out), "--no-level", "--lowest=-3"]) == 0
+    assert np.nanmedian(HeightMap.load(out).heights) == pytest.approx(-1, abs=0.05)
+
+
+def test_info_says_what_a_file_holds(tmp_path, cloud, capsys):
+    HeightMap.flat((80, 40)).save(tmp_path / "map.h5")
+    write_shard(tmp_path / "shard.h5", random_tasks(3), {"labels_hash": "x", "place": "yard"})
+    for path in (cloud, tmp_path / "map.h5", tmp_path / "shard.h5"):
+        assert main(["info", str(path)]) == 0
+    points, terrain, shard = capsys.readouterr().out.splitlines()
+    assert "points, x -2.0" in points and "floor at z = -1.00 m in the middle, tilted by 3.0 degrees" in points
+    assert "height map of 80 x 40 cells of 0.025 m" in terrain and "100% known" in terrain
+    assert "shard of 3 maps" in shard and "place: yard" in shard
+
+
+def test_the_axes_of_a_file_are_named_with_an_equals_sign(tmp_path, cloud):
+    np.savetxt(tmp_path / "camera.xyz", room()[:, [1, 2, 0]] * (-1, -1, 1))
+    assert main(["map", str(tmp_path / "camera.xyz"), "--axes=z,-x,-y", "--out", str(tmp_path / "map.npz")]) == 0
+    assert HeightMap.load(tmp_path / "map.npz").size == pytest.approx((4, 3), abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["info", "none.pcd"], "none.pcd: no such file"),
+        (["info", "none.h5"], "none.h5: no such file"),
+        (["info", "{}/none.docx"], "suffix '.docx'; need one of .pcd"),
+        (["map", "{}/room.xyz", "--out", "{}/map.tif"], "suffix '.tif'"),
+        (["map", "{}/room.xyz", "--out", "{}/map.npz", "--units", "0.0001"], "in metres"),
+        (["map", "{}/room.xyz", "--out", "{}/map.npz", "--axes", "x,z"], "need each of x, y, z once"),
+        (["map", "{}/room.xyz", "--out", "{}/map.npz", "--fill", "-2"], "fill is -2"),
+    ],
+)
+def test_bad_input_ends_in_one_line(tmp_path, cloud, capsys, arguments, words):
+    status = main([argument.format(tmp_path) for argument in arguments])
+    error = capsys.readouterr().err
+    assert status == 1
+    assert error.startswith("error: ") and error.count("\n") == 1
+    assert words in error
+
+
+def test_a_call_without_a_command_shows_the_usage(capsys):
+    with pytest.raises(SystemExit) as end:
+        main([])
+    assert end.value.code == 2
+    assert "usage: hdsp" in capsys.readouterr().err
