@@ -4,6 +4,8 @@ import pytest
 
 from examples import climbing
 
+pytestmark = pytest.mark.xdist_group("climbing")  # planned once, for all tests here
+
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
