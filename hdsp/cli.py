@@ -42,8 +42,8 @@ def _parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--no-level", dest="level", action="store_false", help="keep z as it is: do not look for the floor"
     )
-    box = {"nargs": 4, "type": float, "metavar": ("X_MIN", "Y_MIN", "X_MAX", "Y_MAX")}
-    made.add_argument("--box", **box, help="m; drop all points outside")
+    corners = ("X_MIN", "Y_MIN", "X_MAX", "Y_MAX")
+    made.add_argument("--box", nargs=4, type=float, metavar=corners, help="m; drop all points outside")
     meanings = {
         "lowest": "m above the floor; lower points are dropped",
         "highest": "m above the floor; higher points, as of a ceiling, are dropped",

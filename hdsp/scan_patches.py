@@ -175,5 +175,9 @@ def _task_set(labels: list[MapTasks | None], starts: np.ndarray, place: str, see
     columns = zip(*(labels[k] for k in kept), strict=True)
     arrays = {name: np.array(column) for name, column in zip(MapTasks._fields, columns, strict=True)}
     return TaskSet(
-        **arrays, category=[place] * len(kept), index=kept, heading=starts[kept, 2], seed=np.full(len(kept), seed)
+        **arrays,
+        category=np.full(len(kept), place),
+        index=np.array(kept),
+        heading=starts[kept, 2],
+        seed=np.full(len(kept), seed),
     )

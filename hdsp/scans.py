@@ -164,7 +164,7 @@ def _cloud(scan: Scan, file: ScanFile, path: Path) -> np.ndarray:
     elif scan.elevation is not None:
         points = elevation_points(read_image(path), **scan.elevation)
     else:
-        points = read_points(path, scan.units, tuple(scan.axes))
+        points = read_points(path, scan.units, scan.axes)
     if scan.drop_within:
         points = points[np.hypot(points[:, 0], points[:, 1]) > scan.drop_within]
     return level(points, fit_floor(points, scan.map.floor)) if scan.level_each else points

@@ -175,7 +175,7 @@ def _best_plane(points: np.ndarray, settings: FloorSettings) -> Plane | None:
         if length < 1e-9 or abs(normal[2]) < least * length:
             continue
         normal *= math.copysign(1 / length, normal[2])
-        count = np.count_nonzero(np.abs(points @ normal - normal @ a) < settings.thickness)
+        count = int(np.count_nonzero(np.abs(points @ normal - normal @ a) < settings.thickness))
         if count > support:
             best, support = (normal, float(normal @ a)), count
     return _refined(points, Plane(*best, support), settings) if best else None

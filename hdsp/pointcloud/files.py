@@ -7,7 +7,7 @@ import gzip
 import io
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +23,7 @@ _UNPACK: dict[str, Callable[[bytes], bytes]] = {".gz": gzip.decompress, ".bz2": 
 _AXES = {f"{sign}{name}": (k, -1.0 if sign == "-" else 1.0) for k, name in enumerate("xyz") for sign in ("", "+", "-")}
 
 
-def read_points(
-    path: str | os.PathLike, units: float = 1.0, axes: tuple[str, str, str] = ("x", "y", "z")
-) -> np.ndarray:
+def read_points(path: str | os.PathLike, units: float = 1.0, axes: Sequence[str] = ("x", "y", "z")) -> np.ndarray:
     """The points of a file; those that are not finite (no echo) are left out.
 
     Args:
@@ -121,7 +119,7 @@ FORMATS: dict[str, Callable[[bytes], np.ndarray]] = {
 }
 
 
-def _turned(points: np.ndarray, axes: tuple[str, str, str]) -> np.ndarray:
+def _turned(points: np.ndarray, axes: Sequence[str]) -> np.ndarray:
     picked = [_AXES.get(str(name).lower()) for name in axes]
     indices = [axis[0] for axis in picked if axis]
     signs = [axis[1] for axis in picked if axis]
