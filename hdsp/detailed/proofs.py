@@ -37,7 +37,8 @@ class Unreachable(NamedTuple):
         from_goal: the other side of that gap; the same cell if only the headings differ there.
         blocked: [n, 2], the cells between the two, in a straight line.
         heading: heading along the gap, [0, 64).
-        body_hits: [n, 2], cells of the terrain that the body would hit in the middle of the gap at that heading.
+        body_hits: [n, 2], cells of the terrain that the body would hit in the middle of the gap at that heading, the
+            highest first.
         footless: feet that would find no foothold there, whatever their offset.
     """
 
@@ -297,7 +298,7 @@ def _gap_of_base(world: World, reached: np.ndarray, around_goal: np.ndarray, sta
     p = int(cell_index(world, x, y))
     missing = _footless(world, p, heading)
     footless = tuple(foot for foot in range(4) if missing >> foot & 1)
-    return Unreachable(POSE, -1, one, other, between, heading, _body_hits(world, x, y, heading), footless)
+    return Unreachable(POSE, -1, one, other, between, heading, body_hits(world, x, y, heading), footless)
 
 
 def _gap_of_foot(world: World, footing: Footing, efforts: np.ndarray, start, goal, foot: int) -> Unreachable:
@@ -334,15 +335,14 @@ def _gap(one: np.ndarray, other: np.ndarray, start: np.ndarray, goal: np.ndarray
     return a, b, line, int(np.rint(along)) % HEADINGS
 
 
-def _body_hits(world: World, x: int, y: int, heading: int) -> np.ndarray:
-    """Cells of the map that the body would hit at a pose, int64 [n, 2]."""
-    t, p = world.tables, int(cell_index(world, x, y))
-    feet = [world.height[p + t.feet[foot_row(t, heading, foot, -t.lowest)]] for foot in range(4)]
-    feet = [height for height in feet if height > -np.inf]
-    ground = min(world.height[p], np.mean(feet) if feet else np.inf)
-    hit = set()
-    for box in range(len(t.box_above)):
-        cells = p + t.box_cells[box, heading, : t.box_count[box, heading]]
-        hit.update(cells[world.height[cells] > ground + t.box_above[box]].tolist())
-    flat = np.array(sorted(hit), dtype=np.int64)
-    return np.stack([flat // world.stride - world.pad, flat % world.stride - world.pad], axis=-1).reshape(-1, 2)
+def body_hits(world: World, ix: int, iy: int, heading: int) -> np.ndarray:
+    """Cells of the map that the body would hit at a pose, int64 [n, 2], with the highest first."""
+    t, p = world.tables, int(cell_index(world, ix, iy))
+    feet = world.height[[p + t.feet[foot_row(t, heading, foot, -t.lowest)] for foot in range(4)]]
+    feet = feet[feet > -np.inf]
+    ground = min(world.height[p], feet.mean() if len(feet) else np.inf)
+    boxes = [p + t.box_cells[b, heading, : t.box_count[b, heading]] for b in range(len(t.box_above))]
+    hit = np.concatenate([cells[world.height[cells] > ground + t.box_above[b]] for b, cells in enumerate(boxes)])
+    hit = np.unique(hit)
+    hit = hit[np.argsort(-world.height[hit], kind="stable")]
+    return np.stack([hit // world.stride - world.pad, hit % world.stride - world.pad], axis=1)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hdsp.detailed.proofs import FOOT, Unreachable
+from hdsp.detailed.proofs import FOOT, Unreachable, body_hits
 from hdsp.detailed.state_costs import foot_row
 from hdsp.detailed.world import World, base_term, cell_index
 from hdsp.lattice import RESOLUTION, Grid, heading_angle
@@ -64,26 +64,12 @@ def in_words(proof: Unreachable, world: World, grid: Grid) -> str:
         return words
     found = [f"the {FEET[foot]} foot finds no foothold" for foot in proof.footless]
     if len(proof.body_hits):
-        highest = np.argsort([-world.height[cell_index(world, *cell)] for cell in proof.body_hits], kind="stable")
-        found.append("the body would hit " + _hit(world, grid, proof.body_hits[highest]))
+        found.append("the body would hit " + _hit(world, grid, proof.body_hits))
     where = f"the robot cannot get {gap}, where the ways from start and goal come nearest to each other"
     if not found:
         return where
     degrees = float(np.degrees(heading_angle(proof.heading)))
     return f"{where}: between, heading {degrees:.0f} degrees, " + " and ".join(found)
-
-
-def body_hits(world: World, ix: int, iy: int, heading: int) -> np.ndarray:
-    """Cells of the map that the body would hit at a pose, int64 [n, 2], with the highest first."""
-    t, p = world.tables, int(cell_index(world, ix, iy))
-    feet = world.height[[p + t.feet[foot_row(t, heading, foot, -t.lowest)] for foot in range(4)]]
-    feet = feet[feet > -np.inf]
-    ground = min(world.height[p], feet.mean() if len(feet) else np.inf)
-    boxes = [p + t.box_cells[b, heading, : t.box_count[b, heading]] for b in range(len(t.box_above))]
-    hit = np.concatenate([cells[world.height[cells] > ground + t.box_above[b]] for b, cells in enumerate(boxes)])
-    hit = np.unique(hit)
-    hit = hit[np.argsort(-world.height[hit], kind="stable")]
-    return np.stack([hit // world.stride - world.pad, hit % world.stride - world.pad], axis=1)
 
 
 def _hit(world: World, grid: Grid, cells: np.ndarray) -> str:
