@@ -99,6 +99,7 @@ def _without_lone_cells(heights):
 
 @njit()
 def _averaged(heights, points, noise):
+    """Each cell on the plane that fits the cells around which are like it; on ramps a mean would make terraces."""
     nx, ny = heights.shape
     result, support = np.full((nx, ny), np.nan, np.float32), np.zeros((nx, ny), np.float32)
     for x in range(nx):
@@ -106,16 +107,32 @@ def _averaged(heights, points, noise):
             h, n = heights[x, y], max(points[x, y], np.float32(1))
             if math.isnan(h):
                 continue
-            total, weight = 0.0, 0.0
+            # Weighted sums of the offsets u, v in cells, and of the differences d to this cell.
+            w = wu = wv = wd = wuu = wuv = wvv = wud = wvd = 0.0
             for i in range(max(x - _RADIUS, 0), min(x + _RADIUS + 1, nx)):
                 for j in range(max(y - _RADIUS, 0), min(y + _RADIUS + 1, ny)):
                     m = max(points[i, j], np.float32(1))
-                    difference = abs(heights[i, j] - h)  # NaN is never less
-                    if difference < _ALIKE and difference < 3 * noise * math.sqrt(1 / n + 1 / m) + 0.002:
-                        total += m * heights[i, j]
-                        weight += m
-            result[x, y] = total / weight
-            support[x, y] = min(weight, _AS_MANY)
+                    d = heights[i, j] - h  # NaN is never less
+                    if abs(d) < _ALIKE and abs(d) < 3 * noise * math.sqrt(1 / n + 1 / m) + 0.002:
+                        u, v = float(i - x), float(j - y)
+                        w += m
+                        wu += m * u
+                        wv += m * v
+                        wd += m * d
+                        wuu += m * u * u
+                        wuv += m * u * v
+                        wvv += m * v * v
+                        wud += m * u * d
+                        wvd += m * v * d
+            u, v = wu / w, wv / w
+            uu, uv, vv = wuu / w - u * u, wuv / w - u * v, wvv / w - v * v
+            ud, vd = wud / w - u * wd / w, wvd / w - v * wd / w
+            determinant = uu * vv - uv * uv
+            offset = wd / w
+            if determinant > 0.1:  # else the cells lie in a line, and there is no plane to fit
+                offset -= ((vv * ud - uv * vd) * u + (uu * vd - uv * ud) * v) / determinant
+            result[x, y] = h + max(-_ALIKE, min(offset, _ALIKE))
+            support[x, y] = min(w, _AS_MANY)
     return result, support
 
 

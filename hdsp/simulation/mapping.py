@@ -11,13 +11,16 @@ from hdsp.arena import Arena
 from hdsp.costs import cost_maps
 from hdsp.errors import InputError
 from hdsp.heightmap import HeightMap
+from hdsp.lattice import Grid
+from hdsp.pointcloud import MapSettings, height_map
 from hdsp.robot import Robot
 from hdsp.simulation.fusion import fuse, smooth
 from hdsp.simulation.lidar import Lidar, scan
 from hdsp.simulation.tour import tour
 from hdsp.simulation.world import World
 
-_HOLE = 3  # cells; holes that a disc of this radius closes are filled
+#: The surface is levelled, free of noise and of what hangs in the air already.
+_FUSED = MapSettings(level=False, lowest=-10.0, highest=10.0, neighbours=0, smooth=0.0, island=0)
 _WRONG = 0.02  # m
 
 
@@ -41,16 +44,18 @@ def scanned_map(arena: Arena, start, lidar: Lidar | None = None, seed: int = 0) 
     lidar = lidar or Lidar()
     cloud = scan(World(arena), tour(arena, start), lidar, np.random.default_rng(seed))
     shape = arena.height_map().shape
-    return HeightMap(_without_holes(smooth(fuse(cloud.points, cloud.origins, shape), lidar.noise)))
+    return _as_map(smooth(fuse(cloud.points, cloud.origins, shape), lidar.noise))
 
 
-def _without_holes(heights: np.ndarray) -> np.ndarray:
-    """Small holes take the height of the nearest known cell."""
-    known = np.pad(np.isfinite(heights), _HOLE)
-    x, y = np.indices((2 * _HOLE + 1,) * 2) - _HOLE
-    closed = ndimage.binary_closing(known, x**2 + y**2 <= _HOLE**2)[_HOLE:-_HOLE, _HOLE:-_HOLE]
-    nearest = ndimage.distance_transform_edt(np.isnan(heights), return_distances=False, return_indices=True)
-    return np.where(closed, heights[tuple(nearest)], np.nan)
+def _as_map(heights: np.ndarray) -> HeightMap:
+    """A height map of the surface, small holes filled; it covers all cells, also where nothing was seen."""
+    x, y = np.moveaxis(Grid((0.0, 0.0), heights.shape).center(np.stack(np.indices(heights.shape), -1)), -1, 0)
+    known = np.isfinite(heights)
+    seen = height_map(np.column_stack([x[known], y[known], heights[known]]), _FUSED)
+    whole = np.full(heights.shape, np.nan, np.float32)
+    low = Grid((0.0, 0.0), heights.shape).cell(seen.origin)
+    whole[low[0] : low[0] + seen.shape[0], low[1] : low[1] + seen.shape[1]] = seen.heights
+    return HeightMap(whole)
 
 
 def accuracy(scanned: HeightMap, true: HeightMap, robot: Robot) -> dict[str, Any]:
