@@ -63,10 +63,9 @@ def read_arena(description: Mapping[str, Any]) -> Arena:
     Raises:
         InputError: names what is missing, unknown, or not a number.
     """
-    known = {name: description.get(name) for name in ("size", "wall_height", "wall_thickness")}
-    for name, value in known.items():
-        _positive(value, f"arena.{name}")
-    size, height, thickness = known.values()
+    size, height, thickness = (
+        _positive(description.get(name), f"arena.{name}") for name in ("size", "wall_height", "wall_thickness")
+    )
     obstacles = walls_around(size, height, thickness)
     for line in description.get("walls") or ():
         if len(line) != 4 or not all(_is_number(value) for value in line):
@@ -104,9 +103,10 @@ def _obstacle(kind: type, values: Mapping[str, Any], where: str) -> Obstacle:
     return kind(**values)
 
 
-def _positive(value, where: str) -> None:
+def _positive(value: Any, where: str) -> float:
     if not _is_number(value) or value <= 0:
         raise InputError(f"{where} is {value!r}; need a positive number")
+    return value
 
 
 def _is_number(value) -> bool:

@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -65,7 +66,7 @@ def save_courses(
     """
     rows = max(math.ceil(len(maps) / columns), 1)
     made = figure(3.0 * columns, 3.0 * rows + 0.4)
-    shown: dict[str, object] = {}
+    shown: dict[str, Any] = {}
     for number, axes in enumerate(np.ravel(made.subplots(rows, columns, squeeze=False))):
         axes.axis("off")
         if number >= len(maps):
