@@ -13,7 +13,7 @@ from hdsp.abstract.transform import feet_at
 from hdsp.detailed.actions import Rules
 from hdsp.detailed.estimate import least_foot_cost, pose_estimate, with_footing
 from hdsp.detailed.footing import efforts_to, find_footing
-from hdsp.detailed.relaxed import costs_to_go, explore, least_costs
+from hdsp.detailed.relaxed import Poses, costs_to_go, explore, least_costs, new_poses
 from hdsp.detailed.solve import Limits, Status, solve
 from hdsp.detailed.world import World
 from hdsp.errors import InputError
@@ -42,21 +42,23 @@ class LabelSettings:
             raise InputError(f"{self}: the window must not be negative, all else must be positive")
 
 
-def task_costs(world: World, start: np.ndarray, settings: LabelSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Costs of the 22 abstract actions from a valid detailed state.
+def task_costs(
+    world: World, start: np.ndarray, settings: LabelSettings, actions: np.ndarray = ABSTRACT_ACTIONS
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Costs of abstract actions from a valid detailed state.
 
     Args:
         world: terrain and robot.
         start: int64 [7], lattice units; its heading is an abstract one.
         settings: the rules of labelling.
+        actions: int64 [n, 3], some of the 22, in the frame of the lattice.
 
     Returns:
-        Goal states int64 [22, 7] (neutral feet where none are valid), costs float64 [22] (inf where not solved) and
-        the ``Status`` of each task, int64 [22]. Actions are in the frame of the lattice.
+        Goal states int64 [n, 7] (neutral feet where none are valid), costs float64 [n] (inf where not solved) and
+        the ``Status`` of each task, int64 [n].
     """
-    steps = ABSTRACT_ACTIONS * np.array([CELLS_PER_ABSTRACT, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT])
-    goals = np.zeros((len(steps), 7), dtype=np.int64)
-    goals[:, :3] = start[:3] + steps
+    goals = np.zeros((len(actions), 7), dtype=np.int64)
+    goals[:, :3] = start[:3] + actions * np.array([CELLS_PER_ABSTRACT, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT])
     goals[:, 2] %= HEADINGS
     cost = np.full(len(goals), np.inf)
     reason = np.full(len(goals), Status.INVALID_GOAL, dtype=np.int64)
@@ -65,57 +67,48 @@ def task_costs(world: World, start: np.ndarray, settings: LabelSettings) -> tupl
         state = feet_at(world, goal[:3])
         if state is not None:
             goals[i], valid[i] = state, True
-    turning = ABSTRACT_ACTIONS[:, 2] != 0
+    turning = actions[:, 2] != 0
     heading = int(start[2])
     translate = Rules(heading, settings.heading_window, settings.turn_cost_factor)
     turn = Rules(heading, HEADINGS_PER_ABSTRACT, 1.0)
-    for rules, kind in ((translate, ~turning), (turn, turning)):
-        chosen = np.flatnonzero(kind & valid)
+    tasks = [(rules, np.flatnonzero(kind & valid)) for rules, kind in ((translate, ~turning), (turn, turning))]
+    window = max((rules.heading_window for rules, chosen in tasks if len(chosen)), default=0)
+    poses = new_poses(world, heading, window)
+    for rules, chosen in tasks:
         if len(chosen):
-            cost[chosen], reason[chosen] = _search(world, start, goals[chosen], rules, settings)
+            cost[chosen], reason[chosen] = _search(world, start, goals[chosen], rules, settings, poses)
     return goals, cost, reason
 
 
-def _search(world: World, start: np.ndarray, goals: np.ndarray, rules: Rules, settings: LabelSettings):
+def _search(world: World, start: np.ndarray, goals: np.ndarray, rules: Rules, settings: LabelSettings, poses: Poses):
     """Costs and statuses of goals under the same rules.
 
-    What the relaxed problem cannot reach is infeasible, and what it reaches beyond the limit is over it. For the rest,
-    first driving alone, a problem of three dimensions; then all actions, where only what is cheaper than that is still
-    looked for, again in one search for all goals.
+    What the relaxed problem cannot reach is infeasible, and what it reaches beyond the limit is over it. On the way it
+    tells what driving alone costs. Only for goals that might be reached for less is there a search of all actions,
+    again one for all of them.
     """
-    relaxed = explore(world, rules, start, settings.cost_limit)
-    least = least_costs(world, relaxed, start, goals)
-    possible = least <= settings.cost_limit
-    unreached = Status.COST_LIMIT if relaxed.cut[0] else Status.INFEASIBLE
-    cost = np.full(len(goals), np.inf)
+    relaxed = explore(world, rules, start, settings.cost_limit, goals, poses)
+    least, cost = least_costs(world, relaxed, start, goals), relaxed.driven.copy()
+    unreached = Status.COST_LIMIT if relaxed.cut else Status.INFEASIBLE
     status = np.where(np.isfinite(least), Status.COST_LIMIT, unreached).astype(np.int64)
-    limit = np.full(len(goals), settings.cost_limit)
+    status[np.isfinite(cost)] = Status.SOLVED
+    limit = np.where(np.isfinite(cost), cost * (1 - 1e-6), settings.cost_limit)
+    chosen = np.flatnonzero(least < limit)
+    if not len(chosen):
+        return cost, status
+    # Goals that may cost less start later: f then has one limit for all.
+    highest = limit[chosen].max()
+    to_go, cut = costs_to_go(world, rules, relaxed, start, goals[chosen], highest - limit[chosen], highest)
     footing = find_footing(world, rules, least_foot_cost(world))
-
-    def search(chosen: np.ndarray, rules: Rules):
-        # Goals that may cost less start later: f then has one limit for all.
-        highest = limit[chosen].max()
-        to_go, cut = costs_to_go(world, rules, relaxed, start, goals[chosen], highest - limit[chosen], highest)
-        view = pose_estimate(world, to_go, relaxed.follow, goals[chosen, 3:])
-        if not rules.drive_only:
-            view = with_footing(view, footing, efforts_to(footing, world, goals[chosen]))
-        limits = Limits(cost=highest, expansions=settings.max_expansions)
-        result = solve(world, start, goals[chosen], view, rules=rules, limits=limits, paths=False)
-        status = np.array(result.status)
-        if cut:  # the estimate keeps out what is over the limit, which the search takes for what leads nowhere
-            status[status == Status.INFEASIBLE] = Status.COST_LIMIT
-        return result.cost, status
-
-    driven = np.flatnonzero(possible & ~goals[:, 3:].any(axis=1))
-    if len(driven) and not start[3:].any():
-        cost[driven], _ = search(driven, rules._replace(drive_only=True))
-        status[np.isfinite(cost)] = Status.SOLVED
-        limit = np.where(np.isfinite(cost), cost * (1 - 1e-6), limit)
-    chosen = np.flatnonzero(possible & (limit > least))
-    if len(chosen):
-        found, ended = search(chosen, rules)
-        better = found < cost[chosen]
-        undriven = np.isinf(cost[chosen]) | better
-        cost[chosen[better]] = found[better]
-        status[chosen[undriven]] = ended[undriven]
+    view = pose_estimate(world, to_go, relaxed.follow, goals[chosen, 3:])
+    view = with_footing(view, footing, efforts_to(footing, world, goals[chosen]))
+    limits = Limits(cost=highest, expansions=settings.max_expansions)
+    result = solve(world, start, goals[chosen], view, rules=rules, limits=limits, paths=False)
+    ended = np.array(result.status)
+    if cut:  # the estimate keeps out what is over the limit, which the search takes for what leads nowhere
+        ended[ended == Status.INFEASIBLE] = Status.COST_LIMIT
+    better = result.cost < cost[chosen]
+    undriven = np.isinf(cost[chosen]) | better
+    cost[chosen[better]] = result.cost[better]
+    status[chosen[undriven]] = ended[undriven]
     return cost, status

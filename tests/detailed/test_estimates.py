@@ -145,10 +145,10 @@ def test_relaxed_distances_equal_a_plain_dijkstra(robot, seed, factor):
     twin = Naive(twin.heights, robot, start[2], 1, factor, drive_only=True)
     relaxed = explore(world, rules, np.array(start), 100.0)
     expected = plain_relaxed_distances(twin, start, relaxed.follow)
-    assert not relaxed.cut[0]
+    assert not relaxed.cut
     assert np.isfinite(relaxed.distance).sum() == len(expected)
     for (layer, x, y, heading), cost in expected.items():
-        pose = ((heading - relaxed.first) % HEADINGS * world.nx + x) * world.ny + y
+        pose = ((heading - relaxed.poses.first) % HEADINGS * world.nx + x) * world.ny + y
         assert relaxed.distance[layer, pose] == pytest.approx(cost, rel=1e-5, abs=1e-6)
     for goal in [key for key in expected if key[0] == 0][::7]:
         state = np.array([[*goal[1:], 0, 0, 0, 0]])
