@@ -136,7 +136,9 @@ def solve(
         store.count[GOALS_LEFT] = len(wanted)
         search.insert_start(store, heuristic, weight, start_key)
         task = world, rules, heuristic, store, weight, wanted, settled, limits.cost
-        reason, store = _loop(task, weight * limits.cost if admissible else np.inf, limits, began, progress)
+        reason = Status.MEMORY_LIMIT
+        if store.nbytes() <= limits.memory:
+            reason, store = _loop(task, weight * limits.cost if admissible else np.inf, limits, began, progress)
 
     costs = np.full(len(keys), np.inf)
     costs[valid] = settled

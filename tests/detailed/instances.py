@@ -1,13 +1,22 @@
 """Robots, terrains and states that the tests of the detailed planner share."""
 
+import heapq
+import itertools
 import math
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
+import pytest
 
 from hdsp.detailed.actions import MAX_SUCCESSORS, Rules, successors
 from hdsp.detailed.states import BASE_FORWARD, FOOT_MOVE, STEP, TURN_LEFT, pack_states, unpack_states
+from hdsp.detailed.world import World, build_world
+from hdsp.heightmap import HeightMap
 from hdsp.lattice import DRIVE_MOVES
 from hdsp.robot import Robot
+from hdsp.terrain import CATEGORIES, TerrainSettings, random_map
+from tests.naive import Naive, dijkstra, way_back
 
 #: No two costs alike, so that no rule can stand in for another; few states, so that plain Python can search them.
 TOY = {
@@ -48,6 +57,31 @@ def toy(**changes) -> Robot:
     for part, change in changes.items():
         values[part] = {**TOY[part], **change}
     return Robot.load(values)
+
+
+#: Steps come cheap here, so that a short textbook search finds many.
+NIMBLE = toy(step={"cost": 0.004, "cost_per_metre": 0.31, "cost_per_height": 0.05}, base_shift={"cost_per_metre": 1.2})
+
+#: The obstacles of the paper's categories at the size of the toy robot; it can step on and over many of them.
+SMALL_TERRAIN = TerrainSettings(
+    area=0.3,
+    cuboid_side=(0.05, 0.2),
+    cuboid_height=(0.03, 0.14),
+    wall_length=(0.1, 0.4),
+    wall_thickness=(0.025, 0.075),
+    wall_height=(0.1, 0.5),
+    staircase_steps=(1, 2),
+    staircase_rise=(0.06, 0.12),
+    staircase_tread=(0.075, 0.125),
+    staircase_width=(0.15, 0.4),
+    staircase_depth=0.3,
+    focused_width=(0.25, 0.4),
+)
+
+
+def small_map(category: str, index: int, cells: int = 14) -> np.ndarray:
+    """Heights float32 [cells, cells] of a random map of a category for the toy robot."""
+    return random_map(7, category, index, SMALL_TERRAIN, cells=cells).heights
 
 
 def blocky(rng, cells: int = 12, blocks: int = 2, height: float = 0.12) -> np.ndarray:
@@ -112,3 +146,89 @@ def valid_states(twin, rng, count: int, neutral: bool = True, headings=range(64)
 def near_edges(twin, states: list[tuple]) -> list[tuple]:
     """Those of the states in which some foot can step."""
     return [state for state in states if twin.any_foot_can_step(state)]
+
+
+#: Tests of one category share its tasks, so they run in one process.
+by_category = pytest.mark.parametrize(
+    "category", [pytest.param(name, marks=pytest.mark.xdist_group(f"search {name}")) for name in CATEGORIES]
+)
+
+
+class Task(NamedTuple):
+    """A search task with what plain Dijkstra says of it."""
+
+    world: World
+    twin: Naive
+    start: tuple
+    goal: tuple
+    cost: float  # the least
+    way: list  # actions that cost the least
+
+    @property
+    def stepping(self) -> bool:
+        return any(action[0] == "step" for action in self.way)
+
+    @property
+    def off_neutral(self) -> bool:
+        """Whether some foot is off its neutral position at the start or at the goal."""
+        return any(self.start[3:] + self.goal[3:])
+
+
+TASKS_PER_CATEGORY = 70  # at least
+
+
+@cache
+def search_tasks(category: str) -> tuple[Task, ...]:
+    """Random tasks on small maps of a category; those of one start share a run of Dijkstra, a world and a twin."""
+    found, stepping = [], 0
+    for index in itertools.count():
+        if len(found) >= TASKS_PER_CATEGORY and stepping >= 20:
+            return tuple(found)
+        rng = np.random.default_rng([CATEGORIES.index(category), index])
+        robot, heights = toy() if index % 4 == 3 else NIMBLE, small_map(category, index)
+        twin = Naive(heights, robot)
+        states = valid_states(twin, rng, 40, neutral=index % 3 > 0)
+        if not states:
+            continue
+        start = (near_edges(twin, states) + states)[0]
+        gone = dijkstra(twin, start, most=450)
+        ways = {goal: way_back(gone, goal) for goal in gone.cost}
+        pools = (
+            ([goal for goal, way in ways.items() if any(action[0] == "step" for action in way)], 5),
+            ([goal for goal in ways if any(goal[3:])], 3),
+            (list(ways)[-60:], 4),
+        )
+        picked = {pool[i] for pool, most in pools for i in rng.permutation(len(pool))[:most]}
+        world = build_world(HeightMap(heights), robot)
+        tasks = [Task(world, twin, start, goal, gone.cost[goal], ways[goal]) for goal in sorted(picked)]
+        found += tasks
+        stepping += sum(task.stepping for task in tasks)
+
+
+def whole_graph(twin: Naive, start: tuple) -> dict:
+    """Everything that can be reached from a state: {state: [(state reached, cost)]}."""
+    graph, missing = {}, [start]
+    while missing:
+        state = missing.pop()
+        if state not in graph:
+            graph[state] = [(reached, cost) for _, reached, cost in twin.successors(state)]
+            missing += [reached for reached, _ in graph[state]]
+    return graph
+
+
+def costs_to_go(graph: dict, goal: tuple) -> dict:
+    """Least cost from each state of a graph that leads to the goal: Dijkstra, backward."""
+    back = {}
+    for state, edges in graph.items():
+        for reached, cost in edges:
+            back.setdefault(reached, []).append((state, cost))
+    settled, queue = {}, [(0.0, goal)]
+    while queue:
+        cost, state = heapq.heappop(queue)
+        if state in settled:
+            continue
+        settled[state] = cost
+        for before, price in back.get(state, []):
+            if before not in settled:
+                heapq.heappush(queue, (cost + price, before))
+    return settled

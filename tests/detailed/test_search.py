@@ -1,189 +1,215 @@
+"""What the search finds, compared with plain Dijkstra on random small maps of all categories."""
+
 from collections import Counter
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
+from hdsp.detailed import search
 from hdsp.detailed import solve as solving
-from hdsp.detailed.estimate import geometric_estimate
+from hdsp.detailed.actions import Rules
+from hdsp.detailed.estimate import geometric_estimate, pose_estimate
 from hdsp.detailed.solve import Limits, Status, solve
 from hdsp.detailed.world import build_world
 from hdsp.heightmap import HeightMap
-from tests.detailed.instances import action_tuple, blocky, near_edges, toy, valid_states
-from tests.naive import Naive, dijkstra, rotated, way_back
-
-#: Steps come cheap here, so that a short textbook search finds many.
-NIMBLE = toy(step={"cost": 0.004, "cost_per_metre": 0.31, "cost_per_height": 0.05}, base_shift={"cost_per_metre": 1.2})
+from hdsp.terrain import CATEGORIES
+from tests.detailed.instances import (
+    NIMBLE,
+    TASKS_PER_CATEGORY,
+    blocky,
+    by_category,
+    costs_to_go,
+    near_edges,
+    search_tasks,
+    small_map,
+    toy,
+    valid_states,
+    whole_graph,
+)
+from tests.naive import Naive
 
 
 def planned(world, start, goal, **options):
     return solve(world, np.array(start), np.array(goal), geometric_estimate(world, np.array(goal)), **options)
 
 
-@pytest.fixture(scope="module")
-def tasks():
-    """Random tasks [(world, twin, start, goal, least cost, actions)] with what plain Dijkstra says of them."""
-    found = []
-    for seed in range(45):
-        rng = np.random.default_rng(seed)
-        robot = NIMBLE if seed % 3 else toy()
-        heights = blocky(rng)
-        world, twin = build_world(HeightMap(heights), robot), Naive(heights, robot)
-        states = valid_states(twin, rng, 60, headings=[0, 16, 3, 40])
-        starts = near_edges(twin, states)[:1] if seed % 5 else states[:1]
-        starts = starts or states[:1]
-        for start in starts:
-            gone = dijkstra(twin, start, most=350)
-            ways = {goal: way_back(gone, goal) for goal in gone.cost}
-            stepping = [goal for goal, way in ways.items() if any(action[0] == "step" for action in way)]
-            far = list(ways)[-50:]
-            for pool, count in ((stepping, 3), (far, 3)):
-                for i in rng.permutation(len(pool))[:count]:
-                    goal = pool[i]
-                    found.append((world, twin, start, goal, gone.cost[goal], ways[goal]))
-    return found
-
-
-@pytest.fixture(scope="module")
-def solutions(tasks):
-    return [planned(world, start, goal) for world, _, start, goal, _, _ in tasks]
-
-
-def test_unweighted_search_finds_what_plain_dijkstra_finds(tasks, solutions):
-    stepping = 0
-    for (_, _, start, goal, least, way), result in zip(tasks, solutions, strict=True):
+@by_category
+def test_unweighted_search_finds_what_plain_dijkstra_finds(category):
+    tasks = search_tasks(category)
+    for task in tasks:
+        result = planned(task.world, task.start, task.goal)
         assert result.status == [Status.SOLVED]
-        assert result.cost[0] == pytest.approx(least, rel=1e-5, abs=1e-6), f"from {start} to {goal}"
-        stepping += any(action[0] == "step" for action in way)
-    assert len(tasks) >= 200
-    assert stepping >= 60
+        assert result.cost[0] == pytest.approx(task.cost, rel=1e-5, abs=1e-6), f"from {task.start} to {task.goal}"
+    assert len({(id(task.world), task.start, task.goal) for task in tasks}) == len(tasks) >= TASKS_PER_CATEGORY
+    assert len(CATEGORIES) * TASKS_PER_CATEGORY >= 500
+    assert sum(task.stepping for task in tasks) >= 20
+    assert sum(task.off_neutral for task in tasks) >= 20
+    assert sum(any(task.start[3:]) for task in tasks) >= 5
 
 
-def test_every_action_of_a_plan_is_legal_and_the_costs_add_up(tasks, solutions):
-    kinds = Counter()
-    for (_, twin, start, goal, _, _), result in zip(tasks, solutions, strict=True):
-        states = [tuple(state) for state in result.states[0].tolist()]
-        assert states[0] == start and states[-1] == goal
-        edges = zip(states, states[1:], result.actions[0], result.edge_costs[0], strict=False)
-        for state, reached, code, cost in edges:
-            assert twin.valid(state)
-            action = action_tuple(int(code))
-            legal = {(a, s): c for a, s, c in twin.successors(state)}
-            assert legal[action, reached] == pytest.approx(cost, rel=1e-6)
-            kinds[action[0]] += 1
-        assert len(states) == len(result.actions[0]) + 1 == len(result.edge_costs[0]) + 1
-        assert sum(result.edge_costs[0]) == pytest.approx(result.cost[0], rel=1e-9)
-    assert len(kinds) == 5 and min(kinds.values()) >= 5, kinds
-
-
-def test_turning_keeps_the_feet_on_their_circle(tasks, solutions):
-    turns = 0
-    for (_, twin, _, _, _, _), result in zip(tasks, solutions, strict=True):
-        for state, reached, code in zip(result.states[0], result.states[0][1:], result.actions[0], strict=False):
-            if action_tuple(int(code))[0] != "turn":
-                continue
-            turns += 1
-            assert (state[[0, 1, 3, 4, 5, 6]] == reached[[0, 1, 3, 4, 5, 6]]).all()
-            for foot in range(4):
-                x, y = twin.neutral(foot)
-                on_circle = np.add(reached[:2], rotated(int(reached[2]), x + int(reached[3 + foot]), y))
-                cell = twin.foothold(tuple(reached.tolist()), foot)
-                assert abs(on_circle - cell).max() <= 0.5 + 1e-9
-    assert turns > 20
-
-
-@pytest.mark.parametrize("weight", [1.25, 2.0, 5.0])
-def test_weighted_search_stays_within_its_bound(tasks, weight):
-    worse = 0
-    for world, _, start, goal, least, _ in tasks[::3]:
-        result = planned(world, start, goal, weight=weight)
-        assert result.status == [Status.SOLVED]
-        assert least - 1e-6 <= result.cost[0] <= weight * least + 1e-6
-        worse += result.cost[0] > least + 1e-5
-    if weight == 5.0:
-        assert worse > 0, "a heavily weighted search should not always be optimal"
-
-
-def test_infeasibility_is_proved_as_by_exhausting_the_textbook_search():
-    proved = 0
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        heights = np.full((9, 9), np.nan, dtype=np.float32)
-        heights[1:8, 1:8] = 0
-        heights[4 + rng.integers(2) :, :] += rng.uniform(0.07, 0.3)
-        robot = toy(feet={"offset_min": 0.0, "offset_max": 0.0})
-        world, twin = build_world(HeightMap(heights), robot), Naive(heights, robot)
-        states = valid_states(twin, rng, 20)
-        if len(states) < 2:
-            continue
-        start, goal = states[0], states[-1]
-        gone = dijkstra(twin, start, goals=[goal], most=1500)
-        result = planned(world, start, goal)
-        if goal in gone.cost:
+@by_category
+def test_weighted_search_stays_within_its_bound(category):
+    expansions = Counter()
+    for task in search_tasks(category):
+        for weight in (1.0, 1.25, 2.0, 3.0):
+            result = planned(task.world, task.start, task.goal, weight=weight, paths=False)
             assert result.status == [Status.SOLVED]
-            assert result.cost[0] == pytest.approx(gone.cost[goal], rel=1e-5, abs=1e-6)
-        elif gone.exhausted:
+            assert task.cost - 1e-6 <= result.cost[0] * (1 + 1e-6) and result.cost[0] <= weight * task.cost + 1e-6
+            expansions[weight] += result.expansions
+    assert expansions[3.0] < expansions[1.25] < expansions[1.0]
+
+
+def exhausted(category):
+    """Small worlds of a category with all that can be reached from a start: [(world, twin, rules, start, graph)]."""
+    found = []
+    for index in range(40):
+        rng = np.random.default_rng([9, CATEGORIES.index(category), index])
+        heights = small_map(category, index, cells=11)
+        rules = Rules(heading_center=0, heading_window=1)
+        world, twin = build_world(HeightMap(heights), NIMBLE), Naive(heights, NIMBLE, window=1)
+        states = valid_states(twin, rng, 30, headings=[0])
+        for start in (near_edges(twin, states) + states)[:1]:
+            graph = whole_graph(twin, start)
+            if 150 < len(graph) < 1500:
+                found.append((world, twin, rules, start, graph))
+        if len(found) == 3:
+            return found
+    raise AssertionError("too few maps with enough states")
+
+
+def inconsistent(world, to_go, rng):
+    """Estimate made of the exact costs to go of half of the poses, and of nothing or random shares of the others'."""
+    table = np.full((2, 64, world.nx, world.ny), np.inf, dtype=np.float32)
+    for (ix, iy, heading, *feet), cost in to_go.items():
+        entry = int(any(feet)), heading, ix, iy
+        table[entry] = min(table[entry], np.float32(cost) * np.float32(0.99999))
+    known = np.isfinite(table)  # nothing is said of what cannot get to the goal
+    shares = np.where(rng.random(table.shape) < 0.5, 1, rng.random(table.shape) * rng.integers(2, size=table.shape))
+    table[known] *= shares[known].astype(np.float32)
+    return pose_estimate(world, table, 0.0, np.zeros((1, 4)))._replace(foot=0.0, outside=0.0)
+
+
+@by_category
+def test_inconsistent_heuristics_lose_no_optimality_because_states_are_reopened(category, monkeypatch):
+    compared, reopened, worse = 0, 0, 0
+    reopening = search.run
+    for world, _, rules, start, graph in exhausted(category):
+        rng = np.random.default_rng(len(graph))
+        ends = sorted(graph)
+        for i in rng.permutation(len(ends))[:20]:
+            goal = ends[i]
+            to_go = costs_to_go(graph, goal)
+            heuristic, task = inconsistent(world, to_go, rng), (np.array(start), np.array(goal))
+            result = solve(world, *task, heuristic, rules=rules)
+            assert result.status == [Status.SOLVED]
+            assert result.cost[0] == pytest.approx(to_go[start], rel=1e-5, abs=1e-6), f"from {start} to {goal}"
+            weighted = solve(world, *task, heuristic, rules=rules, weight=2.0)
+            assert weighted.cost[0] <= 2 * to_go[start] + 1e-6
+            with monkeypatch.context() as patch:
+                patch.setattr(search, "run", lambda *arguments: reopening(*arguments[:-1], False))
+                never = solve(world, *task, heuristic, rules=rules)
+            compared += 1
+            reopened += result.expansions > never.expansions
+            worse += never.cost[0] > to_go[start] * (1 + 1e-4)
+    assert compared == 60
+    assert reopened > 0 and worse > 0, "a search that never reopens should do worse: else this test shows nothing"
+
+
+@by_category
+def test_infeasibility_is_proved_by_exhausting_what_the_textbook_search_reaches(category):
+    proved = 0
+    for world, twin, rules, start, graph in exhausted(category):
+        states = valid_states(twin, np.random.default_rng(0), 60, neutral=False, headings=[0, 1, 63])
+        for goal in [state for state in states if state not in graph][:4]:
+            result = planned(world, start, goal, rules=rules)
             assert result.status == [Status.INFEASIBLE]
             assert np.isinf(result.cost[0]) and result.states == [None]
-            assert result.seen == len(gone.cost)
+            assert result.seen == result.expansions == len(graph) or result.expansions > result.seen == len(graph)
             proved += 1
-    assert proved >= 10
+    assert proved >= 4
 
 
-def test_many_goals_in_one_search_cost_what_they_cost_alone(tasks):
-    world, _, start, _, _, _ = tasks[0]
-    same_start = [task for task in tasks if task[0] is world and task[2] == start]
-    goals = np.array([task[3] for task in same_start])
-    blind = geometric_estimate(world, goals[0])._replace(distance=0.0, turn=0.0, foot=0.0)
-    together = solve(world, np.array(start), goals, blind)
-    assert len(goals) > 2
-    assert together.cost == pytest.approx([task[4] for task in same_start], rel=1e-5)
-    for goal, states in zip(goals, together.states, strict=True):
-        assert (states[-1] == goal).all()
+@by_category
+def test_many_goals_in_one_search_end_as_they_do_alone(category):
+    starts, statuses = {}, Counter()
+    for task in search_tasks(category):
+        starts.setdefault((id(task.world), task.start), []).append(task)
+    for seed, tasks in enumerate(starts.values()):
+        world, start = tasks[0].world, np.array(tasks[0].start)
+        others = valid_states(tasks[0].twin, np.random.default_rng(seed), 3, neutral=seed % 2 > 0)
+        off_the_map, twice = (0, 0, 0, 0, 0, 0, 0), tasks[0].goal
+        goals = np.array([task.goal for task in tasks] + others + [off_the_map, twice])
+        blind = geometric_estimate(world, goals[0])._replace(distance=0.0, turn=0.0, foot=0.0)
+        together = solve(world, start, goals, blind)
+        alone = [planned(world, start, goal) for goal in goals]
+        assert together.status == [result.status[0] for result in alone]
+        assert together.cost == pytest.approx([result.cost[0] for result in alone], rel=1e-5, abs=1e-6)
+        for goal, cost, states in zip(goals, together.cost, together.states, strict=True):
+            assert states is None if np.isinf(cost) else (states[[0, -1]] == [start, goal]).all()
+        statuses.update(together.status)
+    assert min(statuses[kind] for kind in (Status.SOLVED, Status.INFEASIBLE, Status.INVALID_GOAL)) >= 1, statuses
 
 
-def dear_task(tasks):
-    world, _, start, goal, least, _ = max(tasks, key=lambda task: task[4])
-    return world, start, goal, least
+@pytest.fixture(scope="module")
+def dear_task():
+    """World, start, goal and least cost of a task that takes some expansions."""
+    tasks = search_tasks("cuboid_wall")
+    return max(tasks, key=lambda task: task.cost)
 
 
-def test_a_cost_limit_ends_with_its_own_status(tasks):
-    world, start, goal, least = dear_task(tasks)
+limits_group = pytest.mark.xdist_group("search cuboid_wall")
+
+
+@limits_group
+def test_a_cost_limit_ends_with_its_own_status(dear_task):
+    world, _, start, goal, least, _ = dear_task
     below = planned(world, start, goal, limits=Limits(cost=0.99 * least))
     assert below.status == [Status.COST_LIMIT] and np.isinf(below.cost[0])
     assert planned(world, start, goal, limits=Limits(cost=1.01 * least)).status == [Status.SOLVED]
 
 
+@limits_group
 @pytest.mark.parametrize("weight", [1.5, 4.0])
-def test_no_plan_costs_more_than_the_cost_limit(tasks, weight):
-    for world, _, start, goal, least, _ in tasks[::4]:
-        result = planned(world, start, goal, weight=weight, limits=Limits(cost=1.02 * least))
+def test_no_plan_costs_more_than_the_cost_limit(weight):
+    for task in search_tasks("cuboid_wall"):
+        result = planned(task.world, task.start, task.goal, weight=weight, limits=Limits(cost=1.02 * task.cost))
         assert result.status == [Status.SOLVED]
-        assert result.cost[0] <= 1.02 * least + 1e-6
+        assert result.cost[0] <= 1.02 * task.cost + 1e-6
 
 
-def test_an_expansion_limit_ends_with_its_own_status(tasks):
-    world, start, goal, _ = dear_task(tasks)
+@limits_group
+def test_an_expansion_limit_ends_with_its_own_status(dear_task):
+    world, _, start, goal, _, _ = dear_task
     needed = planned(world, start, goal).expansions
     result = planned(world, start, goal, limits=Limits(expansions=needed // 2))
     assert result.status == [Status.EXPANSION_LIMIT] and result.expansions == needed // 2
     assert planned(world, start, goal, limits=Limits(expansions=needed + 1)).status == [Status.SOLVED]
 
 
-def test_a_memory_limit_ends_with_its_own_status():
-    world = build_world(HeightMap.flat((120, 120)), NIMBLE)
-    start, goal = (20, 20, 0, 0, 0, 0, 0), (100, 100, 32, 0, 0, 0, 0)
-    limit = 1 << 20
-    result = planned(world, start, goal, limits=Limits(memory=limit))
-    assert result.status == [Status.MEMORY_LIMIT]
+@pytest.fixture(scope="module")
+def long_way():
+    """A world, a start and a goal whose search takes more than 1 MiB and more than one look at the clock."""
+    return build_world(HeightMap.flat((120, 120)), NIMBLE), (20, 20, 0, 0, 0, 0, 0), (100, 100, 32, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("limit", [200_000, 300_000, 600_000, 1 << 20, 1 << 24])
+def test_no_search_holds_more_memory_than_its_limit(long_way, limit):
+    result = planned(*long_way, limits=Limits(memory=limit))
+    assert result.status == [Status.MEMORY_LIMIT if limit <= 1 << 20 else Status.SOLVED]
     assert result.memory <= limit
+    assert result.status == [Status.SOLVED] or 2 * result.memory > limit, "it gave up too early"
 
 
-def test_a_time_limit_ends_with_its_own_status():
-    world = build_world(HeightMap.flat((120, 120)), NIMBLE)
-    start, goal = (20, 20, 0, 0, 0, 0, 0), (100, 100, 32, 0, 0, 0, 0)
+@pytest.mark.parametrize("limit", [0, 100_000])
+def test_nothing_is_searched_where_even_an_empty_store_takes_too_much_memory(long_way, limit):
+    result = planned(*long_way, limits=Limits(memory=limit))
+    assert result.status == [Status.MEMORY_LIMIT] and result.expansions == 0
+
+
+def test_a_time_limit_ends_with_its_own_status(long_way):
     seen = []
-    result = planned(world, start, goal, limits=Limits(time=0.0), progress=lambda *at: seen.append(at))
+    result = planned(*long_way, limits=Limits(time=0.0), progress=lambda *at: seen.append(at))
     assert result.status == [Status.TIME_LIMIT]
     assert seen[0][0] > 0
 

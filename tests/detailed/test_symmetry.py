@@ -1,8 +1,11 @@
-"""Mirrored and quarter-turned worlds cost what the original costs: labels and plans."""
+"""Mirrored and quarter-turned worlds cost what the original costs: actions, feet, plans and labels."""
+
+from collections import Counter
 
 import numpy as np
 import pytest
 
+from hdsp.abstract.transform import best_feet, feet_at
 from hdsp.detailed.estimate import geometric_estimate
 from hdsp.detailed.solve import Status, solve
 from hdsp.detailed.world import build_world
@@ -11,11 +14,24 @@ from hdsp.labelling import label_map
 from hdsp.lattice import ABSTRACT_ACTIONS, HEADINGS
 from hdsp.robot import Robot
 from hdsp.terrain import CATEGORIES, random_map
-from tests.detailed.instances import blocky, near_edges, toy, valid_states
-from tests.naive import Naive, dijkstra
+from tests.detailed.instances import (
+    NIMBLE,
+    action_tuple,
+    by_category,
+    kernel_successors,
+    near_edges,
+    search_tasks,
+    small_map,
+    toy,
+    valid_states,
+)
+from tests.naive import Naive
 
 ACTIONS = [tuple(action) for action in ABSTRACT_ACTIONS.tolist()]
 CELLS = 73  # odd, so that the start cell in the middle stays there
+MIRRORED_FEET = (3, 2, 1, 0)
+KINDS = ("drive", "turn", "foot", "shift", "step")
+MOMARO = Robot.load("momaro")
 
 
 def mirrored_state(state, ny):
@@ -28,9 +44,76 @@ def quarter_turned_state(state, ny):
     return ny - 1 - y, x, (heading + HEADINGS // 4) % HEADINGS, *feet
 
 
+def mirrored_action(kind, *what):
+    if kind == "drive":
+        return kind, what[0], -what[1]
+    if kind == "turn":
+        return kind, -what[0]
+    return (kind, MIRRORED_FEET[what[0]], what[1]) if kind in ("foot", "step") else (kind, *what)
+
+
+def quarter_turned_action(kind, *what):
+    return (kind, -what[1], what[0]) if kind == "drive" else (kind, *what)
+
+
+def mirrored(heights):
+    return np.ascontiguousarray(heights[:, ::-1])
+
+
 def quarter_turned(heights):
     """heights[x, y] goes to [ny - 1 - y, x]: counter-clockwise."""
     return np.ascontiguousarray(heights[:, ::-1].T)
+
+
+#: Ways to look at a world: of its heights, of a state (given the cells along y), and of an action.
+VIEWS = [(mirrored, mirrored_state, mirrored_action), (quarter_turned, quarter_turned_state, quarter_turned_action)]
+
+
+@pytest.mark.parametrize(
+    "category, robot",
+    [(category, robot) for category in CATEGORIES for robot in (NIMBLE, toy(step={"backward": False}))]
+    + [(category, MOMARO) for category in CATEGORIES[2::3]],
+)
+def test_actions_of_mirrored_and_turned_states(category, robot):
+    kinds = Counter()
+    for index in range(6 if robot is not MOMARO else 3):
+        heights = random_map(21, category, index).heights if robot is MOMARO else small_map(category, index)
+        twin, rng = Naive(heights, robot), np.random.default_rng(index)
+        states = valid_states(twin, rng, 25)
+        states = near_edges(twin, states)[:8] + states[:2] + valid_states(twin, rng, 4, neutral=False)
+        world, ny = build_world(HeightMap(heights), robot), heights.shape[1]
+        seen = [(build_world(HeightMap(of(heights)), robot), state, action) for of, state, action in VIEWS]
+        for state in states:
+            original = kernel_successors(world, state)
+            kinds.update(action[0] for action, _ in original)
+            for other, of_state, of_action in seen:
+                expected = {(of_action(*a), of_state(s, ny)): cost for (a, s), cost in original.items()}
+                assert kernel_successors(other, of_state(state, ny)) == pytest.approx(expected, rel=1e-5), state
+    assert min(kinds[kind] for kind in KINDS) >= 1, kinds
+
+
+@pytest.mark.parametrize("robot", [toy(), MOMARO], ids=["toy", "momaro"])
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_feet_of_mirrored_and_turned_abstract_states(category, robot):
+    found = off_neutral = 0
+    for index in range(5):
+        heights = random_map(22, category, index).heights if robot is MOMARO else small_map(category, index)
+        world, (nx, ny) = build_world(HeightMap(heights), robot), heights.shape
+        seen = [(build_world(HeightMap(of(heights)), robot), state) for of, state, _ in VIEWS]
+        rng = np.random.default_rng(index)
+        for _ in range(60):
+            base = int(rng.integers(nx)), int(rng.integers(ny)), int(rng.integers(HEADINGS))
+            state = feet_at(world, base)
+            for other, of_state in seen:
+                same_base = of_state((*base, 0, 0, 0, 0), ny)[:3]
+                value, _ = best_feet(other, *same_base)
+                assert value == pytest.approx(best_feet(world, *base)[0], rel=1e-5), base
+                if state is not None:
+                    assert tuple(feet_at(other, same_base).tolist()) == of_state(tuple(state.tolist()), ny)
+            if state is not None:
+                found += 1
+                off_neutral += any(state[3:])
+    assert found >= 10 and off_neutral >= 3
 
 
 def assert_same_labels(first, second, actions):
@@ -42,44 +125,40 @@ def assert_same_labels(first, second, actions):
 
 @pytest.mark.parametrize("category", CATEGORIES)
 def test_labels_of_mirrored_and_turned_maps(category):
-    robot = Robot.load("momaro")
-    heights = random_map(21, category, 0, cells=CELLS).heights
-    labels = label_map(HeightMap(heights), robot)
-    mirrored = label_map(HeightMap(heights[:, ::-1]), robot)
-    turned = label_map(HeightMap(quarter_turned(heights)), robot, start_heading=HEADINGS // 4)
-    if labels is None:
-        assert mirrored is None and turned is None
-        return
-    assert_same_labels(labels, mirrored, lambda dx, dy, turn: (dx, -dy, -turn))
-    assert_same_labels(labels, turned, lambda dx, dy, turn: (-dy, dx, turn))
-
-
-def test_plans_of_mirrored_and_turned_worlds_cost_the_same():
-    robot = toy(step={"cost": 0.004, "cost_per_metre": 0.31})
-    compared = stepping = 0
-    for seed in range(40):
-        rng = np.random.default_rng(1000 + seed)
-        heights = blocky(rng, cells=14)
-        twin = Naive(heights, robot)
-        starts = near_edges(twin, valid_states(twin, rng, 60))[:1]
-        if not starts:
+    feasible, off_neutral = 0, 0
+    for index in range(12):
+        heights = random_map(21, category, index, cells=CELLS).heights
+        labels = label_map(HeightMap(heights), MOMARO)
+        reflected = label_map(HeightMap(mirrored(heights)), MOMARO)
+        turned = label_map(HeightMap(quarter_turned(heights)), MOMARO, start_heading=HEADINGS // 4)
+        if labels is None:
+            assert reflected is None and turned is None
             continue
-        goals = list(dijkstra(twin, starts[0], most=60).cost)
-        start, goal = starts[0], goals[-1]
-        there = cost(heights, robot, start, goal)
+        assert_same_labels(labels, reflected, lambda dx, dy, turn: (dx, -dy, -turn))
+        assert_same_labels(labels, turned, lambda dx, dy, turn: (-dy, dx, turn))
+        feasible += labels.feasible.sum()
+        off_neutral += labels.feasible[abs(labels.goal[:, 3:]).max(axis=1) > 1e-6].sum()
+    assert feasible >= 6
+    assert off_neutral >= 1 or "staircase" not in category
+
+
+@by_category
+def test_plans_of_mirrored_and_turned_worlds_cost_the_same(category):
+    tasks, kinds = search_tasks(category), Counter()
+    for task in tasks[:: len(tasks) // 30]:
+        heights = np.array(task.twin.heights)
         ny = heights.shape[1]
-        mirrored = cost(heights[:, ::-1], robot, mirrored_state(start, ny), mirrored_state(goal, ny))
-        turns = [quarter_turned_state(state, ny) for state in (start, goal)]
-        turned = cost(quarter_turned(heights), robot, *turns)
-        assert mirrored == pytest.approx(there, rel=1e-5)
-        assert turned == pytest.approx(there, rel=1e-5)
-        compared += 1
-        stepping += any(goal[3:])
-    assert compared >= 20 and stepping >= 5
+        there = plan(heights, task.twin.robot, task.start, task.goal)
+        assert there.cost[0] == pytest.approx(task.cost, rel=1e-5, abs=1e-6)
+        for of, of_state, _ in VIEWS:
+            other = plan(of(heights), task.twin.robot, of_state(task.start, ny), of_state(task.goal, ny))
+            assert other.cost[0] == pytest.approx(task.cost, rel=1e-5, abs=1e-6)
+        kinds.update(action_tuple(int(code))[0] for code in there.actions[0])
+    assert min(kinds[kind] for kind in KINDS) >= 2, kinds
 
 
-def cost(heights, robot, start, goal):
+def plan(heights, robot, start, goal):
     world = build_world(HeightMap(heights), robot)
     result = solve(world, np.array(start), np.array(goal), geometric_estimate(world, np.array(goal)))
     assert result.status == [Status.SOLVED]
-    return result.cost[0]
+    return result
