@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from copy import copy
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +15,13 @@ import numpy as np
 
 from hdsp.abstract.costs import AbstractCosts
 from hdsp.abstract.transform import feet_at
+from hdsp.detailed import anytime
+from hdsp.detailed.estimate import geometric_estimate
 from hdsp.detailed.explain import explain
 from hdsp.detailed.motion import Motion
-from hdsp.detailed.proofs import why_unreachable
+from hdsp.detailed.proofs import Unreachable, why_unreachable
 from hdsp.detailed.refine import ban, last_step, refine
-from hdsp.detailed.solve import Limits, Status, solve
+from hdsp.detailed.solve import Limits, SearchResult, Status, solve
 from hdsp.detailed.states import action_name
 from hdsp.detailed.validity import in_words, problems
 from hdsp.detailed.world import build_world
@@ -38,9 +44,12 @@ class Plan:
         states: float64 [n, 7] from start to goal: base x, y (m), heading (rad), four foot offsets (m); [0, 7] if none.
         actions: the n - 1 actions between them, e.g. ``drive``, ``turn_left``, ``step front_left +0.250``.
         action_costs: float64 [n - 1]; they add up to ``cost``.
-        stats: expansions, states seen, bytes of memory, seconds (heuristic included), weight, heuristic.
+        stats: expansions, states seen, bytes of memory, seconds (heuristic included), weight, heuristic; below
+            ``lower_bound`` no plan costs, 0 if nothing is known.
         problems: what is wrong with start or goal, or what cuts them off from each other, in words.
         refused: steps of former plans that could not be carried out, in words, if a refinable plan was asked for.
+        bound: proved: the plan costs at most so many times the least possible (of plans without the refused steps);
+            1 if it is optimal, inf if nothing is proved.
     """
 
     status: Status
@@ -51,6 +60,7 @@ class Plan:
     stats: dict[str, Any]
     problems: list[str] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
+    bound: float = np.inf
     terrain: HeightMap | None = field(default=None, repr=False)
     robot: Robot | None = field(default=None, repr=False)
     _motion: Motion | None = field(default=None, repr=False, init=False)
@@ -180,15 +190,11 @@ class Planner:
             InputError: if a value is not a number, a pose lies off the map, or weight < 1.
             RefinementError: if ``refinable`` and something other than a step cannot be carried out.
         """
-        if not (np.isfinite(weight) and weight >= 1):
-            raise InputError(f"weight is {weight}; it must be a finite number >= 1")
+        _check_weight(weight)
         began = _now()
-        ends = {}
-        for status, pose, name in ((Status.INVALID_START, start, "start"), (Status.INVALID_GOAL, goal, "goal")):
-            state, wrong = self._locate(pose, name)
-            if wrong:
-                return self._without_path(status, wrong, weight, _now() - began)
-            ends[name] = state
+        ends, without = self._locate_ends(start, goal, weight)
+        if without is not None:
+            return without
         kernel_view = self.heuristic.set_goal(ends["goal"])
         prepared = _now() - began
         limits = Limits(cost=cost, expansions=expansions, memory=memory, time=time)
@@ -197,6 +203,58 @@ class Planner:
             plan = self._refined(plan, ends, kernel_view, weight, limits, progress)
         plan.stats |= {"heuristic_seconds": prepared, "seconds": _now() - began}
         return plan
+
+    def improve(
+        self,
+        start,
+        goal,
+        weights: Sequence[float] = (3.0, 2.0, 1.5, 1.25, 1.0),
+        *,
+        cost: float = np.inf,
+        expansions: int = Limits.expansions,
+        memory: int = Limits.memory,
+        time: float = Limits.time,
+        refinable: bool = False,
+        progress=None,
+    ) -> Iterator[Plan]:
+        """Plan from start to goal: a plan soon, then better ones, each with a proven ``bound`` (ARA*).
+
+        The search goes through rounds of weighted A* with falling weights that share what was found. It ends with a
+        plan that is proved to cost at most the last weight times the least possible, or at a limit. With a heuristic
+        that is not admissible, a round with the geometric one follows, which may take long.
+
+        Args:
+            start, goal: as in ``plan``.
+            weights: of the rounds, falling, each >= 1.
+            cost, expansions, memory, time: as in ``plan``, for all rounds together. Time counts from when the first
+                plan is asked for, also while the caller does something else.
+            refinable: yield only plans that can be carried out; as in ``plan``.
+            progress: as in ``plan``; its numbers begin anew when a step is refused.
+
+        Yields:
+            Plans, each of which costs less than the one before it or proves a smaller ``bound``. Once the search is
+            over, ``stats["ended"]`` of the last one says what ended it: ``solved``, or the limit in the words of
+            ``Status``. Without any plan, one ``Plan`` is yielded whose ``status`` says how the search ended.
+
+        Raises:
+            InputError: at once, if a value is not a number, a pose lies off the map, or the weights are not >= 1 and
+                falling.
+            RefinementError: as in ``plan``.
+        """
+        weights = tuple(weights)
+        for weight in weights:
+            _check_weight(weight)
+        if not weights or any(after >= before for before, after in pairwise(weights)):
+            raise InputError(f"weights are {weights}; each must be smaller than the one before it")
+        began = _now()
+        ends, without = self._locate_ends(start, goal, weights[0])
+        if without is not None:
+            without.stats["ended"] = str(without.status)
+            return (plan for plan in [without])
+        kernel_view = self.heuristic.set_goal(ends["goal"])
+        prepared = _now() - began
+        limits = Limits(cost=cost, expansions=expansions, memory=memory, time=time)
+        return self._improving(ends, kernel_view, weights, limits, refinable, progress, prepared)
 
     def _search_or_proof(self, ends, kernel_view, weight: float, limits: Limits, progress) -> Plan:
         """Search a little; if that finds no plan, try to prove that there is none, which also says why; else search on.
@@ -211,8 +269,12 @@ class Planner:
         proof = why_unreachable(self.world, ends["start"], ends["goal"])
         if proof is None:
             return plan if not undecided else self._search(self.world, ends, kernel_view, weight, limits, progress)
-        plan.status, plan.problems = Status.INFEASIBLE, [in_words(proof, self.world, self.grid)]
+        self._note_proof(plan, proof)
         return plan
+
+    def _note_proof(self, plan: Plan, proof: Unreachable) -> None:
+        plan.status, plan.problems = Status.INFEASIBLE, [in_words(proof, self.world, self.grid)]
+        plan.stats["lower_bound"] = np.inf
 
     def _search(self, world, ends, kernel_view, weight: float, limits: Limits, progress) -> Plan:
         result = solve(
@@ -225,6 +287,16 @@ class Planner:
             limits=limits,
             progress=progress,
         )
+        plan = self._plan_of(result, weight)
+        if plan.solved and self.heuristic.admissible:
+            plan.bound = float(weight)
+            plan.stats["lower_bound"] = plan.cost / weight * (1 - anytime.rounding(world) * plan.cost)
+        elif plan.status in (Status.INFEASIBLE, Status.COST_LIMIT):
+            plan.stats["lower_bound"] = limits.cost if plan.status == Status.COST_LIMIT else np.inf
+        return plan
+
+    def _plan_of(self, result: SearchResult, weight: float) -> Plan:
+        """What a search for one goal found; nothing is said of the bound."""
         stats = {
             "heuristic": self.heuristic.name,
             "weight": float(weight),
@@ -232,6 +304,7 @@ class Planner:
             "seen": result.seen,
             "memory": result.memory,
             "search_seconds": result.seconds,
+            "lower_bound": 0.0,
         }
         states = result.states[0] if result.states and result.states[0] is not None else np.empty((0, 7))
         codes = result.actions[0] if result.states and result.actions[0] is not None else []
@@ -257,15 +330,10 @@ class Planner:
         banned = self.world.banned
         spent = {name: plan.stats[name] for name in ("expansions", "search_seconds")}
         while plan.solved:
-            try:
-                plan.refine()
+            now_banned = self._ban_what_cannot_be_done(plan, banned, refused)
+            if now_banned is None:
                 break
-            except RefinementError as error:
-                to_blame = last_step(plan.actions, error.action)
-                if to_blame is None:
-                    raise
-                refused.append(str(error))
-                banned = ban(banned, self.world, self.grid, plan.states[to_blame], plan.actions[to_blame])
+            banned = now_banned
             left = Limits(
                 cost=limits.cost,
                 expansions=limits.expansions - spent["expansions"],
@@ -279,10 +347,97 @@ class Planner:
         plan.stats |= spent
         return plan
 
+    def _ban_what_cannot_be_done(self, plan: Plan, banned, refused: list[str]):
+        """Refine a plan; if one of its steps cannot be carried out, add it to those refused and return what is banned.
+
+        Raises:
+            RefinementError: if an action before the first step cannot be carried out.
+        """
+        try:
+            plan.refine()
+        except RefinementError as error:
+            to_blame = last_step(plan.actions, error.action)
+            if to_blame is None:
+                raise
+            refused.append(str(error))
+            return ban(banned, self.world, self.grid, plan.states[to_blame], plan.actions[to_blame])
+        return None
+
+    def _improving(self, ends, kernel_view, weights, limits: Limits, refinable: bool, progress, prepared: float):
+        """The plans of ``improve`` that are news."""
+        best, last, shown, lower, refused = None, None, np.inf, 0.0, []
+        error = anytime.rounding(self.world)
+        rounds = self._rounds(ends, kernel_view, weights, limits, refinable, progress, refused)
+        with closing(rounds):
+            for plan, least, ended in rounds:
+                lower = max(lower, least)
+                better = plan.solved and (best is None or plan.cost < best.cost * (1 - anytime.LEAST_GAIN))
+                best = plan if better else best
+                if best is None and ended is None:
+                    continue
+                if best is not None and ended in (Status.INFEASIBLE, Status.COST_LIMIT):
+                    ended = Status.SOLVED  # there is no other plan without the refused steps
+                bound = np.inf if best is None else anytime.suboptimality(best.cost, lower, error)
+                how = None if ended is None else str(ended)
+                if last is not None and not better and bound >= shown:
+                    last.stats["ended"] = how
+                    continue
+                last, shown = copy(best or plan), bound
+                last.bound, last.refused = bound, list(refused)
+                seconds = plan.stats["search_seconds"] + prepared
+                last.stats = plan.stats | {
+                    "lower_bound": lower, "ended": how, "heuristic_seconds": prepared, "seconds": seconds
+                }  # fmt: skip
+                yield last
+
+    def _rounds(self, ends, kernel_view, weights, limits: Limits, refinable: bool, progress, refused: list[str]):
+        """Plans, cost below which there is none, and what ended the search, of all rounds; where a step is refused,
+        they begin anew without it."""
+        began, spent, cost, world, proofs = _now(), 0, np.inf, self.world, []
+
+        def hopeless() -> bool:
+            proofs.append(why_unreachable(self.world, ends["start"], ends["goal"]))
+            return proofs[-1] is not None
+
+        guided = not self.heuristic.admissible
+        admissible = geometric_estimate(self.world, ends["goal"]) if guided else kernel_view
+        while True:
+            left = replace(limits, expansions=limits.expansions - spent, time=limits.time - (_now() - began))
+            rounds = anytime.improve(
+                world, ends["start"], ends["goal"], weights, admissible, kernel_view if guided else None,
+                limits=left, hopeless=None if proofs else hopeless, ask_after=_FEW, progress=progress,
+            )  # fmt: skip
+            for found in rounds:
+                plan = self._plan_of(found.result, found.weight)
+                plan.stats |= {"expansions": plan.stats["expansions"] + spent, "search_seconds": _now() - began}
+                if refinable and plan.solved and plan.cost < cost * (1 - anytime.LEAST_GAIN):
+                    banned = self._ban_what_cannot_be_done(plan, world.banned, refused)
+                    if banned is not None:
+                        world, spent = world._replace(banned=banned), plan.stats["expansions"]
+                        weights = weights[weights.index(found.weight) :]
+                        break
+                    cost = plan.cost
+                if found.ended == Status.INFEASIBLE and not plan.solved and not refused:
+                    proof = proofs[-1] if proofs else why_unreachable(self.world, ends["start"], ends["goal"])
+                    if proof is not None:
+                        self._note_proof(plan, proof)
+                yield plan, found.lower_bound, found.ended
+            else:
+                return
+
+    def _locate_ends(self, start, goal, weight: float) -> tuple[dict[str, np.ndarray], Plan | None]:
+        """The detailed states of both ends; and a plan that says so if the robot cannot stand at one of them."""
+        began, ends = _now(), {}
+        for status, pose, name in ((Status.INVALID_START, start, "start"), (Status.INVALID_GOAL, goal, "goal")):
+            ends[name], wrong = self._locate(pose, name)
+            if wrong:
+                return ends, self._without_path(status, wrong, weight, _now() - began)
+        return ends, None
+
     def _without_path(self, status: Status, wrong: list[str], weight: float, seconds: float) -> Plan:
         stats = {
             "heuristic": self.heuristic.name, "weight": float(weight), "expansions": 0, "seen": 0, "memory": 0,
-            "heuristic_seconds": 0.0, "search_seconds": 0.0, "seconds": seconds,
+            "heuristic_seconds": 0.0, "search_seconds": 0.0, "seconds": seconds, "lower_bound": 0.0,
         }  # fmt: skip
         empty = np.empty((0, 7))
         return Plan(status, np.inf, empty, [], np.empty(0), stats, wrong, terrain=self.terrain, robot=self.robot)
@@ -301,6 +456,11 @@ class Planner:
             if chosen is not None:
                 return chosen, []
         return state, problems(self.world, self.grid, self.robot, state)
+
+
+def _check_weight(weight) -> None:
+    if not (np.isfinite(weight) and weight >= 1):
+        raise InputError(f"weight is {weight}; it must be a finite number >= 1")
 
 
 _now = time.perf_counter

@@ -19,10 +19,8 @@ _SAMPLE = 128  # far entries looked at to set the bound
 
 def with_room(store: Store, entries: int) -> Store:
     """The same store with room for so many entries more in its open list; outdated ones go before it grows."""
-    _drop_outdated(store)
-    room, used = len(store.open_f), int(store.count[NEAR] + store.count[FAR])
-    if 5 * (used + entries) > 4 * room:
-        room = max(int(1.25 * room), int(1.25 * (used + entries)))
+    room = _new_room(store, entries)
+    if room > len(store.open_f):
         near, far = int(store.count[NEAR]), int(store.count[FAR])
         arrays = []
         for array in (store.open_f, store.open_node):
@@ -32,6 +30,27 @@ def with_room(store: Store, entries: int) -> Store:
             arrays.append(longer)
         store = store._replace(open_f=arrays[0], open_node=arrays[1])
     return store
+
+
+def clear(store: Store) -> None:
+    """Take out all entries."""
+    store.count[NEAR] = store.count[FAR] = 0
+    store.open_least[:] = -np.inf
+
+
+def growth_nbytes(store: Store, entries: int) -> int:
+    """Bytes that ``with_room`` needs besides those of the store."""
+    room = _new_room(store, entries)
+    return room * (store.open_f.itemsize + store.open_node.itemsize) if room > len(store.open_f) else 0
+
+
+def _new_room(store: Store, entries: int) -> int:
+    """Room for so many entries more, after outdated ones were dropped."""
+    _drop_outdated(store)
+    room, used = len(store.open_f), int(store.count[NEAR] + store.count[FAR])
+    if 5 * (used + entries) <= 4 * room:
+        return room
+    return max(int(1.25 * room), int(1.25 * (used + entries)))
 
 
 @njit(allocates=False)

@@ -12,6 +12,8 @@ from hdsp.detailed.estimate import estimate
 from hdsp.detailed.open_list import pop, push, refill
 from hdsp.detailed.states import FEET_MASK, START
 from hdsp.detailed.store import (
+    BLOCK,
+    BLOCKS,
     CLOSED,
     CUT,
     EXPANDED,
@@ -24,6 +26,7 @@ from hdsp.detailed.store import (
     has_room,
     key_of,
     node_of,
+    waits,
 )
 from hdsp.jit import njit
 
@@ -44,6 +47,31 @@ def insert_start(store, heuristic, weight, start):
     store.action[node] = START
     store.count[SEEN] = 1
     push(store, np.float32(weight * estimate(heuristic, start)), node)
+
+
+@njit(allocates=False)
+def push_waiting(store, heuristic, weight):
+    """Begin a round: fill an empty open list with all states that wait for their expansion."""
+    for node in range(BLOCK, BLOCK * store.count[BLOCKS]):
+        store.flags[node] &= ~np.uint8(VISITED)
+        if waits(store, node):
+            h = estimate(heuristic, key_of(store, node))
+            if h < np.inf:
+                push(store, np.float32(np.float64(store.g[node]) + weight * h), node)
+
+
+@njit(allocates=False)
+def least_f(store, heuristic):
+    """Least ``g + h`` of all states that wait for their expansion; inf if none does.
+
+    With an admissible heuristic no plan costs less: on every optimal plan lies a state that waits, and to which the
+    plan's way was found (first the start; once it is expanded, its successor on that plan, and so on).
+    """
+    least = np.inf
+    for node in range(BLOCK, BLOCK * store.count[BLOCKS]):
+        if waits(store, node):
+            least = min(least, np.float64(store.g[node]) + estimate(heuristic, key_of(store, node)))
+    return least
 
 
 @njit(allocates=False)

@@ -11,7 +11,17 @@ from hdsp.detailed.actions import MAX_SUCCESSORS, Rules, successors
 from hdsp.detailed.estimate import Estimate
 from hdsp.detailed.state_costs import state_cost
 from hdsp.detailed.states import neutral_feet, pack_states, unpack_states
-from hdsp.detailed.store import EXPANDED, GOALS_LEFT, SEEN, grown, has_room, new_store, trace
+from hdsp.detailed.store import (
+    EXPANDED,
+    GOALS_LEFT,
+    SEEN,
+    count_waiting,
+    grown,
+    growth_nbytes,
+    has_room,
+    new_store,
+    trace,
+)
 from hdsp.detailed.world import World
 
 
@@ -38,7 +48,7 @@ class Limits:
     Attributes:
         cost: no plan above this cost is of interest.
         expansions: number of expanded states.
-        memory: bytes of the store of states.
+        memory: bytes of the store of states, while it grows including those of the larger one.
         time: seconds.
     """
 
@@ -78,6 +88,11 @@ class SearchResult:
 
 
 _SLICE = 20_000  # expansions between two looks at the clock
+_ENDS = {
+    search.SOLVED: Status.SOLVED,
+    search.EXHAUSTED: Status.INFEASIBLE,
+    search.OVER_COST_LIMIT: Status.COST_LIMIT,
+}
 
 
 def solve(
@@ -112,93 +127,119 @@ def solve(
         A result with one status per goal.
     """
     began = time.perf_counter()
-    rules = rules or Rules()
-    limits = limits or Limits()
-    lowest = world.tables.lowest
     goals = np.atleast_2d(goals)
-    keys = pack_states(goals, lowest)
-    start_key = int(pack_states(start, lowest)[0])
-    status: list[Status] = [Status.TIME_LIMIT] * len(keys)
-    result = SearchResult(status, np.full(len(keys), np.inf))
+    keys = pack_states(goals, world.tables.lowest)
+    start_key = int(pack_states(start, world.tables.lowest)[0])
+    result = SearchResult([Status.INVALID_START] * len(keys), np.full(len(keys), np.inf))
     if not np.isfinite(state_cost(world, start_key)):
-        result.status = [Status.INVALID_START] * len(keys)
         return result
     valid = np.array([np.isfinite(state_cost(world, int(k))) for k in keys], dtype=bool)
-    wanted = keys[valid]
-    settled = np.full(len(wanted), np.inf, dtype=np.float32)
-    store = new_store((world.nx, world.ny), neutral_feet(lowest))
+    task = Search(world, start_key, keys[valid], rules or Rules(), limits or Limits(), progress, began)
     reason = None
-    if len(wanted):
-        for key in wanted:
-            if not has_room(store):
-                store = grown(store)
-            search.mark_goal(store, key)
-        store.count[GOALS_LEFT] = len(wanted)
-        search.insert_start(store, heuristic, weight, start_key)
-        task = world, rules, heuristic, store, weight, wanted, settled, limits.cost
-        reason = Status.MEMORY_LIMIT
-        if store.nbytes() <= limits.memory:
-            reason, store = _loop(task, weight * limits.cost if admissible else np.inf, limits, began, progress)
+    if valid.any():
+        reason = None if task.begin(heuristic, weight, admissible) else Status.MEMORY_LIMIT
+        while reason is None:
+            reason = task.advance()
 
-    costs = np.full(len(keys), np.inf)
-    costs[valid] = settled
+    result.cost[valid] = task.goal_cost
     for i in range(len(keys)):
-        if not valid[i]:
-            status[i] = Status.INVALID_GOAL
-        elif np.isfinite(costs[i]):
-            status[i] = Status.SOLVED
-        else:
-            status[i] = reason
-    result.cost = costs
-    result.expansions = int(store.count[EXPANDED])
-    result.seen = int(store.count[SEEN])
-    result.memory, result.open_memory = store.nbytes(), store.open_nbytes()
+        solved = np.isfinite(result.cost[i])
+        result.status[i] = Status.INVALID_GOAL if not valid[i] else Status.SOLVED if solved else reason
+    task.count(result)
     if paths:
         for i, key in enumerate(keys):
-            _add_path(result, world, rules, store, int(key), status[i], lowest, i)
+            found = task.path(int(key)) if result.status[i] == Status.SOLVED else (None, None, None)
+            for values, value in zip((result.states, result.actions, result.edge_costs), found, strict=True):
+                values.append(value)
+            if found[2] is not None:
+                # The store keeps single precision; the plan's own cost is the sum of its edges.
+                result.cost[i] = found[2].sum()
     result.seconds = time.perf_counter() - began
     return result
 
 
-def _loop(task, f_limit, limits, began, progress):
-    world, rules, heuristic, store, *rest = task
-    while True:
-        left = limits.expansions - int(store.count[EXPANDED])
+class Search:
+    """A search under way: its store, its limits, and what it is guided by.
+
+    Args:
+        world: terrain and robot.
+        start: packed state.
+        goals: int64 [n], packed states.
+        rules, limits, progress: as in ``solve``.
+        began: when the clock started, as told by ``time.perf_counter``.
+    """
+
+    def __init__(self, world: World, start: int, goals: np.ndarray, rules: Rules, limits: Limits, progress, began):
+        self.world, self.start, self.goals = world, start, goals
+        self.rules, self.limits, self.progress, self.began = rules, limits, progress, began
+        self.goal_cost = np.full(len(goals), np.inf, dtype=np.float32)
+        # Held nowhere else, so that what is exchanged for something larger is freed.
+        self.store = new_store((world.nx, world.ny), neutral_feet(world.tables.lowest))
+        for key in goals:
+            if not has_room(self.store):
+                self.store = grown(self.store)
+            search.mark_goal(self.store, key)
+        self.store.count[GOALS_LEFT] = len(goals)
+
+    def begin(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool = True) -> bool:
+        """Put the start in the open list; False if even the empty store exceeds the limit on memory."""
+        self._set_order(heuristic, weight, admissible, reopen)
+        search.insert_start(self.store, heuristic, weight, self.start)
+        return self.store.nbytes() <= self.limits.memory
+
+    def begin_round(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool) -> bool:
+        """Fill the open list anew, in another order; False if the limit on memory leaves no room for it."""
+        self._set_order(heuristic, weight, admissible, reopen)
+        open_list.clear(self.store)
+        if not self._grow(count_waiting(self.store)):
+            return False
+        search.push_waiting(self.store, heuristic, weight)
+        return True
+
+    def _set_order(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool) -> None:
+        self._heuristic, self._weight, self._reopen = heuristic, weight, reopen
+        self._f_limit = weight * self.limits.cost if admissible else np.inf
+
+    def advance(self) -> Status | None:
+        """Search on for a while; returns how the search ended, None if it did not."""
+        left = self.limits.expansions - int(self.store.count[EXPANDED])
         if left <= 0:
-            return Status.EXPANSION_LIMIT, store
-        code = search.run(world, rules, heuristic, store, *rest, f_limit, min(left, _SLICE), True)
-        if code == search.SOLVED:
-            return Status.SOLVED, store
-        if code == search.EXHAUSTED:
-            return Status.INFEASIBLE, store
-        if code == search.OVER_COST_LIMIT:
-            return Status.COST_LIMIT, store
-        if code == search.FULL:
-            if 2 * store.nbytes() > limits.memory:
-                return Status.MEMORY_LIMIT, store
-            store = open_list.with_room(grown(store), MAX_SUCCESSORS)
-        elapsed = time.perf_counter() - began
-        if progress is not None:
-            progress(int(store.count[EXPANDED]), elapsed)
-        if elapsed > limits.time:
-            return Status.TIME_LIMIT, store
+            return Status.EXPANSION_LIMIT
+        code = search.run(
+            self.world, self.rules, self._heuristic, self.store, self._weight, self.goals, self.goal_cost,
+            self.limits.cost, self._f_limit, min(left, _SLICE), self._reopen,
+        )  # fmt: skip
+        if code in _ENDS:
+            return _ENDS[code]
+        if code == search.FULL and not self._grow():
+            return Status.MEMORY_LIMIT
+        elapsed = time.perf_counter() - self.began
+        if self.progress is not None:
+            self.progress(int(self.store.count[EXPANDED]), elapsed)
+        return Status.TIME_LIMIT if elapsed > self.limits.time else None
 
+    def _grow(self, entries: int = MAX_SUCCESSORS) -> bool:
+        """Make room; False if the store and the larger arrays into which it is copied would exceed the limit."""
+        if self.store.nbytes() + growth_nbytes(self.store) > self.limits.memory:
+            return False
+        self.store = grown(self.store)
+        if self.store.nbytes() + open_list.growth_nbytes(self.store, entries) > self.limits.memory:
+            return False
+        self.store = open_list.with_room(self.store, entries)
+        return True
 
-def _add_path(result, world, rules, store, key, status, lowest, i):
-    if status != Status.SOLVED:
-        result.states.append(None)
-        result.actions.append(None)
-        result.edge_costs.append(None)
-        return
-    path, actions = trace(world, store, key)
-    costs = np.array(
-        [edge_cost(world, rules, int(a), int(b), int(c)) for a, b, c in zip(path, path[1:], actions, strict=False)]
-    )
-    result.states.append(unpack_states(path, lowest))
-    result.actions.append(actions)
-    result.edge_costs.append(costs)
-    # The store keeps single precision; the plan's own cost is the sum of its edges.
-    result.cost[i] = costs.sum()
+    def count(self, result: SearchResult) -> None:
+        """Enter what was spent so far."""
+        result.expansions, result.seen = int(self.store.count[EXPANDED]), int(self.store.count[SEEN])
+        result.memory, result.open_memory = self.store.nbytes(), self.store.open_nbytes()
+        result.seconds = time.perf_counter() - self.began
+
+    def path(self, key: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The way to a packed state: states int64 [n, 7], actions uint8 [n - 1] and their costs float64 [n - 1]."""
+        path, actions = trace(self.world, self.store, key)
+        edges = zip(path, path[1:], actions, strict=False)
+        costs = [edge_cost(self.world, self.rules, int(a), int(b), int(action)) for a, b, action in edges]
+        return unpack_states(path, self.world.tables.lowest), actions, np.array(costs, dtype=float)
 
 
 def edge_cost(world: World, rules: Rules, key: int, reached: int, action: int) -> float:

@@ -104,22 +104,32 @@ def new_store(shape: tuple[int, int], neutral: int, blocks: int = 128) -> Store:
 
 def grown(store: Store) -> Store:
     """The same store with more room for states, of whichever kind ran short."""
+    changed = {}
+    for name, length in _new_lengths(store).items():
+        changed[name] = _longer(getattr(store, name), length)
+        if name == "slot":
+            changed[name][:] = -1
+            _fill_slots(changed[name], store.key, store.count[KEYS])
+    return store._replace(**changed)
+
+
+def growth_nbytes(store: Store) -> int:
+    """Bytes that ``grown`` needs besides those of the store."""
+    return sum(length * getattr(store, name).itemsize for name, length in _new_lengths(store).items())
+
+
+def _new_lengths(store: Store) -> dict[str, int]:
+    """Arrays that are too short for the successors of one more state, and their new lengths."""
+    lengths = {}
     if store.count[BLOCKS] + SPARE_BLOCKS > len(store.origin):
         blocks = int(_GROWTH * len(store.origin)) + SPARE_BLOCKS
-        store = store._replace(
-            g=_longer(store.g, BLOCK * blocks),
-            action=_longer(store.action, BLOCK * blocks),
-            flags=_longer(store.flags, BLOCK * blocks),
-            origin=_longer(store.origin, blocks),
-        )
+        lengths |= {"g": BLOCK * blocks, "action": BLOCK * blocks, "flags": BLOCK * blocks, "origin": blocks}
     if store.count[KEYS] + MAX_SUCCESSORS > len(store.key):
         blocks = int(_GROWTH * len(store.key_block)) + 4
-        store = store._replace(key=_longer(store.key, BLOCK * blocks), key_block=_longer(store.key_block, blocks))
+        lengths |= {"key": BLOCK * blocks, "key_block": blocks}
     if 4 * (store.count[KEYS] + MAX_SUCCESSORS) > 3 * len(store.slot):
-        slot = np.full(2 * len(store.slot), -1, np.int32)
-        _fill_slots(slot, store.key, store.count[KEYS])
-        store = store._replace(slot=slot)
-    return store
+        lengths["slot"] = 2 * len(store.slot)
+    return lengths
 
 
 def _longer(array: np.ndarray, length: int) -> np.ndarray:
@@ -242,6 +252,21 @@ def find(store, key):
             return BLOCK * np.int64(store.key_block[at // BLOCK]) + at % BLOCK
         s = (s + 1) & mask
     return np.int64(-1)
+
+
+@njit(inline="always")
+def waits(store, node):
+    """Whether a node was seen, but not expanded at its present cost."""
+    return store.g[node] < np.inf and store.flags[node] & CLOSED == 0
+
+
+@njit(allocates=False)
+def count_waiting(store):
+    """Number of states that still wait for their expansion."""
+    n = 0
+    for node in range(BLOCK, BLOCK * store.count[BLOCKS]):
+        n += waits(store, node)
+    return n
 
 
 @njit()
