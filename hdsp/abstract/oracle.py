@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hdsp.abstract.transform import feet_at
+from hdsp.abstract.transform import feet_at_all
 from hdsp.detailed.actions import Rules
 from hdsp.detailed.estimate import least_foot_cost, pose_estimate, with_footing
 from hdsp.detailed.footing import efforts_to, find_footing
@@ -57,16 +57,11 @@ def task_costs(
         Goal states int64 [n, 7] (neutral feet where none are valid), costs float64 [n] (inf where not solved) and
         the ``Status`` of each task, int64 [n].
     """
-    goals = np.zeros((len(actions), 7), dtype=np.int64)
-    goals[:, :3] = start[:3] + actions * np.array([CELLS_PER_ABSTRACT, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT])
-    goals[:, 2] %= HEADINGS
+    bases = start[:3] + actions * np.array([CELLS_PER_ABSTRACT, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT])
+    bases[:, 2] %= HEADINGS
+    goals, valid = feet_at_all(world, bases)
     cost = np.full(len(goals), np.inf)
     reason = np.full(len(goals), Status.INVALID_GOAL, dtype=np.int64)
-    valid = np.zeros(len(goals), dtype=bool)
-    for i, goal in enumerate(goals):
-        state = feet_at(world, goal[:3])
-        if state is not None:
-            goals[i], valid[i] = state, True
     turning = actions[:, 2] != 0
     heading = int(start[2])
     translate = Rules(heading, settings.heading_window, settings.turn_cost_factor)

@@ -42,6 +42,17 @@ def feet_at(world: World, base) -> np.ndarray | None:
     return np.array([*base, *offsets], dtype=np.int64) if np.isfinite(cost) else None
 
 
+def feet_at_all(world: World, bases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``feet_at`` of several base states int64 [n, 3]: states int64 [n, 7] and which of them are valid, bool [n].
+
+    Where none is valid, the feet are neutral.
+    """
+    states, valid = np.zeros((len(bases), 7), dtype=np.int64), np.zeros(len(bases), dtype=np.bool_)
+    states[:, :3] = bases
+    _fill_feet(world, states, valid)
+    return states, valid
+
+
 def _matching_bases(anchor: np.ndarray) -> np.ndarray:
     cell = anchor[:2] // CELLS_PER_ABSTRACT * CELLS_PER_ABSTRACT
     half = HEADINGS_PER_ABSTRACT // 2
@@ -105,3 +116,11 @@ def best_feet(world, ix, iy, heading):
             least = total
             best[:] = choice
     return least, best
+
+
+@njit()
+def _fill_feet(world, states, valid):
+    for i in range(len(states)):
+        cost, offsets = best_feet(world, states[i, 0], states[i, 1], states[i, 2])
+        if cost < np.inf:
+            states[i, 3:], valid[i] = offsets, True

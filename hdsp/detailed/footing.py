@@ -46,9 +46,14 @@ def find_footing(world: World, rules: Rules, counted_per_cell: float) -> Footing
     # Cells are connected if one action may take a foot from one to the other; turning reaches farthest.
     c = world.constants
     reach = math.floor(math.hypot(c.neutral_x, c.neutral_y) * 2 * math.pi / HEADINGS) + 1
-    wider = binary_dilation(standable, np.ones((3, 3), bool), iterations=max(1, math.ceil((reach - 1) / 2)))
+    rounds = max(1, math.ceil((reach - 1) / 2))
+    # No foot stands in the border, and only the edge of it is reached here.
+    inner = tuple(slice(world.pad - rounds, world.pad + n + rounds) for n in (world.nx, world.ny))
+    wider = binary_dilation(standable[inner], np.ones((3, 3), bool), iterations=rounds)
     regions, count = label(wider, np.ones((3, 3), int))
-    region = np.where(standable, regions - 1, -1).astype(np.int32).ravel()
+    region = np.full(standable.shape, -1, dtype=np.int32)
+    region[inner] = np.where(standable[inner], regions - 1, -1)
+    region = region.ravel()
     effort = np.full((count, count), np.inf, dtype=np.float32)
     np.fill_diagonal(effort, 0)
     if count > 1:
@@ -70,13 +75,12 @@ def efforts_to(footing: Footing, world: World, goals: np.ndarray) -> np.ndarray:
     Returns:
         float32 [4, regions]: per foot; inf where a foot cannot get to any goal.
     """
-    n = len(footing.effort)
+    n, t = len(footing.effort), world.tables
     result = np.full((4, n), np.inf, dtype=np.float32)
     for foot in range(4):
-        for goal in goals:
-            row = foot_row(world.tables, int(goal[2]), foot, int(goal[3 + foot]) - world.tables.lowest)
-            cell = int(cell_index(world, goal[0], goal[1])) + int(world.tables.feet[row])
-            result[foot, footing.region[cell]] = 0
+        rows = foot_row(t, goals[:, 2], foot, goals[:, 3 + foot] - t.lowest)
+        cells = cell_index(world, goals[:, 0], goals[:, 1]) + t.feet[rows]
+        result[foot, footing.region[cells]] = 0
         # Bellman-Ford: there are few regions, and a foot seldom crosses more than a few of them.
         for _ in range(n):
             through = (footing.effort + result[foot][None, :]).min(axis=1)
