@@ -23,7 +23,7 @@ from hdsp.lattice import cells
 from hdsp.robot import Robot
 
 #: Raised whenever the same map, robot and task would get another cost; labels and pretrained models carry it.
-COST_MODEL_VERSION = 1
+COST_MODEL_VERSION = 2
 
 
 class CostMaps(NamedTuple):

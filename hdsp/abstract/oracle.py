@@ -33,7 +33,7 @@ class LabelSettings:
     """
 
     heading_window: int = 3
-    turn_cost_factor: float = 1.58235
+    turn_cost_factor: float = 1.68099
     cost_limit: float = 1.6
     max_expansions: int = 10_000_000
 

@@ -32,7 +32,7 @@ def test_a_training_is_tracked_with_everything(chain, mlflow):
     parameters = run.data.params
     assert parameters["model.architecture"] == "compact"
     assert parameters["trainer.epochs"] == "2"
-    assert parameters["robot.drive.unevenness_cost"] == "0.030923"
+    assert parameters["robot.drive.unevenness_cost"] == "0.0309234"
     assert parameters["labelling.splits.train.maps_per_category"] == "2"
     assert len(run.data.tags["data.train"]) == 64
     assert {"git.commit", "git.dirty", "data.val", "data.random"} <= set(run.data.tags)
