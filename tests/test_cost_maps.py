@@ -74,6 +74,6 @@ def test_foot_costs_are_those_of_the_paper():
     maps = cost_maps(HeightMap(heights), MOMARO)
     cost = maps.foot_cost(MOMARO)
     assert cost[0, 0] == 1
-    np.testing.assert_allclose(cost, 1 + 0.30923 * maps.unevenness, rtol=1e-6)
+    np.testing.assert_allclose(cost, 1 + 0.309234 * maps.unevenness, rtol=1e-6)
     heights[20:] = 0.3
     assert np.isinf(cost_maps(HeightMap(heights), MOMARO).foot_cost(MOMARO)[20, 20])
