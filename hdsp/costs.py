@@ -5,7 +5,8 @@ difference to its eight neighbours):
 
 - unevenness ``S(c)``: sum of ``dH`` over the cells within a radius, weighted linearly down to zero at the radius;
 - a foot can stand (and roll) on a cell if no cell with ``dH`` over the drivable limit lies within its clearance;
-- foot cost ``C_F = 1 + 0.307 S`` and base cost ``C_B = 1`` merge into the state cost
+- a foot pays for the most uneven cell of its contact, a small square on the inner side of its cell (``hdsp.robot``);
+- foot cost ``C_F = 1 + 0.309 S`` and base cost ``C_B = 1`` merge into the state cost
   ``C = 0.5 C_B + 0.1 (sum C_F + max C_F) = 1 + k (max S + sum S)`` (paper, Sec. V-A).
 
 Convention: arrays are indexed ``[ix, iy]``; heights in metres, NaN = unknown. Unknown cells bear no foot, and a foot
@@ -23,7 +24,7 @@ from hdsp.lattice import cells
 from hdsp.robot import Robot
 
 #: Raised whenever the same map, robot and task would get another cost; labels and pretrained models carry it.
-COST_MODEL_VERSION = 2
+COST_MODEL_VERSION = 3
 
 
 class CostMaps(NamedTuple):
@@ -42,7 +43,8 @@ class CostMaps(NamedTuple):
     standable: np.ndarray
 
     def foot_cost(self, robot: Robot) -> np.ndarray:
-        """Foot cost map C_F of the paper, float32 [nx, ny]; inf where a foot cannot stand."""
+        """Foot cost map C_F of the paper, float32 [nx, ny], of the ground in each cell alone; inf where a foot cannot
+        stand."""
         cost = 1 + 10 * robot.drive.unevenness_cost * self.unevenness
         return np.where(self.standable, cost, np.inf).astype(np.float32)
 

@@ -58,18 +58,18 @@ def describe_labels(run: LabelRun, place: Place, explained_maps: int = 2000) -> 
 def why_dropped(run: LabelRun, number: int) -> str:
     """What is in the way of a start state in the middle of map ``number``."""
     from hdsp.detailed.state_costs import foot_row
-    from hdsp.detailed.world import base_term, build_world, cell_index
+    from hdsp.detailed.world import body_is_free, build_world, cell_index
 
     terrain, heading = run.terrain_of(number), run.map_of(number)[2]
     world = build_world(terrain, run.robot)
     middle = int(cell_index(world, terrain.shape[0] // 2, terrain.shape[1] // 2))
-    body = bool(np.isinf(base_term(world, heading, middle)))
+    body = not body_is_free(world, heading, middle)
     tables = world.tables
     footholds = [
-        [world.foot[middle + tables.feet[foot_row(tables, heading, foot, o)]] for o in range(tables.n_offsets)]
+        [world.standable[middle + tables.feet[foot_row(tables, heading, foot, o)]] for o in range(tables.n_offsets)]
         for foot in range(4)
     ]
-    feet = bool(np.isinf(np.array(footholds)).all(axis=1).any())
+    feet = not np.array(footholds).any(axis=1).all()
     return {(True, False): BODY, (False, True): FEET, (True, True): BOTH}.get((body, feet), OTHER)
 
 

@@ -24,7 +24,17 @@ FEET = ("front_left", "rear_left", "rear_right", "front_right")
 
 @dataclass(frozen=True)
 class Feet:
-    """Where the feet are (m, robot frame) and how much room they need."""
+    """Where the feet are (m, robot frame), how much room they need, and which ground they feel.
+
+    Attributes:
+        neutral_x, neutral_y: of the front left foot; the others mirror it.
+        offset_min, offset_max: reach along x, relative to the neutral position.
+        clearance: no undrivable edge may lie this close.
+        min_separation: between the front and the rear foot of one side.
+        neutral_preference: state cost that one metre off the neutral position is worth when feet are chosen.
+        contact_inward, contact_half_width: a foot pays for the most uneven ground in a square of this half width, whose
+            middle is this far from the foot toward the body, in x and in y.
+    """
 
     neutral_x: float
     neutral_y: float
@@ -33,6 +43,8 @@ class Feet:
     clearance: float
     min_separation: float
     neutral_preference: float
+    contact_inward: float
+    contact_half_width: float
 
 
 @dataclass(frozen=True)
@@ -55,7 +67,6 @@ class Box(Rectangle):
 @dataclass(frozen=True)
 class Body:
     boxes: tuple[Box, ...]
-    unevenness: Rectangle
 
 
 @dataclass(frozen=True)
@@ -228,8 +239,7 @@ class Robot:
     def reach(self) -> float:
         """Distance (m) from the base centre beyond which no part of the robot, nor a foothold, ever is."""
         x = self.feet.neutral_x + max(self.feet.offset_max, -self.feet.offset_min) + self.step.max_length
-        rectangles = (*self.body.boxes, self.body.unevenness)
-        corners = [math.hypot(max(abs(r.x_min), abs(r.x_max)), r.half_width) for r in rectangles]
+        corners = [math.hypot(max(abs(r.x_min), abs(r.x_max)), r.half_width) for r in self.body.boxes]
         return max(math.hypot(x, self.feet.neutral_y), *corners)
 
 
@@ -294,6 +304,12 @@ def _check(robot: Robot) -> None:
             f"robot.stance.base_height is {height:g} m; legs of {legs.min_length:g} to {legs.max_length:g} m "
             "(robot.legs.min_length, max_length) must reach the ground from there"
         )
+    inward, nearest = robot.feet.contact_inward, min(robot.feet.neutral_x, robot.feet.neutral_y)
+    if inward > nearest:
+        raise InputError(
+            f"robot.feet.contact_inward is {inward:g} m; it must not exceed {nearest:g} m, what the feet are off the "
+            "middle of the body"
+        )
     low, high = robot.offset_range()
     if not (low <= 0 <= high and high - low < 32):
         raise InputError(
@@ -308,9 +324,10 @@ _POSITIVE = (
     "drive.deviation_cost.side_from", "turn.cost", "foot_move.cost_per_metre", "base_shift.cost_per_metre",
 )  # fmt: skip
 _NOT_NEGATIVE = (
-    "feet.clearance", "feet.min_separation", "feet.neutral_preference", "turn.unevenness_cost", "step.max_length",
-    "step.max_height", "step.max_clearance", "step.cost", "step.cost_per_metre", "step.cost_per_height",
-    "legs.hip_x", "legs.hip_y", "legs.min_length", "stance.max_roll", "stance.max_pitch", "stance.reach_x",
-    "stance.reach_y", "stance.margin", "stance.swing_clearance",
+    "feet.clearance", "feet.min_separation", "feet.neutral_preference", "feet.contact_inward",
+    "feet.contact_half_width", "turn.unevenness_cost", "step.max_length", "step.max_height", "step.max_clearance",
+    "step.cost", "step.cost_per_metre", "step.cost_per_height", "legs.hip_x", "legs.hip_y", "legs.min_length",
+    "stance.max_roll", "stance.max_pitch", "stance.reach_x", "stance.reach_y", "stance.margin",
+    "stance.swing_clearance",
 )  # fmt: skip
 _LONGEST_STEP = 15  # cells; what the code of an action can say (hdsp.detailed.states)

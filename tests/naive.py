@@ -17,8 +17,8 @@ CELL = 0.025
 HEADINGS = 64
 MOVES = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0) and not abs(x) == abs(y) == 2]
 INF = math.inf
-REMEMBERED = ["difference", "edge", "unevenness", "standable", "foot_cell", "under_body", "cost_at", "lifted_over",
-              "can_step", "deviation", "least_deviation"]  # fmt: skip
+REMEMBERED = ["difference", "edge", "unevenness", "standable", "foot_cell", "contact_cell", "uneven_under", "collides",
+              "cost_at", "lifted_over", "can_step", "deviation", "least_deviation"]  # fmt: skip
 
 
 def angle(heading):
@@ -149,10 +149,29 @@ class Naive:
         """Cells whose centres lie in a rectangle of the robot, on the map or not."""
         return [(base[0] + dx, base[1] + dy) for dx, dy in rectangle_offsets(rectangle, heading)]
 
-    def under_body(self, base, heading):
-        """Largest S under the body; inf where it collides, or where the ground under its centre is not known."""
+    def contact_cell(self, heading, foot, offset, dx=0.0, dy=0.0):
+        """Cell of the middle of a foot's contact, as `foot_cell`; a move is rounded for itself."""
+        inward = self.robot.feet.contact_inward / CELL
+        x, y = (v - math.copysign(inward, v) for v in self.neutral(foot))
+        at = rotated(heading, x + offset, y)
+        tie = rotated(heading, 2.0, -math.copysign(1.0, y))
+        return tuple(nearest(at[i], tie[i]) + nearest((dx, dy)[i], tie[i]) for i in range(2))
+
+    def uneven_under(self, cell):
+        """S that a foot pays, m: the largest in the square about the middle of its contact."""
+        half = math.floor(self.robot.feet.contact_half_width / CELL + 1e-9)
+        square = itertools.product(range(-half, half + 1), repeat=2)
+        cells = [(cell[0] + i, cell[1] + j) for i, j in square]
+        return max((self.unevenness(other) for other in cells if self.inside(other)), default=0.0)
+
+    def uneven_under_foot(self, state, foot):
+        dx, dy = self.contact_cell(state[2], foot, state[3 + foot])
+        return self.uneven_under((state[0] + dx, state[1] + dy))
+
+    def collides(self, base, heading):
+        """Whether the body hits what rises from the ground, or the ground under its centre is not known."""
         if not self.known(base):
-            return INF
+            return True
         # A robot that straddles a thin wall stands on the ground beside it, not on the wall.
         feet = [self.foothold((*base, heading, 0, 0, 0, 0), i) for i in range(4)]
         heights = [float(self.height(cell)) for cell in feet if self.known(cell)]
@@ -160,19 +179,28 @@ class Naive:
         for box in self.robot.body.boxes:
             limit = ground + np.float32(box.above)
             if any(self.known(c) and self.height(c) > limit for c in self.in_rectangle(base, heading, box)):
-                return INF
-        cells = self.in_rectangle(base, heading, self.robot.body.unevenness)
-        return max((self.unevenness(c) for c in cells if self.inside(c)), default=0.0)
+                return True
+        return False
 
-    def cost_at(self, base, heading, footholds):
-        """State cost C with the base in a cell and the feet in four; inf where that is not valid."""
-        if not all(self.standable(cell) for cell in footholds):
+    def cost_at(self, base, heading, footholds, contacts):
+        """State cost C with the base in a cell, the feet in four and their contacts in four; inf if not valid."""
+        if self.collides(base, heading) or not all(self.standable(cell) for cell in footholds):
             return INF
-        uneven = [self.unevenness(cell) for cell in footholds]
-        return 1 + self.robot.drive.unevenness_cost * (max([*uneven, self.under_body(base, heading)]) + sum(uneven))
+        uneven = [self.uneven_under(cell) for cell in contacts]
+        return 1 + self.robot.drive.unevenness_cost * (max(uneven) + sum(uneven))
 
     def state_cost(self, state):
-        return self.cost_at(state[:2], state[2], tuple(self.foothold(state, i) for i in range(4)))
+        return self.cost_on_the_way(state, 0.0, 0.0)
+
+    def cost_on_the_way(self, state, dx, dy):
+        """State cost where the robot has moved by so many cells from a state."""
+        ix, iy, heading, *feet = state
+        base = ix + nearest(dx, dx), iy + nearest(dy, dy)
+        cells = [
+            tuple((ix + x, iy + y) for x, y in (of(heading, i, feet[i], dx, dy) for i in range(4)))
+            for of in (self.foot_cell, self.contact_cell)
+        ]
+        return self.cost_at(base, heading, *cells)
 
     def valid(self, state):
         low, high = self.robot.offset_range()
@@ -203,16 +231,12 @@ class Naive:
         return not any(state[3:]) and max(heights) - min(heights) <= self.robot.drive.level
 
     def drives(self, state):
-        ix, iy, heading, *feet = state
+        ix, iy, heading = state[:3]
         for dx, dy in MOVES:
             if not self.free(state) and not self.straight(heading, dx, dy):
                 continue
             samples = math.floor(math.hypot(dx, dy)) + 1
-            costs = []
-            for t in (i / samples for i in range(1, samples + 1)):
-                base = ix + nearest(t * dx, dx), iy + nearest(t * dy, dy)
-                cells = [self.foot_cell(heading, i, feet[i], t * dx, t * dy) for i in range(4)]
-                costs.append(self.cost_at(base, heading, tuple((ix + x, iy + y) for x, y in cells)))
+            costs = [self.cost_on_the_way(state, dx * i / samples, dy * i / samples) for i in range(1, samples + 1)]
             cost = math.hypot(dx, dy) * CELL * self.deviation(heading, dx, dy) * sum(costs) / samples
             if cost < INF:
                 yield ("drive", dx, dy), (ix + dx, iy + dy, *state[2:]), cost
@@ -238,8 +262,8 @@ class Naive:
             reached = (*state[:2], (state[2] + way) % HEADINGS, *state[3:])
             if turned(reached[2], self.center) > self.window or self.state_cost(reached) == INF:
                 continue
-            uneven = [sum(self.unevenness(self.foothold(end, i)) for i in range(4)) for end in (state, reached)]
-            yield ("turn", way), reached, turn.cost * self.turn_factor * (1 + turn.unevenness_cost * sum(uneven) / 2)
+            uneven = sum(self.uneven_under_foot(end, i) for end in (state, reached) for i in range(4))
+            yield ("turn", way), reached, turn.cost * self.turn_factor * (1 + turn.unevenness_cost * uneven / 2)
 
     def foot_moves(self, state):
         price = self.robot.foot_move.cost_per_metre * CELL
@@ -247,11 +271,11 @@ class Naive:
             reached = with_offset(state, i, state[3 + i] + way)
             toward_neutral = abs(reached[3 + i]) < abs(state[3 + i])
             if toward_neutral and self.valid(reached) and self.separated(reached):
-                alone = [self.foot_cost(self.foothold(end, i)) for end in (state, reached)]
+                alone = [self.foot_cost(end, i) for end in (state, reached)]
                 yield ("foot", i, way), reached, price * sum(alone) / 2
 
-    def foot_cost(self, cell):
-        return 1 + 10 * self.robot.drive.unevenness_cost * self.unevenness(cell)
+    def foot_cost(self, state, foot):
+        return 1 + 10 * self.robot.drive.unevenness_cost * self.uneven_under_foot(state, foot)
 
     def base_shifts(self, state):
         ix, iy, heading, *feet = state

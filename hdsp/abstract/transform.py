@@ -8,7 +8,7 @@ T_d->a, is ``hdsp.lattice.detailed_to_abstract``.
 import numpy as np
 
 from hdsp.detailed.state_costs import foot_row
-from hdsp.detailed.world import World, base_term, cell_index
+from hdsp.detailed.world import World, body_is_free, cell_index
 from hdsp.jit import njit
 from hdsp.lattice import CELLS_PER_ABSTRACT, HEADINGS, HEADINGS_PER_ABSTRACT, abstract_anchor
 
@@ -77,21 +77,19 @@ def best_feet(world, ix, iy, heading):
     n = t.n_offsets
     penalty = world.constants.neutral_penalty
     p = cell_index(world, ix, iy)
-    under = base_term(world, heading, p)
     best = np.zeros(4, dtype=np.int64)
     least = np.inf
-    if under == np.inf:
+    if not body_is_free(world, heading, p):
         return least, best
     s = np.empty((4, n))
     for foot in range(4):
         for o in range(n):
-            s[foot, o] = world.foot[p + t.feet[foot_row(t, heading, foot, o)]]
+            s[foot, o] = world.uneven[p + t.contacts[foot_row(t, heading, foot, o)]]
     apart = 2 * world.constants.neutral_x - world.constants.min_separation
     choice = np.zeros(4, dtype=np.int64)
     for bound in np.unique(s.ravel()):
         if bound == np.inf:
             break
-        bound = max(bound, np.float64(under))
         if bound >= least:
             break
         total = bound

@@ -11,7 +11,7 @@ import numpy as np
 from hdsp.detailed.manoeuvres import manoeuvres
 from hdsp.detailed.state_costs import feet_cells
 from hdsp.detailed.states import FEET_MASK, TURN_LEFT, TURN_RIGHT, neutral_feet, unpack
-from hdsp.detailed.world import cell_index, compute_base_term
+from hdsp.detailed.world import FREE, cell_index, look_at_body
 from hdsp.jit import njit
 from hdsp.lattice import HEADINGS
 
@@ -59,12 +59,13 @@ def successors(world, rules, key, out_key, out_cost, out_action):
 def other_successors(world, key, out_key, out_cost, out_action):
     """``successors`` of a state with feet off neutral."""
     t = world.tables
-    foot, steps = world.foot, world.steps
+    uneven, steps = world.uneven, world.steps
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     p = cell_index(world, ix, iy)
     p0, p1, p2, p3 = feet_cells(p, t.feet, t.n_offsets, t.n_samples, heading, o0, o1, o2, o3)
     can_step = _can_step(steps[p0] | steps[p1] | steps[p2] | steps[p3], heading, world.constants.step_backward)
-    unevenness = foot[p0], foot[p1], foot[p2], foot[p3]
+    p0, p1, p2, p3 = feet_cells(p, t.contacts, t.n_offsets, t.n_samples, heading, o0, o1, o2, o3)
+    unevenness = uneven[p0], uneven[p1], uneven[p2], uneven[p3]
     return manoeuvres(world, key, can_step, unevenness, out_key, out_cost, out_action, 0)
 
 
@@ -79,7 +80,7 @@ def _can_step(ways, heading, backward):
 def pose_successors(world, rules, key, out_key, out_cost, out_action):
     """``successors`` of a state on neutral feet."""
     t = world.tables
-    foot, height, feet, steps = world.foot, world.height, t.feet, world.steps
+    uneven, height, feet, contacts, steps = world.uneven, world.height, t.feet, t.contacts, world.steps
     ix, iy, heading, _, _, _, _ = unpack(key)
     p = cell_index(world, ix, iy)
     rows = neutral_rows(t, heading)
@@ -92,14 +93,15 @@ def pose_successors(world, rules, key, out_key, out_cost, out_action):
         n = _turns(world, rules, key, heading, p, rows, out_key, out_cost, out_action, n)
     ways = steps[p0] | steps[p1] | steps[p2] | steps[p3]
     if not rules.drive_only and _can_step(ways, heading, world.constants.step_backward):
-        unevenness = foot[p0], foot[p1], foot[p2], foot[p3]
+        p0, p1, p2, p3 = p + contacts[rows[0]], p + contacts[rows[1]], p + contacts[rows[2]], p + contacts[rows[3]]
+        unevenness = uneven[p0], uneven[p1], uneven[p2], uneven[p3]
         n = manoeuvres(world, key, True, unevenness, out_key, out_cost, out_action, n)
     return n
 
 
 @njit(inline="always")
 def neutral_rows(tables, heading):
-    """Where the samples of the four feet begin in ``tables.feet`` if they are neutral."""
+    """Where the samples of the four feet begin in ``tables.feet`` and ``tables.contacts`` if they are neutral."""
     between = tables.n_offsets * tables.n_samples
     first = (heading * 4 * tables.n_offsets - tables.lowest) * tables.n_samples
     return first, first + between, first + 2 * between, first + 3 * between
@@ -109,31 +111,36 @@ def neutral_rows(tables, heading):
 def _drives(world, key, heading, p, rows, price, out_key, out_cost, out_action):
     # The innermost loop of every search.
     t = world.tables
-    foot, feet, base, k = world.foot, t.feet, world.base, world.constants.unevenness
+    uneven, contacts, base, k = world.uneven, t.contacts, world.base, world.constants.unevenness
     r0, r1, r2, r3 = rows
-    p0, p1, p2, p3 = p + feet[r0], p + feet[r1], p + feet[r2], p + feet[r3]
-    b = heading * len(foot) + p
+    p0, p1, p2, p3 = p + contacts[r0], p + contacts[r1], p + contacts[r2], p + contacts[r3]
+    b = heading * len(world.standable) + p
     n = 0
     for m in range(20):
         if price[m] == _INF:
             continue
         step = t.move_flat[m]
-        s0, s1, s2, s3 = foot[p0 + step], foot[p1 + step], foot[p2 + step], foot[p3 + step]
+        s0, s1, s2, s3 = uneven[p0 + step], uneven[p1 + step], uneven[p2 + step], uneven[p3 + step]
         largest = max(max(s0, s1), max(s2, s3))
         if largest == _INF:
             continue
-        under = base[b + step]
-        if under == 0:
-            under = compute_base_term(world, heading, p + step)
-        total = np.float64(max(largest, under - _ONE)) + s0 + s1 + s2 + s3
+        body = base[b + step]
+        if body == 0:
+            body = look_at_body(world, heading, p + step)
+        if body != FREE:
+            continue
+        total = np.float64(largest) + s0 + s1 + s2 + s3
         first = t.move_first[m]
         for s in range(first, first + t.move_count[m]):
-            s0, s1 = foot[p + feet[r0 + s]], foot[p + feet[r1 + s]]
-            s2, s3 = foot[p + feet[r2 + s]], foot[p + feet[r3 + s]]
-            under = base[b + t.base_sample[s]]
-            if under == 0:
-                under = compute_base_term(world, heading, p + t.base_sample[s])
-            total += np.float64(max(max(max(s0, s1), max(s2, s3)), under - _ONE)) + s0 + s1 + s2 + s3
+            s0, s1 = uneven[p + contacts[r0 + s]], uneven[p + contacts[r1 + s]]
+            s2, s3 = uneven[p + contacts[r2 + s]], uneven[p + contacts[r3 + s]]
+            body = base[b + t.base_sample[s]]
+            if body == 0:
+                body = look_at_body(world, heading, p + t.base_sample[s])
+            if body != FREE:
+                total = _INF
+                break
+            total += np.float64(max(max(s0, s1), max(s2, s3))) + s0 + s1 + s2 + s3
         if total == _INF:
             continue
         out_key[n] = key + t.move_key[m]
@@ -146,17 +153,17 @@ def _drives(world, key, heading, p, rows, price, out_key, out_cost, out_action):
 @njit(inline="always")
 def _turns(world, rules, key, heading, p, rows, out_key, out_cost, out_action, n):
     t, c = world.tables, world.constants
-    here = _summed_unevenness(world.foot, t.feet, p, rows)
+    here = _summed_unevenness(world.uneven, t.contacts, p, rows)
     for action in (TURN_LEFT, TURN_RIGHT):
         new = (heading + (1 if action == TURN_LEFT else HEADINGS - 1)) % HEADINGS
         off = (new - rules.heading_center + HEADINGS // 2) % HEADINGS - HEADINGS // 2
         if abs(off) > rules.heading_window:
             continue
-        under = world.base[new * len(world.foot) + p]
-        if under == 0:
-            under = compute_base_term(world, new, p)
-        there = _summed_unevenness(world.foot, t.feet, p, neutral_rows(t, new))
-        if under == _INF or there == _INF:
+        body = world.base[new * len(world.standable) + p]
+        if body == 0:
+            body = look_at_body(world, new, p)
+        there = _summed_unevenness(world.uneven, t.contacts, p, neutral_rows(t, new))
+        if body != FREE or there == _INF:
             continue
         out_key[n] = key + ((new - heading) << 20)
         out_cost[n] = c.turn * rules.turn_cost_factor * (1.0 + c.turn_unevenness * 0.5 * (here + there))
@@ -166,6 +173,7 @@ def _turns(world, rules, key, heading, p, rows, out_key, out_cost, out_action, n
 
 
 @njit(inline="always")
-def _summed_unevenness(foot, feet, p, rows):
+def _summed_unevenness(uneven, contacts, p, rows):
     r0, r1, r2, r3 = rows
-    return (np.float64(foot[p + feet[r0]]) + foot[p + feet[r1]]) + (np.float64(foot[p + feet[r2]]) + foot[p + feet[r3]])
+    left = np.float64(uneven[p + contacts[r0]]) + uneven[p + contacts[r1]]
+    return left + (np.float64(uneven[p + contacts[r2]]) + uneven[p + contacts[r3]])

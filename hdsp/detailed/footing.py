@@ -42,7 +42,7 @@ def find_footing(world: World, rules: Rules, counted_per_cell: float) -> Footing
     """
     from scipy.ndimage import binary_dilation, label
 
-    standable = np.isfinite(world.foot.reshape(-1, world.stride))
+    standable = world.standable.reshape(-1, world.stride)
     # Cells are connected if one action may take a foot from one to the other; turning reaches farthest.
     c = world.constants
     reach = math.floor(math.hypot(c.neutral_x, c.neutral_y) * 2 * math.pi / HEADINGS) + 1
@@ -93,11 +93,12 @@ def efforts_to(footing: Footing, world: World, goals: np.ndarray) -> np.ndarray:
 @njit()
 def _collect_steps(world, region, headings, counted_per_cell, effort):
     t, c = world.tables, world.constants
-    foot, height, swing, edge, steps, line = world.foot, world.height, world.swing, world.edge, world.steps, t.line
+    standable, height, swing, edge = world.standable, world.height, world.swing, world.edge
+    steps, line = world.steps, t.line
     stride = world.stride
     # The kernel lands on the foot's own cell, which rounding may put beside the line.
     around = (-stride - 1, -stride, -stride + 1, -1, 0, 1, stride - 1, stride, stride + 1)
-    for p in range(len(foot)):
+    for p in range(len(standable)):
         if steps[p] == 0:
             continue
         before = height[p]
@@ -114,7 +115,7 @@ def _collect_steps(world, region, headings, counted_per_cell, effort):
                     continue
                 for beside in around:
                     q = at + beside
-                    if foot[q] == np.inf:
+                    if not standable[q]:
                         continue
                     after = height[q]
                     if step_fits(before, after, max(highest, after), c.step_max_height, c.step_max_clearance):

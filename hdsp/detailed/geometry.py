@@ -60,11 +60,37 @@ def foot_cells(robot: Robot) -> np.ndarray:
     for heading in range(HEADINGS):
         turn = rotation(float(heading_angle(heading)))
         for foot, (x, y) in enumerate(neutral):
-            inward = turn @ np.array([2 * _NUDGE, -_NUDGE * np.sign(y)])
-            at = np.stack([x + offsets, np.full(len(offsets), y)], axis=1) @ turn.T + inward
+            at = np.stack([x + offsets, np.full(len(offsets), y)], axis=1) @ turn.T + _inward(turn, y)
             table[heading, foot] = np.floor(at[:, None, :] + MOVE_SAMPLES.displacement[None] + 0.5)
     table.flags.writeable = False
     return table
+
+
+@lru_cache(maxsize=8)
+def contact_cells(robot: Robot) -> np.ndarray:
+    """Cells in the middle of the contacts of the feet relative to the base cell, in the shape of ``foot_cells``.
+
+    A contact moves by whole cells: its cell at the start of a move, plus the displacement rounded as for a foot.
+    """
+    low, high = robot.offset_range()
+    neutral = robot.neutral_feet()
+    middle = (neutral - np.sign(neutral) * robot.feet.contact_inward) / RESOLUTION
+    offsets = np.arange(low, high + 1)
+    table = np.empty((HEADINGS, 4, len(offsets), len(MOVE_SAMPLES.displacement), 2), dtype=np.int64)
+    for heading in range(HEADINGS):
+        turn = rotation(float(heading_angle(heading)))
+        for foot, (x, y) in enumerate(middle):
+            inward = _inward(turn, y)
+            at = np.stack([x + offsets, np.full(len(offsets), y)], axis=1) @ turn.T + inward
+            moved = np.floor(MOVE_SAMPLES.displacement + inward + 0.5)
+            table[heading, foot] = np.floor(at + 0.5)[:, None, :] + moved[None]
+    table.flags.writeable = False
+    return table
+
+
+def _inward(turn: np.ndarray, y: float) -> np.ndarray:
+    """What decides between two cells for a foot on the side of ``y``, float64 [2]."""
+    return turn @ np.array([2 * _NUDGE, -_NUDGE * np.sign(y)])
 
 
 @lru_cache(maxsize=8)

@@ -10,7 +10,7 @@ import numpy as np
 
 from hdsp.detailed.state_costs import foot_row, merged_cost, separated, supported
 from hdsp.detailed.states import BASE_BACKWARD, BASE_FORWARD, FOOT_MOVE, STEP, pack, unpack
-from hdsp.detailed.world import base_term, cell_index, step_effort, step_fits
+from hdsp.detailed.world import body_is_free, cell_index, step_effort, step_fits
 from hdsp.jit import njit
 from hdsp.lattice import HEADINGS
 
@@ -28,19 +28,17 @@ def manoeuvres(world, key, can_step, unevenness, out_key, out_cost, out_action, 
         n: number of successors already written.
     """
     # Not inlined: what it names would have its references counted at every state, and few states get here.
-    ix, iy, heading, _, _, _, _ = unpack(key)
-    under = base_term(world, heading, cell_index(world, ix, iy))
-    n = _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n)
-    n = _base_shifts(world, key, can_step, under, unevenness, out_key, out_cost, out_action, n)
+    n = _foot_moves(world, key, unevenness, out_key, out_cost, out_action, n)
+    n = _base_shifts(world, key, can_step, unevenness, out_key, out_cost, out_action, n)
     if can_step:
-        n = _steps(world, key, under, unevenness, out_key, out_cost, out_action, n)
+        n = _steps(world, key, unevenness, out_key, out_cost, out_action, n)
     return n
 
 
 @njit(inline="always")
-def _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n):
+def _foot_moves(world, key, unevenness, out_key, out_cost, out_action, n):
     t = world.tables
-    foot, feet, k, price = world.foot, t.feet, world.constants.unevenness, world.constants.foot_move
+    uneven, contacts, k, price = world.uneven, t.contacts, world.constants.unevenness, world.constants.foot_move
     ix, iy, heading, _, _, _, _ = unpack(key)
     p = cell_index(world, ix, iy)
     for i in range(4):
@@ -51,7 +49,7 @@ def _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n)
             change = 1 - 2 * backward
             if (offset + t.lowest) * change >= 0:  # only toward neutral
                 continue
-            reached = foot[p + feet[foot_row(t, heading, i, offset + change)]]
+            reached = uneven[p + contacts[foot_row(t, heading, i, offset + change)]]
             if reached == _INF:
                 continue
             new = key + (np.int64(change) << shift)
@@ -65,11 +63,11 @@ def _foot_moves(world, key, under, unevenness, out_key, out_cost, out_action, n)
 
 
 @njit(inline="always")
-def _base_shifts(world, key, can_step, under, unevenness, out_key, out_cost, out_action, n):
+def _base_shifts(world, key, can_step, unevenness, out_key, out_cost, out_action, n):
     t = world.tables
-    foot, feet, k, price = world.foot, t.feet, world.constants.unevenness, world.constants.base_shift
+    uneven, contacts, k, price = world.uneven, t.contacts, world.constants.unevenness, world.constants.base_shift
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
-    cost = merged_cost(k, under, unevenness[0], unevenness[1], unevenness[2], unevenness[3])
+    cost = merged_cost(k, unevenness[0], unevenness[1], unevenness[2], unevenness[3])
     for action in (BASE_FORWARD, BASE_BACKWARD):
         if action == BASE_BACKWARD and not world.constants.shift_backward:
             continue
@@ -82,11 +80,12 @@ def _base_shifts(world, key, can_step, under, unevenness, out_key, out_cost, out
         if lowest < 0 or highest >= t.n_offsets:
             continue
         q = cell_index(world, ix + dx, iy + dy)
-        there = base_term(world, heading, q)
-        s0, s1 = foot[q + feet[foot_row(t, heading, 0, o0 - by)]], foot[q + feet[foot_row(t, heading, 1, o1 - by)]]
-        s2, s3 = foot[q + feet[foot_row(t, heading, 2, o2 - by)]], foot[q + feet[foot_row(t, heading, 3, o3 - by)]]
-        reached = merged_cost(k, there, s0, s1, s2, s3)
-        if reached == _INF:
+        s0 = uneven[q + contacts[foot_row(t, heading, 0, o0 - by)]]
+        s1 = uneven[q + contacts[foot_row(t, heading, 1, o1 - by)]]
+        s2 = uneven[q + contacts[foot_row(t, heading, 2, o2 - by)]]
+        s3 = uneven[q + contacts[foot_row(t, heading, 3, o3 - by)]]
+        reached = merged_cost(k, s0, s1, s2, s3)
+        if reached == _INF or not body_is_free(world, heading, q):
             continue
         out_key[n] = pack(ix + dx, iy + dy, heading, o0 - by, o1 - by, o2 - by, o3 - by)
         out_cost[n] = price * np.sqrt(np.float64(dx * dx + dy * dy)) * 0.5 * (cost + reached)
@@ -96,14 +95,15 @@ def _base_shifts(world, key, can_step, under, unevenness, out_key, out_cost, out
 
 
 @njit(inline="always")
-def _steps(world, key, under, unevenness, out_key, out_cost, out_action, n):
+def _steps(world, key, unevenness, out_key, out_cost, out_action, n):
     t = world.tables
     c = world.constants
-    foot, feet, height, swing, edge = world.foot, t.feet, world.height, world.swing, world.edge
+    standable, height, swing, edge = world.standable, world.height, world.swing, world.edge
+    uneven, feet, contacts = world.uneven, t.feet, t.contacts
     line, steps, banned = t.line, world.steps, world.banned
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     p = cell_index(world, ix, iy)
-    cost = merged_cost(c.unevenness, under, unevenness[0], unevenness[1], unevenness[2], unevenness[3])
+    cost = merged_cost(c.unevenness, unevenness[0], unevenness[1], unevenness[2], unevenness[3])
     for i in range(4):
         shift = 15 - 5 * i
         offset = (key >> shift) & 0x1F
@@ -120,7 +120,7 @@ def _steps(world, key, under, unevenness, out_key, out_cost, out_action, n):
             toward = heading if sign == 1 else (heading + HEADINGS // 2) % HEADINGS
             if (possible >> np.uint64(toward)) & np.uint64(1) == 0:
                 continue
-            if foot[at + line[toward, 1]] < _INF:  # the foot can still roll on
+            if standable[at + line[toward, 1]]:  # the foot can still roll on
                 continue
             crossed = False
             highest = before
@@ -130,8 +130,9 @@ def _steps(world, key, under, unevenness, out_key, out_cost, out_action, n):
                     break
                 highest = max(highest, swing[at + line[toward, length]])
                 crossed = crossed or edge[at + line[toward, length]]
-                landing = p + feet[foot_row(t, heading, i, to)]
-                reached = foot[landing]
+                row = foot_row(t, heading, i, to)
+                landing = p + feet[row]
+                reached = uneven[p + contacts[row]]
                 if not crossed or reached == _INF:
                     continue
                 after = height[landing]
@@ -143,7 +144,7 @@ def _steps(world, key, under, unevenness, out_key, out_cost, out_action, n):
                 s0, s1, s2, s3 = _with_foot(unevenness, i, reached)
                 effort = step_effort(c.step, c.step_per_metre, c.step_per_height, length, before, after)
                 out_key[n] = new
-                out_cost[n] = effort * 0.5 * (cost + merged_cost(c.unevenness, under, s0, s1, s2, s3))
+                out_cost[n] = effort * 0.5 * (cost + merged_cost(c.unevenness, s0, s1, s2, s3))
                 out_action[n] = STEP + 32 * i + 16 + sign * length
                 n += 1
                 break  # the nearest foothold; from there the foot can roll

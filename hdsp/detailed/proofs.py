@@ -137,10 +137,10 @@ def _new_poses(world: World) -> _Poses:
     from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 
     inner = (slice(world.pad, world.pad + world.nx), slice(world.pad, world.pad + world.ny))
-    height, foot = world.height.reshape(-1, world.stride), world.foot.reshape(-1, world.stride)
+    height, standable = world.height.reshape(-1, world.stride), world.standable.reshape(-1, world.stride)
     # Neutral feet can stand, and roll on, at every heading; so none steps.
     feet = math.hypot(world.constants.neutral_x, world.constants.neutral_y) + 3
-    even = distance_transform_edt(np.isfinite(foot))[inner] > feet
+    even = distance_transform_edt(standable)[inner] > feet
     # No heading brings the body or two feet to heights that differ enough to matter.
     window = 2 * math.ceil(feet) + 1
     highest = np.maximum(maximum_filter(height, window), world.window_height.reshape(height.shape))
@@ -230,7 +230,7 @@ def _fill_neutral(world, allowed, poses, x, y):
         poses.known[x, y] = 3
         return
     t = world.tables
-    foot, feet, height, steps = world.foot, t.feet, world.height, world.steps
+    standable, feet, height, steps = world.standable, t.feet, world.height, world.steps
     n_offsets, n_samples, neutral_offset, limit = t.n_offsets, t.n_samples, -t.lowest, world.constants.level
     step_backward = world.constants.step_backward
     p = cell_index(world, x, y)
@@ -241,7 +241,7 @@ def _fill_neutral(world, allowed, poses, x, y):
             continue
         o = neutral_offset
         p0, p1, p2, p3 = feet_cells(p, feet, n_offsets, n_samples, h, o, o, o, o)
-        if max(max(foot[p0], foot[p1]), max(foot[p2], foot[p3])) == np.inf or collides(world, h, p):
+        if not (standable[p0] and standable[p1] and standable[p2] and standable[p3]) or collides(world, h, p):
             continue
         neutral |= bit
         h0, h1, h2, h3 = height[p0], height[p1], height[p2], height[p3]
@@ -275,14 +275,15 @@ def _fill_some(world, allowed, poses, x, y):
 @njit()
 def _footless(world, p, heading):
     """Feet that find no foothold at flat cell ``p``, as bits."""
-    foothold, feet, n_offsets, n_samples = world.foot, world.tables.feet, world.tables.n_offsets, world.tables.n_samples
+    standable, feet = world.standable, world.tables.feet
+    n_offsets, n_samples = world.tables.n_offsets, world.tables.n_samples
     missing = 0
     for foot in range(4):
         row = (heading * 4 + foot) * n_offsets
-        least = np.float32(np.inf)
+        found = False
         for offset in range(n_offsets):
-            least = min(least, foothold[p + feet[(row + offset) * n_samples]])
-        missing |= (least == np.inf) << foot
+            found = found or standable[p + feet[(row + offset) * n_samples]]
+        missing |= (not found) << foot
     return missing
 
 

@@ -19,7 +19,7 @@ from hdsp.detailed.actions import MAX_SUCCESSORS, Rules, pose_successors
 from hdsp.detailed.estimate import least_foot_cost
 from hdsp.detailed.state_costs import feet_cells, foot_row, state_cost
 from hdsp.detailed.states import TURN_LEFT, TURN_RIGHT, pack
-from hdsp.detailed.world import World, base_term, cell_index
+from hdsp.detailed.world import World, body_is_free, cell_index
 from hdsp.jit import njit
 from hdsp.lattice import HEADINGS
 
@@ -369,19 +369,18 @@ def can_step_from_neutral(world, x, y, heading):
 def least_pose_cost(world, x, y, heading):
     """Least state cost at a pose over all feet; inf where no state is valid."""
     t = world.tables
-    foot, feet, n_offsets, n_samples = world.foot, t.feet, t.n_offsets, t.n_samples
+    uneven, contacts, n_offsets, n_samples = world.uneven, t.contacts, t.n_offsets, t.n_samples
     p = cell_index(world, x, y)
-    largest = base_term(world, heading, p)
-    if largest == np.inf:
+    if not body_is_free(world, heading, p):
         return np.inf
-    total = np.float32(0)
+    total = largest = np.float32(0)
     for i in range(4):
         row = foot_row(t, heading, i, 0)
         # The neutral offset first: on even ground nothing is better.
-        best = foot[p + feet[row - t.lowest * n_samples]]
+        best = uneven[p + contacts[row - t.lowest * n_samples]]
         if best > 0:
             for offset in range(n_offsets):
-                best = min(best, foot[p + feet[row + offset * n_samples]])
+                best = min(best, uneven[p + contacts[row + offset * n_samples]])
         total += best
         largest = max(largest, best)
     return 1.0 + world.constants.unevenness * (np.float64(largest) + total)

@@ -1,12 +1,12 @@
 """What a detailed state costs, where its feet are, and whether it stands.
 
-State costs are those of the paper, Sec. V-A: ``C = 1 + k (max S + sum S)``; see docs/cost-model.md.
+State costs are those of the paper, Sec. V-A: ``C = 1 + k (max S + sum S)`` over the feet; see docs/cost-model.md.
 """
 
 import numpy as np
 
 from hdsp.detailed.states import unpack
-from hdsp.detailed.world import base_term, cell_index
+from hdsp.detailed.world import body_is_free, cell_index
 from hdsp.jit import njit
 
 
@@ -16,28 +16,33 @@ def state_cost(world, key):
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     p = cell_index(world, ix, iy)
     t = world.tables
-    foot, feet = world.foot, t.feet
-    s0, s1 = foot[p + feet[foot_row(t, heading, 0, o0)]], foot[p + feet[foot_row(t, heading, 1, o1)]]
-    s2, s3 = foot[p + feet[foot_row(t, heading, 2, o2)]], foot[p + feet[foot_row(t, heading, 3, o3)]]
-    return merged_cost(world.constants.unevenness, base_term(world, heading, p), s0, s1, s2, s3)
+    if not body_is_free(world, heading, p):
+        return np.inf
+    uneven, contacts = world.uneven, t.contacts
+    s0, s1 = uneven[p + contacts[foot_row(t, heading, 0, o0)]], uneven[p + contacts[foot_row(t, heading, 1, o1)]]
+    s2, s3 = uneven[p + contacts[foot_row(t, heading, 2, o2)]], uneven[p + contacts[foot_row(t, heading, 3, o3)]]
+    return merged_cost(world.constants.unevenness, s0, s1, s2, s3)
 
 
 @njit(inline="always")
-def merged_cost(k, under, s0, s1, s2, s3):
-    """State cost C from the largest S under the body and the S of the feet (unitless)."""
-    largest = max(max(s0, s1), max(max(s2, s3), under))
+def merged_cost(k, s0, s1, s2, s3):
+    """State cost C (unitless) from S under the feet."""
+    largest = max(max(s0, s1), max(s2, s3))
     return 1.0 + k * (np.float64(largest) + s0 + s1 + s2 + s3)
 
 
 @njit(inline="always")
 def foot_row(tables, heading, foot, offset):
-    """Where the samples of a foot begin in ``tables.feet``."""
+    """Where the samples of a foot begin in ``tables.feet`` and ``tables.contacts``."""
     return ((heading * 4 + foot) * tables.n_offsets + offset) * tables.n_samples
 
 
 @njit(inline="always")
 def feet_cells(p, feet, n_offsets, n_samples, heading, o0, o1, o2, o3):
-    """Flat cells of the four feet. Takes arrays and numbers, since each tuple handed on counts references."""
+    """Flat cells of the four feet; with ``tables.contacts``, where their S is in ``world.uneven``.
+
+    Takes arrays and numbers, since each tuple handed on counts references.
+    """
     row = heading * 4 * n_offsets
     return (
         p + feet[(row + o0) * n_samples], p + feet[(row + n_offsets + o1) * n_samples],

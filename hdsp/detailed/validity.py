@@ -4,7 +4,7 @@ import numpy as np
 
 from hdsp.detailed.proofs import FOOT, Unreachable, body_hits
 from hdsp.detailed.state_costs import foot_row
-from hdsp.detailed.world import World, base_term, cell_index
+from hdsp.detailed.world import World, body_is_free, cell_index
 from hdsp.lattice import RESOLUTION, Grid, heading_angle
 from hdsp.robot import FEET, Robot
 
@@ -28,7 +28,7 @@ def problems(world: World, grid: Grid, robot: Robot, state: np.ndarray) -> list[
             found.append(f"the {name} foot is out of its reach of {limits}")
             continue
         cell = base + int(world.tables.feet[foot_row(world.tables, int(state[2]), foot, int(offsets[foot]) - low)])
-        if not np.isinf(world.foot[cell]):
+        if world.standable[cell]:
             continue
         x, y = grid.center((cell // world.stride - world.pad, cell % world.stride - world.pad))
         if world.height[cell] == -np.inf:
@@ -41,7 +41,7 @@ def problems(world: World, grid: Grid, robot: Robot, state: np.ndarray) -> list[
         if apart < robot.feet.min_separation - 1e-9:
             least = robot.feet.min_separation
             found.append(f"the {side} feet are too close to each other: {apart:.3f} m, and {least:g} m are needed")
-    if np.isinf(base_term(world, int(state[2]), base)):
+    if not body_is_free(world, int(state[2]), base):
         if world.height[base] == -np.inf:
             found.append("the ground under the base is unknown")
         else:

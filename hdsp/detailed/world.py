@@ -1,7 +1,7 @@
 """A terrain and a robot, compiled into the arrays that the search kernels read.
 
 The maps are one-dimensional with a border on which no foot can stand, so that no kernel tests bounds. What depends on
-the base alone (body collision, terrain under the body) is computed when a pose is first seen and kept.
+the base alone (whether the body is free) is computed when a pose is first seen and kept.
 """
 
 import math
@@ -15,6 +15,7 @@ from hdsp.detailed.geometry import (
     MOVE_SAMPLES,
     base_cells,
     base_shifts,
+    contact_cells,
     foot_cells,
     rectangle_cells,
     step_line,
@@ -27,9 +28,11 @@ from hdsp.robot import Robot
 
 
 class Tables(NamedTuple):
-    """What depends on the robot and the row length of the padded map, not on the terrain."""
+    """What depends on the robot and the size of the padded map, not on the terrain."""
 
     feet: np.ndarray  # int32 [64 * 4 * offsets * samples], foot cell relative to base cell
+    contacts: np.ndarray  # int32, the same, plus where in ``World.uneven`` the foot finds what it pays
+    contact_offsets: np.ndarray  # int64 [layers, 2], of the layers of ``World.uneven``
     n_offsets: int
     n_samples: int
     lowest: int  # smallest foot offset, steps
@@ -49,8 +52,6 @@ class Tables(NamedTuple):
     box_cells: np.ndarray  # int64 [boxes, 64, n]
     box_count: np.ndarray  # int64 [boxes, 64]
     box_above: np.ndarray  # float32 [boxes]
-    under_cells: np.ndarray  # int64 [64, n]
-    under_count: np.ndarray  # int64 [64]
 
 
 class Constants(NamedTuple):
@@ -84,18 +85,22 @@ class World(NamedTuple):
     ny: int
     pad: int
     stride: int
-    foot: np.ndarray  # float32 flat: S where a foot can stand, inf elsewhere
-    uneven: np.ndarray  # float32 flat: S everywhere, 0 outside
+    standable: np.ndarray  # bool flat: whether a foot can stand
+    uneven: np.ndarray  # float32 [layers * cells]: S under a foot in a cell, inf where it cannot stand; one layer for
+    # each offset from the cell of a foot to the middle of its contact (``Tables.contact_offsets``)
     height: np.ndarray  # float32 flat; -inf where unknown
     swing: np.ndarray  # float32 flat: highest cell within the clearance of a foot, inf next to unknown cells
     window_height: np.ndarray  # float32 flat: highest cell within the body's reach
-    window_uneven: np.ndarray  # float32 flat: largest S within the body's reach
     edge: np.ndarray  # bool flat: no wheel passes
     steps: np.ndarray  # uint64 flat: bit h set if a foot here can step toward heading h
     banned: np.ndarray  # int64 [n, 7]: steps that a search must not use (manoeuvres.is_banned)
-    base: np.ndarray  # float32 [64 * cells]: 1 + largest S under the body, inf on collision, 0 = not yet computed
+    base: np.ndarray  # uint8 [64 * cells]: whether the body is FREE or BLOCKED, 0 = not yet computed
     tables: Tables
     constants: Constants
+
+
+#: What ``World.base`` says of a pose.
+FREE, BLOCKED = np.uint8(1), np.uint8(2)
 
 
 @njit(inline="always")
@@ -113,15 +118,14 @@ def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) 
     pad = math.ceil(cells(robot.reach())) + 4
     stride = ny + 2 * pad
     heights = np.where(np.isnan(terrain.heights), -np.inf, terrain.heights).astype(np.float32)
-    foot = np.where(maps.standable, maps.unevenness, np.inf).astype(np.float32)
     window = 2 * math.ceil(_body_reach(robot)) + 1
 
     def padded(values, border):
         return np.pad(values, pad, constant_values=border).astype(np.float32).ravel()
 
-    tables = _tables(robot, stride)
+    tables = _tables(robot, stride, (nx + 2 * pad) * stride)
     constants = _constants(robot)
-    height, foot_flat = padded(heights, -np.inf), padded(foot, np.inf)
+    height, standable = padded(heights, -np.inf), np.pad(maps.standable, pad).ravel()
     longest = 2 * tables.line.shape[1] - 1
     near_edge = np.pad(maximum_filter(maps.edge, longest, mode="constant", cval=False), pad).ravel()
     edge = np.pad(maps.edge, pad).ravel()
@@ -129,30 +133,40 @@ def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) 
     lifted = np.where(np.isnan(terrain.heights), np.inf, terrain.heights).astype(np.float32)
     disc = disc_mask(cells(robot.feet.clearance))
     swing = padded(maximum_filter(lifted, footprint=disc, mode="constant", cval=-np.inf), np.inf)
-    steps = _possible_steps(foot_flat, height, swing, edge, near_edge, tables.line, *limits)
+    steps = _possible_steps(standable, height, swing, edge, near_edge, tables.line, *limits)
     return World(
         nx=nx,
         ny=ny,
         pad=pad,
         stride=stride,
-        foot=foot_flat,
-        uneven=padded(maps.unevenness, 0.0),
+        standable=standable,
+        uneven=_uneven_under_feet(np.pad(maps.unevenness, pad), standable, robot, tables.contact_offsets),
         height=height,
         swing=swing,
         edge=edge,
         window_height=padded(maximum_filter(heights, window, mode="constant", cval=-np.inf), -np.inf),
-        window_uneven=padded(maximum_filter(maps.unevenness, window, mode="constant", cval=0.0), 0.0),
         steps=steps,
         banned=np.empty((0, 7), dtype=np.int64),
-        base=np.zeros(HEADINGS * len(foot_flat), dtype=np.float32),
+        base=np.zeros(HEADINGS * len(standable), dtype=np.uint8),
         tables=tables,
         constants=constants,
     )
 
 
 def _body_reach(robot: Robot) -> float:
-    rectangles = (*robot.body.boxes, robot.body.unevenness)
-    return max(cells(math.hypot(max(abs(r.x_min), abs(r.x_max)), r.half_width)) for r in rectangles)
+    corners = [math.hypot(max(abs(r.x_min), abs(r.x_max)), r.half_width) for r in robot.body.boxes]
+    return cells(max(corners, default=0.0))
+
+
+def _uneven_under_feet(unevenness: np.ndarray, standable: np.ndarray, robot: Robot, offsets: np.ndarray) -> np.ndarray:
+    """``World.uneven`` from S of the padded map, float32 [nx, ny]."""
+    from scipy.ndimage import maximum_filter
+
+    size = 2 * math.floor(cells(robot.feet.contact_half_width) + 1e-9) + 1
+    largest = maximum_filter(unevenness, size, mode="constant", cval=0.0)
+    # No foothold is so near the border that its contact would come in again on the other side.
+    layers = [np.where(standable, np.roll(largest, (-dx, -dy), (0, 1)).ravel(), np.inf) for dx, dy in offsets]
+    return np.concatenate(layers).astype(np.float32)
 
 
 def _constants(robot: Robot) -> Constants:
@@ -180,21 +194,20 @@ def _constants(robot: Robot) -> Constants:
 
 
 @lru_cache(maxsize=16)
-def _tables(robot: Robot, stride: int) -> Tables:
+def _tables(robot: Robot, stride: int, size: int) -> Tables:
     def flat(offsets):
         return offsets[..., 0] * stride + offsets[..., 1]
 
     feet = flat(foot_cells(robot))
-    under = [flat(rectangle_cells(robot.body.unevenness, h)) for h in range(HEADINGS)]
+    between = contact_cells(robot) - foot_cells(robot)
+    contact_offsets, layer = np.unique(between.reshape(-1, 2), axis=0, return_inverse=True)
+    contacts = feet + layer.reshape(feet.shape) * size
     boxes = [[flat(rectangle_cells(box, h)) for h in range(HEADINGS)] for box in robot.body.boxes]
     widest = max((len(c) for box in boxes for c in box), default=0)
     box_cells = np.zeros((len(boxes), HEADINGS, widest), dtype=np.int64)
     for i, box in enumerate(boxes):
         for h, offsets in enumerate(box):
             box_cells[i, h, : len(offsets)] = offsets
-    under_cells = np.zeros((HEADINGS, max(map(len, under))), dtype=np.int64)
-    for h, offsets in enumerate(under):
-        under_cells[h, : len(offsets)] = offsets
     travel = np.arctan2(DRIVE_MOVES[:, 1], DRIVE_MOVES[:, 0])
     turned = travel[None, :] - heading_angle(np.arange(HEADINGS))[:, None]
     deviation = abs(np.mod(turned + math.pi, 2 * math.pi) - math.pi)
@@ -203,6 +216,8 @@ def _tables(robot: Robot, stride: int) -> Tables:
     straight = np.minimum(deviation, math.pi - deviation) <= robot.drive.straight_deviation + 1e-9
     return Tables(
         feet=np.ascontiguousarray(feet.astype(np.int32).ravel()),
+        contacts=np.ascontiguousarray(contacts.astype(np.int32).ravel()),
+        contact_offsets=contact_offsets,
         n_offsets=feet.shape[2],
         n_samples=feet.shape[3],
         lowest=robot.offset_range()[0],
@@ -222,22 +237,20 @@ def _tables(robot: Robot, stride: int) -> Tables:
         box_cells=box_cells,
         box_count=np.array([[len(c) for c in box] for box in boxes], dtype=np.int64).reshape(len(boxes), HEADINGS),
         box_above=np.array([box.above for box in robot.body.boxes], dtype=np.float32),
-        under_cells=under_cells,
-        under_count=np.array([len(c) for c in under], dtype=np.int64),
     )
 
 
 @njit()
-def _possible_steps(foot, height, swing, edge, near_edge, line, max_height, max_clearance):
+def _possible_steps(standable, height, swing, edge, near_edge, line, max_height, max_clearance):
     """For each cell the headings toward which a foot that stands there can step over an edge; uint64 flat."""
     n_headings, reach = line.shape
-    result = np.zeros(len(foot), dtype=np.uint64)
+    result = np.zeros(len(standable), dtype=np.uint64)
     longest = np.max(np.abs(line))
-    for p in range(longest, len(foot) - longest):
-        if not near_edge[p] or foot[p] == np.inf:
+    for p in range(longest, len(standable) - longest):
+        if not (near_edge[p] and standable[p]):
             continue
         for h in range(n_headings):
-            if foot[p + line[h, 1]] < np.inf:
+            if standable[p + line[h, 1]]:
                 continue
             crossed = False
             highest = height[p]
@@ -245,7 +258,7 @@ def _possible_steps(foot, height, swing, edge, near_edge, line, max_height, max_
                 q = p + line[h, n]
                 highest = max(highest, swing[q])
                 crossed = crossed or edge[q]
-                if crossed and foot[q] < np.inf and step_fits(height[p], height[q], highest, max_height, max_clearance):
+                if crossed and standable[q] and step_fits(height[p], height[q], highest, max_height, max_clearance):
                     result[p] |= np.uint64(1) << np.uint64(h)
                     break
     return result
@@ -264,19 +277,19 @@ def step_effort(fixed, per_metre, per_height, length, before, after):
 
 
 @njit(inline="always")
-def base_term(world, heading, p):
-    """Largest S under the body at flat cell ``p``, or inf where the body collides or leaves the map."""
-    known = world.base[heading * len(world.foot) + p]
+def body_is_free(world, heading, p):
+    """Whether the body neither collides at flat cell ``p`` nor has unknown ground under its centre."""
+    known = world.base[heading * len(world.standable) + p]
     if known == 0:
-        known = compute_base_term(world, heading, p)
-    return known - np.float32(1)
+        known = look_at_body(world, heading, p)
+    return known == FREE
 
 
 @njit(allocates=False)
-def compute_base_term(world, heading, p):
-    """Compute and keep an entry of ``world.base``: 1 + largest S under the body, or inf."""
-    known = np.float32(1) + _largest_under_body(world, heading, p)
-    world.base[heading * len(world.foot) + p] = known
+def look_at_body(world, heading, p):
+    """Compute and keep an entry of ``world.base``."""
+    known = BLOCKED if collides(world, heading, p) else FREE
+    world.base[heading * len(world.standable) + p] = known
     return known
 
 
@@ -294,18 +307,6 @@ def collides(world, heading, p):
                 if height[p + tables.box_cells[b, heading, k]] > limit:
                     return True
     return False
-
-
-@njit(allocates=False)
-def _largest_under_body(world, heading, p):
-    tables = world.tables
-    if collides(world, heading, p):
-        return np.float32(np.inf)
-    largest = np.float32(0)
-    if world.window_uneven[p] > 0:
-        for k in range(tables.under_count[heading]):
-            largest = max(largest, world.uneven[p + tables.under_cells[heading, k]])
-    return largest
 
 
 @njit(allocates=False)

@@ -23,11 +23,10 @@ TOY = {
     "name": "toy",
     "feet": {
         "neutral_x": 0.05, "neutral_y": 0.025, "offset_min": -0.05, "offset_max": 0.025, "clearance": 0.0,
-        "min_separation": 0.05, "neutral_preference": 3.0,
+        "min_separation": 0.05, "neutral_preference": 3.0, "contact_inward": 0.02, "contact_half_width": 0.025,
     },
     "body": {
         "boxes": [{"above": 0.16, "x_min": -0.05, "x_max": 0.075, "half_width": 0.025}],
-        "unevenness": {"x_min": -0.05, "x_max": 0.05, "half_width": 0.0},
     },
     "drive": {
         "max_height_difference": 0.05, "unevenness_radius": 0.05, "unevenness_cost": 0.31,

@@ -168,9 +168,11 @@ def plain_relaxed_distances(twin, start, follow):
         uneven = []
         for foot in range(4):
             states = [(x, y, heading, *([offset] * 4)) for offset in range(low, high + 1)]
-            cells = [twin.foothold(state, foot) for state in states]
-            uneven.append(min((twin.unevenness(cell) for cell in cells if twin.standable(cell)), default=np.inf))
-        return 1 + twin.robot.drive.unevenness_cost * (max([*uneven, twin.under_body((x, y), heading)]) + sum(uneven))
+            states = [state for state in states if twin.standable(twin.foothold(state, foot))]
+            uneven.append(min((twin.uneven_under_foot(state, foot) for state in states), default=np.inf))
+        if twin.collides((x, y), heading):
+            return np.inf
+        return 1 + twin.robot.drive.unevenness_cost * (max(uneven) + sum(uneven))
 
     def edges(layer, x, y, heading):
         neutral = (x, y, heading, 0, 0, 0, 0)
