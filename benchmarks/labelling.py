@@ -8,7 +8,9 @@ limits, lower bounds and proofs, and the compiled world of the map (`build_world
 - shared: `hdsp.abstract.oracle.task_costs`, all 22 goals at once;
 - separate: the same function for each goal alone: its own relaxed problem, its own lower bounds, its own search.
 
-Each call begins with an empty memory of what the body meets at a pose. Times are processor seconds of one thread.
+Each call begins with an empty memory of what the body meets at a pose. Times of this comparison are processor seconds.
+`ratio` is separate over shared; `ratio_with_world` counts the compiled world too: once a map for the shared way, once a
+task for the separate one, which then is 22 labels of one action each, made from the map.
 
 Then a label run (`hdsp.labelling_run`) of the same maps, generation and shards included, on one process and on
 `--workers`. `minutes_for_249194_tasks` is that time for the paper's training set: as many maps, dropped ones included,

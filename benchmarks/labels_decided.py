@@ -51,7 +51,7 @@ def main(argv=None) -> dict:
         "tasks": total,
         "share_per_reason": {str(status): round(count / total, 4) for status, count in sorted(reasons.items())},
         "capped_share": sum(reasons[status] for status in _CAPS) / total,
-        "most_expansions": max(expansions),
+        "most_expansions": max(expansions, default=0),
         "ms_per_map": round(1000 * seconds / arguments.maps, 1),
         "ms_per_map_kept": round(1000 * seconds / kept, 1),
         "tasks_per_s": round(total / seconds, 1),
