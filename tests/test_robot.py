@@ -108,7 +108,8 @@ def test_values_that_must_be_positive_are_named(key, value):
     assert_refused(changed(key, value), key, "positive")
 
 
-@pytest.mark.parametrize("key", ["step.cost", "step.cost_per_metre", "turn.unevenness_cost", "feet.clearance"])
+@pytest.mark.parametrize("key", ["step.cost", "step.cost_per_metre", "turn.unevenness_cost", "feet.clearance",
+                                 "feet.contact_inward", "feet.contact_half_width"])  # fmt: skip
 def test_values_that_must_not_be_negative_are_named(key):
     assert_refused(changed(key, -0.1), key, "negative")
 
@@ -116,6 +117,10 @@ def test_values_that_must_not_be_negative_are_named(key):
 def test_foot_offsets_must_include_neutral_and_fit_their_bits():
     assert_refused(changed("feet.offset_min", 0.025), "offsets", "include 0")
     assert_refused(changed("feet.offset_max", 0.8), "offsets", "span")
+
+
+def test_contacts_must_be_on_the_side_of_their_foot():
+    assert_refused(changed("feet.contact_inward", 0.03), "contact_inward", "0.025")
 
 
 def test_steps_must_be_shorter_than_an_action_code_can_say():

@@ -3,7 +3,15 @@ import math
 import numpy as np
 import pytest
 
-from hdsp.detailed.geometry import MOVE_SAMPLES, base_cells, base_shifts, foot_cells, rectangle_cells, step_line
+from hdsp.detailed.geometry import (
+    MOVE_SAMPLES,
+    base_cells,
+    base_shifts,
+    contact_cells,
+    foot_cells,
+    rectangle_cells,
+    step_line,
+)
 from hdsp.lattice import DRIVE_MOVES, HEADINGS, RESOLUTION, heading_angle, rotation
 from hdsp.robot import Rectangle, Robot
 from tests.detailed.instances import toy
@@ -20,6 +28,23 @@ def test_neutral_feet_of_momaro_are_13_and_10_cells_from_the_base():
     assert cells.tolist() == [[13, 10], [-13, 10], [-13, -10], [13, -10]]
 
 
+def test_contacts_of_momaro_are_a_cell_nearer_to_the_body_than_its_feet():
+    cells = contact_cells(Robot.load("momaro"))[0, :, 12, 0]
+    assert cells.tolist() == [[12, 9], [-12, 9], [-12, -9], [12, -9]]
+
+
+def test_contacts_turn_with_the_robot_and_follow_its_moves_by_whole_cells(robot):
+    table, low = contact_cells(robot), robot.offset_range()[0]
+    neutral = robot.neutral_feet()
+    middle = (neutral - np.sign(neutral) * robot.feet.contact_inward) / RESOLUTION
+    for heading in range(HEADINGS):
+        exact = middle @ rotation(float(heading_angle(heading))).T
+        assert abs(table[heading, :, -low, 0] - exact).max() <= 0.5 + 1e-9
+    moved = table - table[:, :, :, :1]
+    assert abs(moved - MOVE_SAMPLES.displacement).max() <= 0.5 + 1e-9
+    assert (moved == moved[:, :, :1]).all()
+
+
 def test_turned_feet_are_in_the_cell_nearest_to_their_circle(robot):
     table, low = foot_cells(robot), robot.offset_range()[0]
     for heading in range(HEADINGS):
@@ -27,9 +52,10 @@ def test_turned_feet_are_in_the_cell_nearest_to_their_circle(robot):
         assert abs(table[heading, :, -low, 0] - exact).max() <= 0.5 + 1e-9
 
 
-def test_quarter_turned_feet_are_in_quarter_turned_cells(robot):
+@pytest.mark.parametrize("cells_of", [foot_cells, contact_cells])
+def test_quarter_turned_feet_are_in_quarter_turned_cells(robot, cells_of):
     # The samples of the moves turn too: row s of the table belongs to a displacement, which has its turned twin.
-    table, quarter = foot_cells(robot), rotation(math.pi / 2)
+    table, quarter = cells_of(robot), rotation(math.pi / 2)
     at = MOVE_SAMPLES.displacement
     turned = [int(np.abs(at - shift).sum(axis=1).argmin()) for shift in at @ quarter.T]
     for heading in range(HEADINGS):
@@ -38,8 +64,9 @@ def test_quarter_turned_feet_are_in_quarter_turned_cells(robot):
         assert (base_cells()[turned] == base_cells() @ quarter.T).all()
 
 
-def test_mirrored_feet_are_in_mirrored_cells(robot):
-    table, at = foot_cells(robot), MOVE_SAMPLES.displacement
+@pytest.mark.parametrize("cells_of", [foot_cells, contact_cells])
+def test_mirrored_feet_are_in_mirrored_cells(robot, cells_of):
+    table, at = cells_of(robot), MOVE_SAMPLES.displacement
     mirrored = [int(np.abs(at - shift).sum(axis=1).argmin()) for shift in at * (1, -1)]
     for heading in range(HEADINGS):
         other = table[-heading % HEADINGS][[3, 2, 1, 0]][:, :, mirrored]
