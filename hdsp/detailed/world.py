@@ -163,10 +163,13 @@ def _uneven_under_feet(unevenness: np.ndarray, standable: np.ndarray, robot: Rob
     from scipy.ndimage import maximum_filter
 
     size = 2 * math.floor(cells(robot.feet.contact_half_width) + 1e-9) + 1
-    largest = maximum_filter(unevenness, size, mode="constant", cval=0.0)
-    # No foothold is so near the border that its contact would come in again on the other side.
-    layers = [np.where(standable, np.roll(largest, (-dx, -dy), (0, 1)).ravel(), np.inf) for dx, dy in offsets]
-    return np.concatenate(layers).astype(np.float32)
+    largest = maximum_filter(unevenness, size, mode="constant", cval=0.0).ravel()
+    footholds = np.flatnonzero(standable)
+    layers = np.full((len(offsets), len(standable)), np.inf, dtype=np.float32)
+    # No foothold is so near the border that its contact would lie beyond it.
+    for layer, (dx, dy) in zip(layers, offsets, strict=True):
+        layer[footholds] = largest[footholds + (dx * unevenness.shape[1] + dy)]
+    return layers.ravel()
 
 
 def _constants(robot: Robot) -> Constants:
