@@ -8,7 +8,7 @@ import os
 import resource
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -94,8 +94,12 @@ def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
         cluster = _slurm_cluster(settings.slurm)
     else:
         cluster = _local_cluster(settings, jobs)
-    with cluster, Client(cluster) as client:
-        yield client
+    try:
+        with Client(cluster) as client:
+            yield client
+    finally:
+        with suppress(TimeoutError):  # on a busy machine workers are slow to end; they end with this process
+            cluster.close()
 
 
 def dead_workers(cluster: "LocalCluster") -> set[Any]:

@@ -178,6 +178,20 @@ def test_maps_that_lost_several_workers_by_bad_luck_are_labelled_all_the_same(tm
     assert "have lost several workers; labelling them one by one" in capsys.readouterr().err
 
 
+def test_workers_that_are_slow_to_end_do_not_undo_what_is_done(monkeypatch):
+    from distributed import LocalCluster
+
+    close = LocalCluster.close
+
+    def slow(cluster, *arguments, **options):
+        close(cluster, *arguments, **options)
+        raise TimeoutError
+
+    with connected(ClusterSettings(workers=1, dashboard=None), jobs=1) as client:
+        monkeypatch.setattr(LocalCluster, "close", slow)
+        assert client.submit(sum, [1, 2]).result() == 3
+
+
 def test_a_store_of_one_process_takes_no_labels_of_others(tmp_path):
     place = "memory://labels/shared"
     with pytest.raises(InputError, match="seen by one process alone"):
