@@ -1,4 +1,4 @@
-"""The labels of a profile beside the paper's: `reports/labels.json`, from the shards.
+"""The labels of a profile beside the paper's, from its shards: `reports/labels.json` and the table `labels.md`.
 
     python -m pipeline.label_report profile=paper runtime.inputs=outputs/paper runtime.outputs=.
 
@@ -12,6 +12,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
+from hdsp.files import replacing
 from pipeline.label import label_run, shards_place
 from pipeline.paper import LABELS
 from pipeline.stage import Folders, run_stage, write_json
@@ -28,7 +29,10 @@ def label_report(config: DictConfig, folders: Folders) -> None:
         lines = records.read_text(encoding="utf-8").splitlines() if records.is_file() else []
         splits[split] = {**ours, "paper": LABELS.get(split), "runs": [json.loads(line) for line in lines]}
     write_json(folders.write("reports", "labels.json"), {"profile": config.profile, "splits": splits})
-    print(table(splits))
+    markdown = table(splits)
+    with replacing(folders.write("reports", "labels.md")) as path:
+        path.write_text(markdown + "\n", encoding="utf-8")
+    print(markdown)
 
 
 def table(splits: dict[str, Any]) -> str:

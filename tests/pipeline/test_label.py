@@ -46,6 +46,7 @@ def test_the_report_sets_the_labels_beside_those_of_the_paper(labelled):
     said = run_python("pipeline.label_report", *tiny(labelled)).stdout
     report = json.loads((labelled / "reports/labels.json").read_text())
     assert report["profile"] == "tiny"
+    assert (labelled / "reports/labels.md").read_text() in said
     for split in SPLITS:
         ours, counted = report["splits"][split], json.loads((labelled / f"reports/labels/{split}.json").read_text())
         assert {name: ours[name] for name in ("maps", "tasks", "feasible_share", "cost_mean")} == {
