@@ -17,6 +17,6 @@ def test_the_library_example_runs(tmp_path, monkeypatch, capsys):
 
 
 def test_every_link_to_a_file_of_the_project_leads_somewhere():
-    text = (ROOT / "README.md").read_text() + (ROOT / "docs/pipeline.md").read_text()
-    for target in re.findall(r"\]\((?!http)([^)#]+)", text):
-        assert (ROOT / target).exists(), target
+    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+        for target in re.findall(r"\]\((?!http)([^)#]+)", page.read_text()):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
