@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from hdsp.abstract.costs import AbstractCosts
+from hdsp.abstract.costs import AbstractCosts, LocalCosts, Region
 from hdsp.abstract.dijkstra import PreparedGraph
 from hdsp.abstract.transform import best_feet
 from hdsp.detailed.actions import Rules
@@ -68,8 +68,15 @@ class Heuristic(ABC):
             raise InputError(f"{self.name} heuristic: call set_goal first")
         return _estimates(self._estimate, pack_states(states, self.world.tables.lowest))
 
-    def update(self, world: World, terrain: HeightMap) -> None:
-        """Take over a changed terrain; the goal has to be set again."""
+    def update(self, world: World, terrain: HeightMap, region: Region | None = None) -> None:
+        """Take over a changed terrain; the goal has to be set again.
+
+        Args:
+            world: the terrain, compiled.
+            terrain: the terrain.
+            region: rectangle of cells (first ix, first iy, end ix, end iy) outside of which nothing has changed; None =
+                anything may have.
+        """
         self.world, self._estimate = world, None
 
 
@@ -105,14 +112,16 @@ class AbstractHeuristic(Heuristic):
         super().__init__(world)
         self.name, self.costs, self.terrain = name, costs, terrain
         self._graph: PreparedGraph | None = None
+        self._standing = np.empty(0, bool)  # of the graph
+        self._reached: tuple[tuple[int, int, int], np.ndarray] | None = None  # abstract goal, distances to it
         self._footing: Footing | None = None
 
     @property
     def graph(self) -> PreparedGraph:
         """The abstract graph of the whole map; computed when first used."""
         if self._graph is None:
-            mask = standing_states(self.world)
-            self._graph = PreparedGraph.from_edges(self.costs.edges(self.terrain, mask=mask))
+            self._standing = standing_states(self.world)
+            self._graph = PreparedGraph.from_edges(self.costs.edges(self.terrain, mask=self._standing))
         return self._graph
 
     @property
@@ -129,7 +138,7 @@ class AbstractHeuristic(Heuristic):
     def _prepare(self, goal: np.ndarray) -> Estimate:
         shape = abstract_shape(self.terrain.shape)
         a, b, k = (int(v) for v in detailed_to_abstract(goal))
-        to_go = self.graph.cost_to_go((min(a, shape[0] - 1), min(b, shape[1] - 1), k))
+        to_go = self._cost_to_go((min(a, shape[0] - 1), min(b, shape[1] - 1), k))
         finite = to_go[np.isfinite(to_go)]
         efforts = efforts_to(self.footing, self.world, goal[None])
         return with_footing(geometric_estimate(self.world, goal), self.footing, efforts)._replace(
@@ -141,9 +150,58 @@ class AbstractHeuristic(Heuristic):
             outside=float(finite.max()) if len(finite) else 0.0,
         )
 
-    def update(self, world: World, terrain: HeightMap) -> None:
-        super().update(world, terrain)
-        self.terrain, self._graph, self._footing = terrain, None, None
+    def _cost_to_go(self, goal: tuple[int, int, int]) -> np.ndarray:
+        if self._reached is None or self._reached[0] != goal:
+            self._reached = goal, self.graph.distances(goal)
+        return self._reached[1].astype(np.float32)
+
+    def update(self, world: World, terrain: HeightMap, region: Region | None = None) -> None:
+        """See ``Heuristic.update``. Where the abstraction says which states a change touches (``LocalCosts``), only
+        their edges are computed again, and only those costs-to-go of the last goal that depend on them."""
+        changed = changed_cells(self.terrain, terrain, region)
+        super().update(world, terrain, region)
+        self.terrain, self._footing = terrain, None
+        if self._graph is None or changed is None or not isinstance(self.costs, LocalCosts):
+            self._graph = self._reached = None
+            return
+        standing = standing_states(world)
+        # States at which the robot could not stand before have no edges yet.
+        stale = standing & (self.costs.affected(changed) | ~self._standing)
+        states = np.argwhere(stale | (self._standing & ~standing))
+        self._standing = standing
+        if len(states) == 0:
+            return
+        (_, *first), (_, *last) = states.min(axis=0), states.max(axis=0)
+        box = (slice(None), slice(first[0], last[0] + 1), slice(first[1], last[1] + 1))
+        edges = self.costs.edges(terrain, (*first, last[0] + 1, last[1] + 1), stale[box])
+        k, a, b = states.T
+        self._graph = self._graph.with_edges(states, edges[k, a - first[0], b - first[1]])
+        if self._reached is not None:
+            goal, distances = self._reached
+            self._reached = goal, self._graph.repaired(distances, goal, states)
+
+
+def changed_cells(before: HeightMap, after: HeightMap, region: Region | None = None) -> np.ndarray | None:
+    """The cells, bool [nx, ny], in which two height maps differ; None if they do not cover the same ground.
+
+    Args:
+        before, after: the maps.
+        region: rectangle (first ix, first iy, end ix, end iy) in which to look; None = all.
+
+    Raises:
+        InputError: the region does not lie within the map.
+    """
+    if before.shape != after.shape or before.origin != after.origin:
+        return None
+    nx, ny = after.shape
+    first_x, first_y, end_x, end_y = (0, 0, nx, ny) if region is None else (int(value) for value in region)
+    if not (0 <= first_x <= end_x <= nx and 0 <= first_y <= end_y <= ny):
+        raise InputError(f"region {tuple(region)}: need (first ix, first iy, end ix, end iy) within {nx} x {ny} cells")
+    changed = np.zeros(after.shape, bool)
+    part = slice(first_x, end_x), slice(first_y, end_y)
+    old, new = before.heights[part], after.heights[part]
+    changed[part] = (old != new) & ~(np.isnan(old) & np.isnan(new))
+    return changed
 
 
 def standing_states(world: World) -> np.ndarray:

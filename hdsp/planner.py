@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hdsp.abstract.costs import AbstractCosts
+from hdsp.abstract.costs import AbstractCosts, Region
 from hdsp.abstract.transform import feet_at
 from hdsp.detailed import anytime
 from hdsp.detailed.estimate import geometric_estimate
@@ -115,12 +115,33 @@ class Planner:
         robot: str | Path | dict | Robot = "momaro",
         heuristic: str | AbstractCosts | Heuristic = "geometric",
     ):
+        self.robot = Robot.load(robot)
+        self._take(terrain)
+        self.heuristic = self._make_heuristic(heuristic)
+
+    def _take(self, terrain: HeightMap) -> None:
         if abs(terrain.resolution - RESOLUTION) > 1e-9:
             raise InputError(f"terrain has cells of {terrain.resolution:g} m; the planner needs {RESOLUTION:g} m")
-        self.terrain, self.robot = terrain, Robot.load(robot)
+        self.terrain = terrain
         self.grid = Grid(terrain.origin, terrain.shape)
         self.world = build_world(terrain, self.robot)
-        self.heuristic = self._make_heuristic(heuristic)
+
+    def update(self, terrain: HeightMap, region: Region | None = None) -> Planner:
+        """Take over a changed terrain; returns the planner.
+
+        The learned heuristic computes again only what the changed cells touch. Plans are those of a new planner.
+
+        Args:
+            terrain: the whole height map as it is now.
+            region: rectangle of cells (first ix, first iy, end ix, end iy) outside of which nothing has changed; None =
+                anything may have. It saves a comparison, no more.
+
+        Raises:
+            InputError: for another resolution, or a region that does not lie within the map.
+        """
+        self._take(terrain)
+        self.heuristic.update(self.world, terrain, region)
+        return self
 
     def _make_heuristic(self, heuristic) -> Heuristic:
         if isinstance(heuristic, Heuristic):

@@ -8,8 +8,8 @@ from hdsp.detailed.states import pack_states
 from hdsp.detailed.world import build_world, cell_index
 from hdsp.errors import InputError
 from hdsp.heightmap import HeightMap
-from hdsp.heuristics import AbstractHeuristic, GeometricHeuristic, standing_states
-from hdsp.lattice import ABSTRACT_ACTIONS, CELLS_PER_ABSTRACT, abstract_anchor, detailed_to_abstract
+from hdsp.heuristics import AbstractHeuristic, GeometricHeuristic, changed_cells, standing_states
+from hdsp.lattice import ABSTRACT_ACTIONS, CELLS_PER_ABSTRACT, abstract_anchor, abstract_shape, detailed_to_abstract
 from hdsp.robot import Robot
 from hdsp.terrain import random_map
 from tests.detailed.instances import valid_states
@@ -136,3 +136,67 @@ def test_standing_states_are_those_with_some_valid_feet():
     for k, a, b in np.argwhere(standing)[::7].tolist() + np.argwhere(~standing)[::97].tolist():
         value, _ = twin.best_feet(*abstract_anchor(np.array([a, b, k])).tolist())
         assert standing[k, a, b] == np.isfinite(value)
+
+
+class Local(FlatCosts):
+    """Flat costs that grow with the ground under the base, and count the states they are asked for."""
+
+    asked = 0
+
+    def edges(self, height_map, region=None, mask=None):
+        edges = super().edges(height_map, region, mask)
+        first_x, first_y, end_x, end_y = region or (0, 0, *abstract_shape(height_map.shape))
+        ground = np.nan_to_num(height_map.heights[2::4, 2::4])[first_x:end_x, first_y:end_y]
+        type(self).asked += edges[..., 0].size if mask is None else int(np.sum(mask))
+        return edges * (1 + abs(ground))[None, :, :, None]
+
+    def affected(self, changed):
+        nx, ny = abstract_shape(changed.shape)
+        return np.repeat(changed[2::4, 2::4][None, :nx, :ny], 16, axis=0)
+
+
+@pytest.mark.parametrize("region", [None, (30, 30, 72, 72)])
+def test_an_update_gives_what_a_new_heuristic_would(scene, region):
+    terrain, world, states = scene
+    heuristic = AbstractHeuristic(world, terrain, Local(MOMARO))
+    heuristic.set_goal(states[0])
+    heights = terrain.heights.copy()
+    heights[36:, 40:] += 0.01  # a wheel rolls over that edge
+    heights[60:62, 60:] = 0.9
+    heights[50, 50] = np.nan
+    after = HeightMap(heights, terrain.origin)
+    new_world = build_world(after, MOMARO)
+    asked = Local.asked
+    heuristic.update(new_world, after, region)
+    assert 0 < Local.asked - asked < asked
+    fresh = AbstractHeuristic(new_world, after, Local(MOMARO))
+    for goal in (states[0], states[1]):
+        heuristic.set_goal(goal)
+        fresh.set_goal(goal)
+        np.testing.assert_array_equal(heuristic.graph.incoming, fresh.graph.incoming)
+        np.testing.assert_array_equal(heuristic(states), fresh(states))
+
+
+def test_an_update_that_changes_nothing_asks_for_nothing(scene):
+    terrain, world, states = scene
+    heuristic = AbstractHeuristic(world, terrain, Local(MOMARO))
+    heuristic.set_goal(states[0])
+    before, asked = heuristic(states), Local.asked
+    heuristic.update(build_world(terrain, MOMARO), HeightMap(terrain.heights.copy(), terrain.origin))
+    heuristic.set_goal(states[0])
+    assert Local.asked == asked
+    np.testing.assert_array_equal(heuristic(states), before)
+
+
+def test_changed_cells_are_told_apart_from_unknown_ones():
+    before = np.zeros((4, 5), np.float32)
+    before[1, 1] = before[2, 2] = np.nan
+    after = before.copy()
+    after[1, 1], after[0, 4], after[3, 3] = 0.0, np.nan, 0.1
+    changed = changed_cells(HeightMap(before), HeightMap(after))
+    assert np.argwhere(changed).tolist() == [[0, 4], [1, 1], [3, 3]]
+    inside = changed_cells(HeightMap(before), HeightMap(after), (0, 0, 2, 2))
+    assert np.argwhere(inside).tolist() == [[1, 1]]
+    assert changed_cells(HeightMap(before), HeightMap(after[1:])) is None
+    with pytest.raises(InputError, match="region"):
+        changed_cells(HeightMap(before), HeightMap(after), (0, 0, 5, 5))

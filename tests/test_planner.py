@@ -175,6 +175,21 @@ def test_a_planner_refuses_what_it_cannot_plan_on_or_with(flat):
         Planner(flat.terrain, robot="spot")
 
 
+@pytest.mark.parametrize("heuristic", ["geometric", "manual"])
+def test_after_an_update_plans_are_those_of_a_new_planner(heuristic):
+    start, goal = (0.9, 0.9, 0.0), (1.7, 1.0, 0.0)
+    planner = Planner(HeightMap.flat((100, 80)), heuristic=heuristic)
+    before = planner.plan(start, goal, 1.25)
+    heights = np.zeros((100, 80), np.float32)
+    heights[50:54, 20:60] = 0.02
+    plan = planner.update(HeightMap(heights), (50, 20, 54, 60)).plan(start, goal, 1.25)
+    fresh = Planner(HeightMap(heights), heuristic=heuristic).plan(start, goal, 1.25)
+    assert plan.cost == fresh.cost > before.cost
+    np.testing.assert_array_equal(plan.states, fresh.states)
+    with pytest.raises(InputError, match=r"0\.05 m"):
+        planner.update(HeightMap(heights, resolution=0.05))
+
+
 def test_valid_tells_where_the_robot_can_stand(flat):
     assert flat.valid(START) and flat.valid((*START, 0.1, 0, 0, 0))
     assert not flat.valid((0.1, 0.1, 0.0))

@@ -1,12 +1,13 @@
 """The abstract representation: costs of abstract actions, their search, and the way from and to detailed states."""
 
-from hdsp.abstract.costs import AbstractCosts, FlatCosts, TaskPredictor
+from hdsp.abstract.costs import AbstractCosts, FlatCosts, LocalCosts, TaskPredictor
 from hdsp.abstract.dijkstra import PreparedGraph, cost_to_go
 from hdsp.abstract.manual import ManualCosts, ManualSettings
 
 __all__ = [
     "AbstractCosts",
     "FlatCosts",
+    "LocalCosts",
     "ManualCosts",
     "ManualSettings",
     "PreparedGraph",

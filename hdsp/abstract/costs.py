@@ -67,6 +67,22 @@ class AbstractCosts(Protocol):
 
 
 @runtime_checkable
+class LocalCosts(AbstractCosts, Protocol):
+    """Costs that say which states a change of the map can touch, so that the others need not be computed again."""
+
+    def affected(self, changed: np.ndarray) -> np.ndarray:
+        """The states with an action whose cost may change.
+
+        Args:
+            changed: bool [nx, ny], the cells of a height map whose heights change.
+
+        Returns:
+            bool [16, nx // 4, ny // 4].
+        """
+        ...
+
+
+@runtime_checkable
 class TaskPredictor(Protocol):
     """Judges single tasks: patches with goals."""
 

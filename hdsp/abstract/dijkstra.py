@@ -8,6 +8,7 @@ many buckets they are made wider, and a state that improves after its visit is v
 
 from __future__ import annotations
 
+import heapq
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -77,8 +78,57 @@ class PreparedGraph:
         """Abstract cells along x and y."""
         return self.incoming.shape[1], self.incoming.shape[2]
 
+    def with_edges(self, states: np.ndarray, costs: np.ndarray) -> PreparedGraph:
+        """A graph that differs in the edges of some states.
+
+        Args:
+            states: int64 [n, 3], (heading, ix, iy).
+            costs: float32 [n, 22], all edges of these states.
+
+        Raises:
+            InputError: a cost is negative or NaN.
+        """
+        costs = np.ascontiguousarray(costs, dtype=np.float32)
+        if not (costs >= 0).all():
+            raise InputError(f"abstract edges contain the cost {costs[~(costs >= 0)][0]}, costs must be >= 0")
+        incoming = self.incoming.copy()
+        _replace(incoming, np.ascontiguousarray(states, np.int64), costs, ABSTRACT_ACTIONS)
+        finite = costs[np.isfinite(costs)]
+        # Bounds are all that is needed of these two; they need not be reached.
+        cheapest, dearest = (float(finite.min()), float(finite.max())) if len(finite) else (np.inf, 0.0)
+        return PreparedGraph(incoming, min(cheapest, self.cheapest), max(dearest, self.dearest))
+
     def cost_to_go(self, goal_abstract: tuple[int, int, int]) -> np.ndarray:
         """Float32 [16, nx, ny], cost from every state to the goal `(ix, iy, heading)`; see function `cost_to_go`."""
+        return self.distances(goal_abstract).astype(np.float32)
+
+    def repaired(self, distances: np.ndarray, goal_abstract: tuple[int, int, int], states: np.ndarray) -> np.ndarray:
+        """What `distances` gives, from its result on a graph that differs in the edges of some states.
+
+        Only states whose cost-to-go changes are looked at, and those next to them (Ramalingam & Reps 1996): from the
+        goal outwards, those are given up whose cost no successor accounts for any more; they, and states that a changed
+        edge brings closer, are then searched anew.
+
+        Args:
+            distances: float64 [16, nx, ny], of that other graph, for the same goal.
+            goal_abstract: the goal.
+            states: int64 [n, 3], (heading, ix, iy), the states whose edges differ.
+        """
+        finite = distances[np.isfinite(distances)]
+        # A cost too small to be seen in a sum leaves open which of two states accounts for the other.
+        if not finite.max() + self.cheapest > finite.max():
+            return self.distances(goal_abstract)
+        ix, iy, heading = (int(value) for value in goal_abstract)
+        nx, ny = self.shape
+        k, a, b = np.asarray(states, np.int64).T
+        flat = np.pad(distances.ravel(), self._margin, constant_values=np.inf)
+        goal = (heading * nx + ix) * ny + iy + self._margin
+        sources = (k * nx + a) * ny + b + self._margin
+        _repair(self.incoming.reshape(-1), self._offsets, flat, self._margin, goal, sources)
+        return flat[self._margin : len(flat) - self._margin].reshape(distances.shape)
+
+    def distances(self, goal_abstract: tuple[int, int, int]) -> np.ndarray:
+        """As `cost_to_go`, before rounding: float64 [16, nx, ny]."""
         ix, iy, heading = (int(value) for value in goal_abstract)
         nx, ny = self.shape
         if not (0 <= ix < nx and 0 <= iy < ny and 0 <= heading < ABSTRACT_HEADINGS):
@@ -91,7 +141,7 @@ class PreparedGraph:
         while not _search(self.incoming.reshape(-1), self._offsets, queue, self._margin, 1.0 / width):
             queue = queue.with_more_room()
         inside = queue.distance[self._margin : len(queue.distance) - self._margin]
-        return inside.astype(np.float32).reshape(ABSTRACT_HEADINGS, nx, ny)
+        return inside.reshape(ABSTRACT_HEADINGS, nx, ny)
 
     @property
     def _margin(self) -> int:
@@ -221,3 +271,84 @@ def _search(incoming, offsets, queue, margin, per_width):
                     fullest = max(fullest, end + 1)
             last = filled[current]
         filled[current] = 0
+
+
+@njit(cache=True)
+def _replace(incoming, states, costs, actions):
+    headings, nx, ny, count = incoming.shape
+    for n in range(len(states)):
+        k, a, b = states[n]
+        for m in range(count):
+            to_a = a + actions[m, 0]
+            to_b = b + actions[m, 1]
+            if 0 <= to_a < nx and 0 <= to_b < ny:
+                incoming[(k + actions[m, 2]) % headings, to_a, to_b, m] = costs[n, m]
+
+
+@njit(cache=True, error_model="numpy")
+def _repair(incoming, offsets, distance, margin, goal, sources):
+    """Brings `distance` up to date in place. Flat arrays and indices as in `_search`."""
+    given_up = np.zeros(len(distance), np.bool_)
+    queued = np.zeros(len(distance), np.bool_)
+    lost = [np.int64(0) for _ in range(0)]
+    # By former cost: whatever may account for a state has been settled when its turn comes.
+    waiting = [(distance[state], state) for state in sources if state != goal and distance[state] < np.inf]
+    for _, state in waiting:
+        queued[state] = True
+    heapq.heapify(waiting)
+    while waiting:
+        former, state = heapq.heappop(waiting)
+        if _least(incoming, offsets, distance, given_up, margin, state) <= former:
+            continue
+        given_up[state] = True
+        lost.append(state)
+        for action in range(N_ABSTRACT_ACTIONS):
+            before = _neighbour(state, offsets[action], action, margin, len(distance))
+            cost = incoming[(state - margin) * N_ABSTRACT_ACTIONS + action]
+            if cost < np.inf and not queued[before] and before != goal and distance[before] == former + cost:
+                queued[before] = True
+                heapq.heappush(waiting, (distance[before], before))
+    for state in lost:
+        distance[state] = np.inf
+    for group in range(2):
+        for state in lost if group == 0 else list(sources):
+            least = _least(incoming, offsets, distance, given_up, margin, state)
+            if least < distance[state]:
+                distance[state] = least
+                waiting.append((least, state))
+    heapq.heapify(waiting)
+    while waiting:
+        reached, state = heapq.heappop(waiting)
+        if reached > distance[state]:
+            continue
+        for action in range(N_ABSTRACT_ACTIONS):
+            further = reached + np.float64(incoming[(state - margin) * N_ABSTRACT_ACTIONS + action])
+            if further < np.inf:
+                before = _neighbour(state, offsets[action], action, margin, len(distance))
+                if further < distance[before]:
+                    distance[before] = further
+                    heapq.heappush(waiting, (further, before))
+
+
+@njit(cache=True, inline="always")
+def _neighbour(state, offset, action, margin, length):
+    """The state an offset leads to; headings are a circle for turns."""
+    index = state + offset
+    if action >= N_DRIVE:
+        states = length - 2 * margin
+        if index < margin:
+            index += states
+        elif index >= length - margin:
+            index -= states
+    return index
+
+
+@njit(cache=True)
+def _least(incoming, offsets, distance, given_up, margin, state):
+    """Least cost by way of a successor that was not given up."""
+    least = np.inf
+    for action in range(N_ABSTRACT_ACTIONS):
+        after = _neighbour(state, -offsets[action], action, margin, len(distance))
+        if distance[after] < np.inf and not given_up[after]:
+            least = min(least, distance[after] + np.float64(incoming[(after - margin) * N_ABSTRACT_ACTIONS + action]))
+    return least

@@ -64,6 +64,10 @@ class HeightEncoding:
         """Plain mapping that ``from_config`` reads back."""
         return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
 
+    def is_local(self) -> bool:
+        """Whether each encoded cell depends on that cell alone, and not on the patch it is seen in."""
+        return self.reference == "none" and self.channels == ("height",)
+
     def __call__(self, heights: Tensor) -> Tensor:
         """Encodes patches.
 

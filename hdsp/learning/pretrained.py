@@ -27,6 +27,7 @@ from hdsp.files import existing_file
 from hdsp.learning.hardware import HardwareSettings, autocast
 from hdsp.learning.metrics import MINIMUM_COST
 from hdsp.learning.networks import ModelSettings, TaskNetwork, build_network
+from hdsp.learning.networks.dense import DenseTrunk
 from hdsp.learning.settings import settings_from
 from hdsp.robot import Robot
 
@@ -121,6 +122,27 @@ class LearnedAbstraction:
             probability[part] = logits.sigmoid().cpu().numpy()
             cost[part] = predicted.clamp_min(MINIMUM_COST).cpu().numpy()
         return probability, cost
+
+    @torch.inference_mode()
+    def predict_windows(
+        self, trunk: DenseTrunk, heights: np.ndarray, corners: np.ndarray, goals: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """As ``predict`` with the same goals for all, for patches that are windows of one array.
+
+        Args:
+            trunk: the network's.
+            heights: float32 [nx, ny], metres, NaN = unknown; with ``trunk.margin`` cells around the patches.
+            corners: int64 [n, 2], lower corners of the patches, relative to cell (margin, margin) of ``heights``.
+            goals: float32 [G, 3] in abstract steps in the robot frame.
+        """
+        network = self.network
+        with autocast(self.device, self.hardware.uses_bfloat16()):
+            encoded = network.encoding(torch.from_numpy(heights)[None, None].to(self.device))
+            # Channels innermost, as the weights are.
+            dense = trunk(encoded.contiguous(memory_format=torch.channels_last))
+        features = trunk.windows(dense.float(), torch.from_numpy(corners).to(self.device))
+        cost, logits = network.goal_part(features, torch.from_numpy(goals).to(self.device).expand(len(corners), -1, -1))
+        return (logits.sigmoid() > 0.5).cpu().numpy(), cost.clamp_min(MINIMUM_COST).cpu().numpy()
 
     def _evaluate(self, patches: np.ndarray, goals: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         heights = torch.tensor(patches)[:, None].to(self.device, memory_format=torch.channels_last)

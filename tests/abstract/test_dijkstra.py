@@ -104,3 +104,52 @@ def test_a_search_that_outgrows_its_queue_goes_on(monkeypatch):
     expected = naive_abstract.cost_to_go(edges, (20, 4, 2)).astype(np.float32)
     np.testing.assert_array_equal(cost_to_go(edges, (20, 4, 2)), expected)
     assert grown
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    shape=st.tuples(st.integers(1, 6), st.integers(1, 6)),
+    blocked=st.sampled_from([0.0, 0.3, 0.8, 0.95]),
+    free=st.sampled_from([0.0, 0.1]),
+    share=st.sampled_from([0.0, 0.02, 0.3, 1.0]),
+    data=st.data(),
+)
+def test_repaired_distances_are_those_of_the_changed_graph(seed, shape, blocked, free, share, data):
+    edges = random_edges(seed, *shape, blocked=blocked, free=free)
+    # Few distinct costs: many ties, so that states have several ways to account for their cost.
+    edges = (np.ceil(edges * data.draw(st.sampled_from([4, 1000]))) / 8).astype(np.float32)
+    rng = np.random.default_rng(seed + 1)
+    changed = edges.copy()
+    states = np.argwhere(rng.random(edges.shape[:3]) < share)
+    some = rng.random((len(states), 22)) < 0.5
+    new = rng.choice(edges[np.isfinite(edges)], some.shape) if np.isfinite(edges).any() else np.ones(some.shape)
+    new[rng.random(some.shape) < blocked] = np.inf
+    changed[tuple(states.T)] = np.where(some, new, changed[tuple(states.T)])
+    goal = tuple(data.draw(st.integers(0, size - 1)) for size in (*shape, 16))
+
+    before = PreparedGraph.from_edges(edges)
+    after = before.with_edges(states, changed[tuple(states.T)])
+    expected = PreparedGraph.from_edges(changed)
+    np.testing.assert_array_equal(after.incoming, expected.incoming)
+    repaired = after.repaired(before.distances(goal), goal, states)
+    np.testing.assert_array_equal(repaired, expected.distances(goal))
+
+
+def test_a_wall_in_a_large_map_is_repaired():
+    edges = random_edges(2, 60, 50, blocked=0.1)
+    before = PreparedGraph.from_edges(edges)
+    goal = (5, 5, 0)
+    states = np.argwhere(np.ones((16, 60, 50), bool))
+    wall = states[(states[:, 1] >= 30) & (states[:, 1] < 32) & (states[:, 2] > 3)]
+    edges[tuple(wall.T)] = np.inf
+    after = before.with_edges(wall, np.full((len(wall), 22), np.inf, np.float32))
+    repaired = after.repaired(before.distances(goal), goal, wall)
+    np.testing.assert_array_equal(repaired, PreparedGraph.from_edges(edges).distances(goal))
+    assert np.isinf(repaired[tuple(wall.T)]).all()
+
+
+def test_refuses_changed_costs_that_are_no_costs():
+    graph = PreparedGraph.from_edges(random_edges(1, 3, 3))
+    with pytest.raises(InputError, match=r"cost -1\.0"):
+        graph.with_edges(np.array([[0, 1, 1]]), np.full((1, 22), -1.0))

@@ -5,6 +5,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hdsp.learning.encoding import HeightEncoding
+from hdsp.learning.networks.dense import DenseTrunk
 
 
 class TaskNetwork(nn.Module):
@@ -26,6 +27,16 @@ class TaskNetwork(nn.Module):
     def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
         """Cost [B, G] and feasibility logits [B, G] of features [B, F] and goals [B, G, 3]."""
         raise NotImplementedError
+
+    def dense_trunk(self) -> DenseTrunk | None:
+        """What computes ``map_part`` for all patches of a map at once; None if the architecture has no such trunk."""
+        return None
+
+    def is_dense(self) -> bool:
+        """Whether dense evaluation gives what the evaluation of each patch gives: no padding, and heights that are
+        encoded alike in all patches."""
+        trunk = self.dense_trunk()
+        return trunk is not None and trunk.exact and self.encoding.is_local()
 
     def forward(self, heights: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
         """Evaluates tasks.

@@ -1,0 +1,170 @@
+"""Costs of all abstract actions of a 10 x 10 m map: dense against per patch, and an update of 1 m2.
+
+    python -m benchmarks.edges [--size 10] [--sample 0.01] [--threads 2] [--precision 32]
+
+Prints one JSON line last. The network is the paper's without zero padding, its weights random: neither speed nor
+equality depends on training. No two patches of the map are equal, so that none is spared.
+
+`dense_s` is the whole map. `patches_s` is the evaluation of a random sample of its states, patch by patch with one
+trunk evaluation for 22 actions, times states / sample. On the sample the two are compared: `largest_difference` of
+costs, and the share of actions that only one of them calls feasible. `update_ratio` compares an update after the
+heights of 1 m2 in the middle of the map changed, edges, graph and Dijkstra, to the same for the whole map;
+`update_identical` says whether both lead to the same bits.
+
+`padded_*`: dense evaluation of the published network, an approximation, against its exact evaluation on the sample: the
+map goes on where the patch has zeros, and the base stands up to half a cell off. Again the share of actions judged
+differently, and the mean difference of costs relative to the mean cost.
+"""
+
+import argparse
+import json
+
+import numpy as np
+
+from benchmarks.dijkstra import timed
+
+CELLS_PER_METRE = 40
+
+
+def main(argv=None) -> dict:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", type=float, default=10.0, help="metres along each side of the map, 3 or more")
+    parser.add_argument("--sample", type=float, default=0.01, help="share of the states evaluated patch by patch")
+    parser.add_argument("--threads", type=int, help="of torch; default: its own choice")
+    parser.add_argument("--precision", choices=("32", "bf16"), default="32")
+    parser.add_argument("--device", choices=("cpu", "gpu"), default="cpu")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args(argv)
+
+    from hdsp.abstract import PreparedGraph
+    from hdsp.heightmap import HeightMap
+    from hdsp.lattice import abstract_shape
+    from hdsp.learning import HardwareSettings, LearnedCosts
+
+    hardware = HardwareSettings(arguments.device, arguments.precision, arguments.threads)
+    hardware.apply_threads()
+    network = random_abstraction(hardware, architecture="klamt2019", options={"padded": False})
+    dense, patches = LearnedCosts(network), LearnedCosts(network, method="patches")
+    before = rough_map((round(arguments.size * CELLS_PER_METRE),) * 2, arguments.seed)
+    shape = (16, *abstract_shape(before.shape))
+    sample = np.random.default_rng(arguments.seed).random(shape) < arguments.sample
+    goal = (shape[1] // 4, shape[2] // 3, 0)
+
+    # A small map first: kernels are compiled, and libraries choose their algorithms.
+    small = HeightMap(before.heights[:100, :100])
+    update(dense, small, small.heights > 0.19, PreparedGraph.from_edges(dense.edges(small)), (0, 0, 0))
+    patches.edges(small, mask=sample[:, :25, :25])
+
+    dense_s, edges = timed(np.inf, lambda: dense.edges(before))
+    found = edges[sample]
+    sample_s, expected = timed(np.inf, lambda: patches.edges(before, mask=sample))
+    patches_s = sample_s * sample.size / sample.sum()
+
+    changed = np.zeros(before.shape, bool)
+    low = (before.shape[0] - CELLS_PER_METRE) // 2
+    changed[low : low + CELLS_PER_METRE, low : low + CELLS_PER_METRE] = True
+    after = HeightMap(np.where(changed, before.heights.T + np.float32(0.1), before.heights))
+    graph = PreparedGraph.from_edges(edges)
+    distances = graph.distances(goal)
+    update_s, (updated, repaired) = timed(np.inf, lambda: update(dense, after, changed, graph, goal, distances))
+    whole_edges_s, edges = timed(np.inf, lambda: dense.edges(after))
+    whole_search_s, (whole, anew) = timed(np.inf, lambda: search(edges, goal))
+    result = {
+        "size": arguments.size,
+        "states": int(sample.size),
+        "precision": arguments.precision,
+        "dense_s": dense_s,
+        "patches_s": patches_s,
+        "sampled_states": int(sample.sum()),
+        "ratio": patches_s / dense_s,
+        **differences(found, expected[sample]),
+        "affected_states": float(dense.affected(changed).mean()),
+        "update_s": update_s,
+        "whole_s": whole_edges_s + whole_search_s,
+        "update_ratio": update_s / (whole_edges_s + whole_search_s),
+        "update_identical": bool(np.array_equal(updated.incoming, whole.incoming) and np.array_equal(repaired, anew)),
+        **approximation(hardware, before, sample),
+    }
+    print(json.dumps({key: round(value, 7) if isinstance(value, float) else value for key, value in result.items()}))
+    return result
+
+
+def update(costs, terrain, changed: np.ndarray, graph, goal, distances=None):
+    """The graph and the distances to the goal after the heights of some cells have changed to those of ``terrain``."""
+    affected = costs.affected(changed)
+    states = np.argwhere(affected)
+    edges = costs.edges(terrain, mask=affected)
+    graph = graph.with_edges(states, edges[affected])
+    return graph, graph.repaired(graph.distances(goal) if distances is None else distances, goal, states)
+
+
+def search(edges: np.ndarray, goal):
+    """The graph of edges, and the distances to the goal."""
+    from hdsp.abstract import PreparedGraph
+
+    graph = PreparedGraph.from_edges(edges)
+    return graph, graph.distances(goal)
+
+
+def differences(found: np.ndarray, expected: np.ndarray) -> dict:
+    """How two ways to the same costs [n, 22] differ."""
+    both = np.isfinite(found) & np.isfinite(expected)
+    return {
+        "feasible": float(np.isfinite(expected).mean()),
+        "differently_feasible": float((np.isfinite(found) != np.isfinite(expected)).mean()),
+        "largest_difference": float(abs(found[both] - expected[both]).max()),
+        "mean_cost": float(expected[both].mean()),
+        "spread_of_costs": float(expected[both].std()),
+    }
+
+
+def approximation(hardware, terrain, sample: np.ndarray) -> dict:
+    """How far the dense evaluation of the published network is from its exact one, on some states."""
+    from hdsp.learning import LearnedCosts
+
+    network = random_abstraction(hardware, architecture="klamt2019")
+    exact = LearnedCosts(network).edges(terrain, mask=sample)[sample]
+    found = LearnedCosts(network, method="dense").edges(terrain, mask=sample)[sample]
+    both = np.isfinite(found) & np.isfinite(exact)
+    return {
+        "padded_differently_feasible": float((np.isfinite(found) != np.isfinite(exact)).mean()),
+        "padded_mean_difference": float(abs(found[both] - exact[both]).mean() / exact[both].mean()),
+    }
+
+
+def rough_map(shape: tuple[int, int], seed: int):
+    """Noise, blocks and unknown cells: no two patches are equal."""
+    from hdsp.heightmap import HeightMap
+
+    random = np.random.default_rng(seed)
+    heights = random.uniform(0, 0.2, shape).astype(np.float32)
+    for low in random.integers(0, np.maximum(np.subtract(shape, 20), 1), (heights.size // 2000, 2)):
+        heights[low[0] : low[0] + 20, low[1] : low[1] + 12] += random.uniform(0, 0.5)
+    heights[random.random(shape) < 0.02] = np.nan
+    return HeightMap(heights)
+
+
+def random_abstraction(hardware, **settings):
+    """An abstraction with a random network; its last layer is set such that about half of all actions are feasible, and
+    costs vary as true ones do."""
+    import torch
+
+    from hdsp.lattice import robot_frame_goals
+    from hdsp.learning import LearnedAbstraction, ModelSettings, build_network
+
+    torch.manual_seed(3)
+    model = ModelSettings(**settings)
+    network = build_network(model).eval()
+    heights = torch.tensor(rough_map((16 * 72, 72), seed=1).heights).view(16, 1, 72, 72)
+    with torch.inference_mode():
+        cost, logits = network(heights, torch.tensor(robot_frame_goals(1)).expand(16, -1, -1))
+    with torch.no_grad():
+        for row, values, center, spread in ((0, cost, 0.5, 0.1), (1, logits, 0.0, 1.0)):
+            factor = spread / values.std()
+            network.heads.weight[row] *= factor
+            network.heads.bias[row] = center - factor * values.median()
+    return LearnedAbstraction(network, model, hardware=hardware)
+
+
+if __name__ == "__main__":
+    main()
