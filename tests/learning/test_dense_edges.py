@@ -131,7 +131,7 @@ def test_patches_of_a_turned_map(heading):
 def test_the_benchmark_counts_and_compares(capsys):
     from benchmarks import edges
 
-    result = edges.main(["--size", "3", "--sample", "0.01"])
+    result = edges.main(["--size", "1.5", "--sample", "0.02"])
     assert result["update_identical"]
     assert result["largest_difference"] < 1e-4
     assert result["differently_feasible"] < 1e-3
