@@ -19,6 +19,7 @@ from hdsp.abstract.prefetch import prefetch
 from hdsp.errors import InputError
 from hdsp.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, DRIVE_MOVES, N_ABSTRACT_ACTIONS
 
+REPAIRED_SHARE = 16  # a repair that has to look at more than one state in so many takes longer than a new search
 AHEAD = 3  # visits between the request of a row of costs and its use
 N_DRIVE = len(DRIVE_MOVES)  # the abstract actions are these moves, then the turns
 MAX_BUCKETS = 256  # a power of two; more of them take memory, fewer only repeat a few visits
@@ -107,7 +108,7 @@ class PreparedGraph:
 
         Only states whose cost-to-go changes are looked at, and those next to them (Ramalingam & Reps 1996): from the
         goal outwards, those are given up whose cost no successor accounts for any more; they, and states that a changed
-        edge brings closer, are then searched anew.
+        edge brings closer, are then searched anew. Where these are many, all states are: that is faster then.
 
         Args:
             distances: float64 [16, nx, ny], of that other graph, for the same goal.
@@ -124,7 +125,9 @@ class PreparedGraph:
         flat = np.pad(distances.ravel(), self._margin, constant_values=np.inf)
         goal = (heading * nx + ix) * ny + iy + self._margin
         sources = (k * nx + a) * ny + b + self._margin
-        _repair(self.incoming.reshape(-1), self._offsets, flat, self._margin, goal, sources)
+        most = distances.size // REPAIRED_SHARE
+        if not _repair(self.incoming.reshape(-1), self._offsets, flat, self._margin, goal, sources, most):
+            return self.distances(goal_abstract)
         return flat[self._margin : len(flat) - self._margin].reshape(distances.shape)
 
     def distances(self, goal_abstract: tuple[int, int, int]) -> np.ndarray:
@@ -286,11 +289,13 @@ def _replace(incoming, states, costs, actions):
 
 
 @njit(cache=True, error_model="numpy")
-def _repair(incoming, offsets, distance, margin, goal, sources):
-    """Brings `distance` up to date in place. Flat arrays and indices as in `_search`."""
+def _repair(incoming, offsets, distance, margin, goal, sources, most):
+    """Brings `distance` up to date in place; flat arrays and indices as in `_search`. False if more than `most` states
+    would have to be given up or be searched anew; `distance` is then good for nothing."""
     given_up = np.zeros(len(distance), np.bool_)
     queued = np.zeros(len(distance), np.bool_)
-    lost = [np.int64(0) for _ in range(0)]
+    lost = np.empty(most, np.int64)
+    count = 0
     # By former cost: whatever may account for a state has been settled when its turn comes.
     waiting = [(distance[state], state) for state in sources if state != goal and distance[state] < np.inf]
     for _, state in waiting:
@@ -300,27 +305,34 @@ def _repair(incoming, offsets, distance, margin, goal, sources):
         former, state = heapq.heappop(waiting)
         if _least(incoming, offsets, distance, given_up, margin, state) <= former:
             continue
+        if count == most:
+            return False
         given_up[state] = True
-        lost.append(state)
+        lost[count] = state
+        count += 1
         for action in range(N_ABSTRACT_ACTIONS):
             before = _neighbour(state, offsets[action], action, margin, len(distance))
             cost = incoming[(state - margin) * N_ABSTRACT_ACTIONS + action]
             if cost < np.inf and not queued[before] and before != goal and distance[before] == former + cost:
                 queued[before] = True
                 heapq.heappush(waiting, (distance[before], before))
-    for state in lost:
+    for state in lost[:count]:
         distance[state] = np.inf
-    for group in range(2):
-        for state in lost if group == 0 else list(sources):
+    for group in (lost[:count], sources):
+        for state in group:
             least = _least(incoming, offsets, distance, given_up, margin, state)
             if least < distance[state]:
                 distance[state] = least
                 waiting.append((least, state))
     heapq.heapify(waiting)
+    count = 0
     while waiting:
         reached, state = heapq.heappop(waiting)
         if reached > distance[state]:
             continue
+        if count == 2 * most:
+            return False
+        count += 1
         for action in range(N_ABSTRACT_ACTIONS):
             further = reached + np.float64(incoming[(state - margin) * N_ABSTRACT_ACTIONS + action])
             if further < np.inf:
@@ -328,6 +340,7 @@ def _repair(incoming, offsets, distance, margin, goal, sources):
                 if further < distance[before]:
                     distance[before] = further
                     heapq.heappush(waiting, (further, before))
+    return True
 
 
 @njit(cache=True, inline="always")

@@ -155,8 +155,8 @@ class LearnedCosts:
             if not asked.any():
                 continue
             window = turned.window(tile * TILE - lattice.PATCH_CENTER - margin, (side, side))
-            # All states of the tile and not only those asked for: sums of another number of rows may round otherwise.
-            feasible, cost = self.abstraction.predict_windows(self._trunk, window, cells[members] - tile * TILE, goals)
+            corners = cells[members] - tile * TILE
+            feasible, cost = self.abstraction.predict_windows(self._trunk, window, corners, asked, goals)
             costs = np.where(feasible, cost, np.float32(np.inf))
             yield states[members[asked]] - first, costs[asked]
 
@@ -174,11 +174,11 @@ def _anchors(states: np.ndarray, heading: int) -> np.ndarray:
 
 def _grouped(keys: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Each distinct row of keys [n, 2] with the numbers of the rows that equal it."""
-    tiles, which = np.unique(keys, axis=0, return_inverse=True)
-    order = np.argsort(which, kind="stable")
-    ends = np.searchsorted(which[order], np.arange(len(tiles) + 1))
-    for number, tile in enumerate(tiles):
-        yield tile, order[ends[number] : ends[number + 1]]
+    low = keys.min(axis=0)
+    single = (keys[:, 0] - low[0]) * (keys[:, 1].max() - low[1] + 1) + keys[:, 1] - low[1]
+    order = np.argsort(single, kind="stable")
+    for members in np.split(order, np.flatnonzero(np.diff(single[order])) + 1):
+        yield keys[members[0]], members
 
 
 def _touched(marks: TurnedMap, bases: np.ndarray, margin: int) -> np.ndarray:

@@ -32,6 +32,7 @@ from hdsp.learning.settings import settings_from
 from hdsp.robot import Robot
 
 FORMAT_VERSION = 1
+WINDOWS = 24  # patches of a map whose goals are judged at once
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ class LearnedAbstraction:
 
     @torch.inference_mode()
     def predict_windows(
-        self, trunk: DenseTrunk, heights: np.ndarray, corners: np.ndarray, goals: np.ndarray
+        self, trunk: DenseTrunk, heights: np.ndarray, corners: np.ndarray, wanted: np.ndarray, goals: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """As ``predict`` with the same goals for all, for patches that are windows of one array.
 
@@ -133,6 +134,7 @@ class LearnedAbstraction:
             trunk: the network's.
             heights: float32 [nx, ny], metres, NaN = unknown; with ``trunk.margin`` cells around the patches.
             corners: int64 [n, 2], lower corners of the patches, relative to cell (margin, margin) of ``heights``.
+            wanted: bool [n], patches whose answer matters. To the last bit it does not depend on which others do.
             goals: float32 [G, 3] in abstract steps in the robot frame.
         """
         network = self.network
@@ -140,9 +142,18 @@ class LearnedAbstraction:
             encoded = network.encoding(torch.from_numpy(heights)[None, None].to(self.device))
             # Channels innermost, as the weights are.
             dense = trunk(encoded.contiguous(memory_format=torch.channels_last))
-        features = trunk.windows(dense.float(), torch.from_numpy(corners).to(self.device))
-        cost, logits = network.goal_part(features, torch.from_numpy(goals).to(self.device).expand(len(corners), -1, -1))
-        return (logits.sigmoid() > 0.5).cpu().numpy(), cost.clamp_min(MINIMUM_COST).cpu().numpy()
+        dense, shared_goals = dense.float(), torch.from_numpy(goals)[None].to(self.device)
+        feasible, costs = np.zeros((len(corners), len(goals)), bool), np.zeros((len(corners), len(goals)), np.float32)
+        # Some at a time: what belongs to all goals of all patches would not stay in the processor's cache. And always
+        # the same ones together: sums of another number of rows may round otherwise.
+        for start in range(0, len(corners), WINDOWS):
+            part = slice(start, start + WINDOWS)
+            if wanted[part].any():
+                features = trunk.windows(dense, torch.from_numpy(corners[part]).to(self.device))
+                cost, logits = network.goal_part(features, shared_goals)
+                feasible[part] = (logits.sigmoid() > 0.5).cpu().numpy()
+                costs[part] = cost.clamp_min(MINIMUM_COST).cpu().numpy()
+        return feasible, costs
 
     def _evaluate(self, patches: np.ndarray, goals: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         heights = torch.tensor(patches)[:, None].to(self.device, memory_format=torch.channels_last)

@@ -113,9 +113,10 @@ def test_a_search_that_outgrows_its_queue_goes_on(monkeypatch):
     blocked=st.sampled_from([0.0, 0.3, 0.8, 0.95]),
     free=st.sampled_from([0.0, 0.1]),
     share=st.sampled_from([0.0, 0.02, 0.3, 1.0]),
+    fewest=st.sampled_from([1, 4, 16]),  # how many states there are for each that may be repaired
     data=st.data(),
 )
-def test_repaired_distances_are_those_of_the_changed_graph(seed, shape, blocked, free, share, data):
+def test_repaired_distances_are_those_of_the_changed_graph(seed, shape, blocked, free, share, fewest, data):
     edges = random_edges(seed, *shape, blocked=blocked, free=free)
     # Few distinct costs: many ties, so that states have several ways to account for their cost.
     edges = (np.ceil(edges * data.draw(st.sampled_from([4, 1000]))) / 8).astype(np.float32)
@@ -132,7 +133,9 @@ def test_repaired_distances_are_those_of_the_changed_graph(seed, shape, blocked,
     after = before.with_edges(states, changed[tuple(states.T)])
     expected = PreparedGraph.from_edges(changed)
     np.testing.assert_array_equal(after.incoming, expected.incoming)
-    repaired = after.repaired(before.distances(goal), goal, states)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hdsp.abstract.dijkstra.REPAIRED_SHARE", fewest)
+        repaired = after.repaired(before.distances(goal), goal, states)
     np.testing.assert_array_equal(repaired, expected.distances(goal))
 
 

@@ -77,11 +77,11 @@ class DenseTrunk:
         Returns:
             float [n, features * cells * cells], as ``nn.Flatten`` orders the feature map of a patch.
         """
-        features, width = dense[0], dense.shape[-1]
+        width = dense.shape[-1]
         inside = torch.arange(self.cells, device=dense.device) * self.step
         index = (corners[:, 0] * width + corners[:, 1])[:, None, None] + inside[:, None] * width + inside
         # Cells first: what belongs to one cell then lies side by side, and is copied in one piece.
-        rows = features.flatten(1).T.contiguous()[index.flatten()]
+        rows = dense[0].permute(1, 2, 0).reshape(-1, dense.shape[1])[index.flatten()]
         return rows.view(len(corners), self.cells**2, -1).transpose(1, 2).flatten(1)
 
 
