@@ -109,7 +109,7 @@ def test_he_initialisation_makes_the_trunk_depend_on_the_map():
 @pytest.mark.parametrize(
     ("config", "message"),
     [
-        ({"architecture": "klamt"}, "model.architecture: 'klamt' is not one of klamt2019, compact, swept"),
+        ({"architecture": "klamt"}, "model.architecture: 'klamt' is not one of klamt2019, compact, swept, "),
         ({"architcture": "compact"}, "model: unknown key 'architcture'"),
         ({"architecture": "compact", "options": {"width": 3}}, "model.options: unknown key 'width'"),
         ({"architecture": "klamt2019", "options": {"hidden": 3}}, "model.options: unknown key 'hidden'"),

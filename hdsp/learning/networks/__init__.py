@@ -1,8 +1,7 @@
 """Network architectures by name.
 
 To add one: a file beside this one with a ``TaskNetwork`` and a dataclass of its options, one line in ``ARCHITECTURES``,
-    and
-``conf/model/NAME.yaml`` that names it.
+and ``conf/model/NAME.yaml`` that names it.
 """
 
 from collections.abc import Mapping
@@ -13,8 +12,11 @@ from hdsp.errors import InputError
 from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork, count_parameters, initialise_he
 from hdsp.learning.networks.compact import Compact, CompactOptions
+from hdsp.learning.networks.dilated import Dilated, DilatedOptions
+from hdsp.learning.networks.goalmap import GoalMap, GoalMapOptions
 from hdsp.learning.networks.klamt2019 import Klamt2019, Klamt2019Options
 from hdsp.learning.networks.swept import Swept, SweptOptions
+from hdsp.learning.networks.table import Table, TableOptions
 from hdsp.learning.settings import settings_from
 
 #: name -> (network class, dataclass of its options)
@@ -22,6 +24,9 @@ ARCHITECTURES: dict[str, tuple[type[TaskNetwork], type]] = {
     "klamt2019": (Klamt2019, Klamt2019Options),
     "compact": (Compact, CompactOptions),
     "swept": (Swept, SweptOptions),
+    "dilated": (Dilated, DilatedOptions),
+    "goalmap": (GoalMap, GoalMapOptions),
+    "table": (Table, TableOptions),
 }
 
 

@@ -12,8 +12,8 @@ class TaskNetwork(nn.Module):
     """Cost and feasibility of the tasks of a patch.
 
     A subclass implements ``map_part`` (all that depends on the patch alone, evaluated once per patch) and ``goal_part``
-    (what depends on the goal too, evaluated for each goal), and has its last linear layer, with two outputs, as
-    ``heads``. Heights go in as they are, in metres with NaN for unknown cells; the encoding belongs to the network.
+    (what depends on the goal too, evaluated for each goal), and has its last linear layer as ``heads``. Heights go in
+    as they are, in metres with NaN for unknown cells; the encoding belongs to the network.
     """
 
     def __init__(self, encoding: HeightEncoding):

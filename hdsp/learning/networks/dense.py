@@ -32,11 +32,11 @@ class DenseTrunk:
         self.layers: list[tuple[nn.Module, int]] = []
         self.margin, self.step, self.cells = 0, 1, PATCH_CELLS
         for layer in trunk:
-            if isinstance(layer, nn.Conv2d) and layer.stride == (1, 1) and layer.dilation == (1, 1):
-                (kernel, _), padding = layer.kernel_size, int(layer.padding[0])
+            if isinstance(layer, nn.Conv2d) and layer.stride == (1, 1):
+                padding, dilation = int(layer.padding[0]), layer.dilation[0]
                 self.margin += padding * self.step
-                self.cells += 2 * padding - kernel + 1
-                self.layers.append((layer, self.step))
+                self.cells += 2 * padding - dilation * (layer.kernel_size[0] - 1)
+                self.layers.append((layer, dilation * self.step))
             elif isinstance(layer, nn.MaxPool2d) and layer.stride == layer.kernel_size and layer.padding == 0:
                 self.layers.append((layer, self.step))
                 self.cells //= layer.kernel_size

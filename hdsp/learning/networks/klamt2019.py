@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from torch import Tensor, nn
 
+from hdsp.errors import InputError
+from hdsp.lattice import PATCH_CELLS
 from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import MapGoalLinear, TaskNetwork
 from hdsp.learning.networks.dense import DenseTrunk
@@ -11,14 +13,31 @@ from hdsp.learning.networks.dense import DenseTrunk
 
 @dataclass(frozen=True)
 class Klamt2019Options:
-    """The published architecture has nothing to choose, but a twin of it can be evaluated densely.
+    """The published architecture, unless something else is chosen.
 
     Attributes:
         padded: zero padding in the first two convolutions, as published. Without it the feature map of a patch has
             5 x 5 cells instead of 7 x 7, and is part of the same map for all patches (``networks.dense``).
+        kernels: sides in cells of the kernels of the first four convolutions, as published: neighbours (3), what a foot
+            keeps away from edges to both sides (7), the length of a step (14), and 4.
     """
 
     padded: bool = True
+    kernels: tuple[int, int, int, int] = (3, 7, 14, 4)
+
+    def __post_init__(self):
+        if min(self.kernels) < 1 or (self.padded and not self.kernels[0] % 2 == self.kernels[1] % 2 == 1):
+            raise InputError(
+                f"model.options.kernels: {list(self.kernels)} have to be above 0, and the first two odd where padded"
+            )
+        if self.cells() < 1:
+            raise InputError(f"model.options.kernels: {list(self.kernels)} leave nothing of {PATCH_CELLS} cells")
+
+    def cells(self) -> int:
+        """Side of the feature map that is left of a patch."""
+        seen = self.kernels[2:] if self.padded else self.kernels
+        left = PATCH_CELLS - sum(kernel - 1 for kernel in seen)
+        return (left // 2 - 2) // 2 - 6
 
 
 class Klamt2019(TaskNetwork):
@@ -30,19 +49,20 @@ class Klamt2019(TaskNetwork):
 
     def __init__(self, encoding: HeightEncoding, options: Klamt2019Options):
         super().__init__(encoding)
-        first, second, cells = (1, 3, 7) if options.padded else (0, 0, 5)
+        first, second, third, fourth = options.kernels
+        around = int(options.padded)
         self.trunk = nn.Sequential(
-            nn.Conv2d(len(encoding.channels), 3, 3, padding=first), nn.ReLU(),
-            nn.Conv2d(3, 5, 7, padding=second), nn.ReLU(),
-            nn.Conv2d(5, 28, 14), nn.ReLU(),
-            nn.Conv2d(28, 31, 4), nn.ReLU(), nn.MaxPool2d(2),
+            nn.Conv2d(len(encoding.channels), 3, first, padding=first // 2 * around), nn.ReLU(),
+            nn.Conv2d(3, 5, second, padding=second // 2 * around), nn.ReLU(),
+            nn.Conv2d(5, 28, third), nn.ReLU(),
+            nn.Conv2d(28, 31, fourth), nn.ReLU(), nn.MaxPool2d(2),
             nn.Conv2d(31, 34, 3), nn.ReLU(), nn.MaxPool2d(2),
             nn.Conv2d(34, 36, 3), nn.ReLU(),
             nn.Conv2d(36, 38, 3), nn.ReLU(),
             nn.Conv2d(38, 40, 3), nn.ReLU(),
             nn.Flatten(),
         )  # fmt: skip
-        self.fc1 = MapGoalLinear(40 * cells * cells, 3, 500)
+        self.fc1 = MapGoalLinear(40 * options.cells() ** 2, 3, 500)
         self.rest = nn.Sequential(
             nn.ReLU(),
             nn.Linear(500, 150), nn.ReLU(),

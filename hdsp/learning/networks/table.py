@@ -1,0 +1,91 @@
+"""One output for each action: no goal goes in, and a patch is evaluated once for all of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from hdsp.errors import InputError
+from hdsp.lattice import ABSTRACT_HEADINGS, robot_frame_goals
+from hdsp.learning.encoding import HeightEncoding
+from hdsp.learning.networks.base import TaskNetwork
+from hdsp.learning.networks.dense import DenseTrunk
+
+#: Largest difference, in abstract steps, of a goal to the action that it is taken for.
+TOLERANCE = 1e-3
+#: Headings at which the robot sees the actions elsewhere; a quarter turn leads the set of actions into itself.
+RESIDUES = ABSTRACT_HEADINGS // 4
+
+
+@dataclass(frozen=True)
+class TableOptions:
+    """Widths of the network.
+
+    Attributes:
+        widths: channels of the four convolutions.
+        hidden: width of the two layers behind them.
+    """
+
+    widths: tuple[int, int, int, int] = (12, 24, 40, 48)
+    hidden: int = 192
+
+
+class Table(TaskNetwork):
+    """Convolutions and poolings without padding, then a table of costs and logits of all actions.
+
+    The table has 82 entries: the 20 translations as the robot sees them at each of four heading residues, and two
+    turns. Any other goal is an ``InputError``. Entries learn from the labels of their residue alone: after a training
+    on maps that all start at residue 0, as the paper's do, those of the other residues mean nothing.
+    """
+
+    def __init__(self, encoding: HeightEncoding, options: TableOptions):
+        super().__init__(encoding)
+        first, second, third, fourth = options.widths
+        self.trunk = nn.Sequential(
+            nn.Conv2d(len(encoding.channels), first, 5), nn.ReLU(), nn.MaxPool2d(2),
+            nn.Conv2d(first, second, 5), nn.ReLU(), nn.MaxPool2d(2),
+            nn.Conv2d(second, third, 4), nn.ReLU(), nn.MaxPool2d(2),
+            nn.Conv2d(third, fourth, 3), nn.ReLU(), nn.Flatten(),
+        )  # fmt: skip
+        self.rest = nn.Sequential(
+            nn.Linear(fourth * 4 * 4, options.hidden), nn.ReLU(),
+            nn.Linear(options.hidden, options.hidden), nn.ReLU(),
+        )  # fmt: skip
+        actions = torch.from_numpy(distinct_goals())
+        self.heads = nn.Linear(options.hidden, 2 * len(actions))
+        self.register_buffer("actions", actions, persistent=False)
+
+    def dense_trunk(self) -> DenseTrunk:
+        return DenseTrunk(self.trunk)
+
+    def map_part(self, encoded: Tensor) -> Tensor:
+        return self.trunk(encoded)
+
+    def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
+        entries = self.entries(goals).expand(len(features), -1)
+        cost, logits = self.heads(self.rest(features)).chunk(2, dim=-1)
+        return cost.gather(1, entries), logits.gather(1, entries)
+
+    def entries(self, goals: Tensor) -> Tensor:
+        """Entries of the table, int64 [B, G], of goals [B, G, 3].
+
+        Raises:
+            InputError: names the first goal that is none of the actions at any heading.
+        """
+        difference, entries = (goals[..., None, :] - self.actions).abs().amax(-1).min(-1)
+        foreign = goals[difference > TOLERANCE]
+        if len(foreign):
+            goal = ", ".join(f"{value:g}" for value in foreign[0].tolist())
+            raise InputError(
+                f"goal ({goal}): the architecture table knows the {len(robot_frame_goals(0))} abstract actions, as the "
+                f"robot sees them at its {ABSTRACT_HEADINGS} headings, and no other goal"
+            )
+        return entries
+
+
+def distinct_goals() -> np.ndarray:
+    """Goals, float32 [82, 3], that the abstract actions are in the frame of the robot at any heading."""
+    seen = [robot_frame_goals(residue) for residue in range(RESIDUES)]
+    translations = [goals[goals[:, 2] == 0] for goals in seen]
+    return np.concatenate([*translations, seen[0][seen[0][:, 2] != 0]])
