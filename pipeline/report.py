@@ -44,19 +44,19 @@ def summary(quality: dict[str, Any], planning: dict[str, Any]) -> dict[str, Any]
     return {"feasibility_accuracy": accuracy, "cost_error": error, "speedup": speedup}
 
 
-def put_between_markers(readme: Path, tables: str) -> None:
-    """Replace what stands between the markers of the README.
+def put_between_markers(page: Path, tables: str, begin: str = BEGIN, end: str = END) -> None:
+    """Replace what stands between two markers of the README or another page.
 
     Raises:
-        InputError: the README lacks a marker.
+        InputError: the page lacks a marker.
     """
-    text = readme.read_text(encoding="utf-8")
-    if BEGIN not in text or END not in text:
-        raise InputError(f"{readme} lacks the markers {BEGIN} and {END}, between which the tables go")
-    before, rest = text.split(BEGIN, 1)
-    new = f"{before}{BEGIN}\n\n{tables}\n{END}{rest.split(END, 1)[1]}"
+    text = page.read_text(encoding="utf-8")
+    if begin not in text or end not in text:
+        raise InputError(f"{page} lacks the markers {begin} and {end}, between which the tables go")
+    before, rest = text.split(begin, 1)
+    new = f"{before}{begin}\n\n{tables}\n{end}{rest.split(end, 1)[1]}"
     if new != text:
-        with replacing(readme) as path:
+        with replacing(page) as path:
             path.write_text(new, encoding="utf-8")
 
 

@@ -44,7 +44,7 @@ def abstraction_quality_table(quality: Mapping[str, Any], training: Mapping[str,
     missing = [name for name, values in sets.items() if not values["available"]]
     if missing:
         notes.append(f"No data for {', '.join(missing)}: why is in reports/abstraction_quality.json.")
-    return _markdown(header, rows) + "\n\n" + " ".join(notes)
+    return markdown(header, rows) + "\n\n" + " ".join(notes)
 
 
 def heuristic_table(planning: Mapping[str, Any]) -> str:
@@ -79,7 +79,7 @@ def heuristic_table(planning: Mapping[str, Any]) -> str:
         f"goal, not the costs of all abstract actions, needed once per map ({seconds}; the paper: 239 s). "
         "≥: a reference search ended by its limit."
     )
-    return _markdown(header, rows) + "\n\n" + note
+    return markdown(header, rows) + "\n\n" + note
 
 
 def _row(label: str, columns: Sequence[tuple], keys: tuple[str, ...], show) -> list[str]:
@@ -99,7 +99,7 @@ def _lookup(values: Any, keys: tuple[str, ...]) -> float | None:
     return values
 
 
-def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Padded, so that it reads as well in a terminal."""
     table = [list(header), *map(list, rows)]
     widths = [max(len(row[i]) for row in table) for i in range(len(header))]

@@ -3,6 +3,7 @@
 from hdsp.viz.arena import save_arena, save_courses, save_note
 from hdsp.viz.charts import save_planning_bars, save_quality_bars, save_training_curves
 from hdsp.viz.motion import save_motion
+from hdsp.viz.pareto import pareto_front, save_pareto
 from hdsp.viz.patches import save_example_patches
 from hdsp.viz.path import draw_path, planned_path_figure, save_planned_path
 from hdsp.viz.robot import draw_pose, draw_robot
@@ -15,6 +16,7 @@ __all__ = [
     "draw_pose",
     "draw_robot",
     "draw_terrain",
+    "pareto_front",
     "planned_path_figure",
     "save_arena",
     "save_courses",
@@ -22,6 +24,7 @@ __all__ = [
     "save_map",
     "save_motion",
     "save_note",
+    "save_pareto",
     "save_planned_path",
     "save_planning_bars",
     "save_quality_bars",

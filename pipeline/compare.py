@@ -1,0 +1,243 @@
+"""Trainings beside each other: tables in docs/architectures.md and docs/figures/pareto.png.
+
+    python -m pipeline.compare
+
+Runs in `outputs/zoo/NAME` and `outputs/ablations/NAME`, as sweeps leave them, are gathered into `reports/zoo.json` and
+`reports/ablations.json`; without runs those reports stay as they are. The page is made of the reports alone, so that it
+can be made again without training. No stage of dvc.yaml: no stage of it makes these runs.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from omegaconf import DictConfig
+
+from hdsp.errors import InputError
+from pipeline.config import CONF, compose, flatten
+from pipeline.report import put_between_markers
+from pipeline.stage import Folders, read_json, run_stage, write_json
+from pipeline.tables import EMPTY, markdown
+
+PAGE = "architectures.md"
+#: Sections of the configuration in which experiments may differ.
+SECTIONS = ("robot", "terrain", "labelling", "model", "trainer")
+#: Name of the ablation that all others are compared to.
+BASE = "base"
+#: The two figures of a set in `reports/training.json`.
+QUALITY = ("feasibility_accuracy", "cost_error")
+#: Sets of the Pareto picture, the first that all models have figures of.
+PICTURED = ("random", "val")
+#: States of a map that are evaluated patch by patch to measure the time of all, and their heading; dense evaluation is
+#: measured with all states of that heading.
+SAMPLED, HEADING = 2000, 2
+SIDE = 400  # cells of a map of 10 m
+
+
+def compare(config: DictConfig, folders: Folders) -> None:
+    zoo = gathered(folders, "zoo", zoo_run)
+    ablations = gathered(folders, "ablations", ablation_run)
+    page = folders.outputs / "docs" / PAGE
+    if zoo:
+        check_budgets(zoo)
+        picture(zoo, folders.write("docs", "figures", "pareto.png"))
+    if page.is_file():
+        for kind, runs in (("zoo", zoo), ("ablations", ablations)):
+            put_between_markers(page, TABLES[kind](runs) + "\n", *markers(kind))
+
+
+def markers(name: str) -> tuple[str, str]:
+    """Lines of the page between which a table stands."""
+    return f"<!-- {name}: written by `python -m pipeline.compare` -->", f"<!-- end of {name} -->"
+
+
+def gathered(folders: Folders, kind: str, read) -> dict[str, Any]:
+    """Runs by name, from the folder of their kind or else from the report of an earlier call.
+
+    Args:
+        folders: of this stage.
+        kind: `zoo` or `ablations`.
+        read: makes an entry of the folder of a run and its `reports/training.json`.
+    """
+    places = sorted(folders.read("outputs", kind).glob("*/reports/training.json"))
+    runs = {place.parents[1].name: read(place.parents[1], read_json(place)) for place in places}
+    if runs:
+        write_json(folders.write("reports", f"{kind}.json"), runs)
+    report = folders.write("reports", f"{kind}.json")
+    return read_json(report) if report.is_file() else {}
+
+
+def zoo_run(folder: Path, training: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page says about one model of the zoo; the time is measured here."""
+    from hdsp.learning import HardwareSettings, LearnedAbstraction
+
+    hardware = HardwareSettings("cpu", threads=1)
+    hardware.apply_threads()
+    abstraction = LearnedAbstraction.from_pretrained(folder / "models" / "abstraction", hardware=hardware)
+    return {**outcome(training), "dense": abstraction.network.is_dense(), "map_seconds": map_seconds(abstraction)}
+
+
+def ablation_run(folder: Path, training: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page says about one ablation."""
+    return {**outcome(training), "different": differences(experiment_settings(BASE), experiment_settings(folder.name))}
+
+
+def outcome(training: Mapping[str, Any]) -> dict[str, Any]:
+    """What is kept of `reports/training.json`."""
+    return {key: training[key] for key in ("model", "parameters", "maps", "epochs", "best_epoch", "seconds", *QUALITY)}
+
+
+def experiment_settings(name: str) -> dict[str, Any] | None:
+    """The configuration of the experiment with that file name, flat; None if there is no such experiment."""
+    for path in sorted(CONF.glob(f"experiment/**/{name}.yaml")):
+        config = compose([f"experiment={path.relative_to(CONF / 'experiment').with_suffix('').as_posix()}"])
+        return flatten({section: config[section] for section in SECTIONS})
+    return None
+
+
+def differences(base: Mapping[str, Any] | None, other: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Settings that are not those of the base; None for those that only the base has. None if one is not known."""
+    if base is None or other is None:
+        return None
+    return {key: other.get(key) for key in {**base, **other} if base.get(key) != other.get(key)}
+
+
+def map_seconds(abstraction) -> float:
+    """CPU seconds of one core for the costs of all actions of a map of 10 x 10 m, extrapolated from a part of it.
+
+    The map is noise, of which no two patches are equal, so that none is spared.
+    """
+    from hdsp.heightmap import HeightMap
+    from hdsp.lattice import ABSTRACT_HEADINGS, abstract_shape
+    from hdsp.learning import LearnedCosts
+
+    random = np.random.default_rng(0)
+    terrain = HeightMap(random.uniform(0, 0.2, (SIDE, SIDE)).astype(np.float32))
+    costs = LearnedCosts(abstraction)
+    mask = np.zeros((ABSTRACT_HEADINGS, *abstract_shape(terrain.shape)), bool)
+    states = mask[HEADING].size
+    if abstraction.network.is_dense():
+        mask[HEADING] = True
+    else:
+        mask[HEADING].flat[random.choice(states, SAMPLED, replace=False)] = True
+    costs.edges(terrain, mask=mask & (random.random(mask.shape) < 0.1))  # libraries choose their algorithms
+    started = time.process_time()
+    costs.edges(terrain, mask=mask)
+    return (time.process_time() - started) * mask.size / mask.sum()
+
+
+def check_budgets(zoo: Mapping[str, Mapping[str, Any]]) -> None:
+    """Raises InputError unless all models have seen the same number of maps and epochs."""
+    budgets = {name: (run["maps"], run["epochs"]) for name, run in zoo.items()}
+    if len(set(budgets.values())) > 1:
+        told = ", ".join(f"{name} {maps} maps {epochs} epochs" for name, (maps, epochs) in budgets.items())
+        raise InputError(f"runs of the zoo have different budgets and cannot be compared: {told}")
+
+
+def zoo_table(zoo: Mapping[str, Mapping[str, Any]]) -> str:
+    """Markdown: a model in each line, the fastest first; models on a Pareto front of the picture are in bold."""
+    if not zoo:
+        return "No runs yet."
+    sets = sets_of(zoo)
+    best = fronts(zoo)
+    header = ["model", "parameters", "10 x 10 m map, s", "evaluated", *sets, "training, min"]
+    rows = []
+    for name, run in sorted(zoo.items(), key=lambda item: item[1]["map_seconds"]):
+        rows.append([
+            f"**{name}**" if name in best else name,
+            f"{run['parameters']:,}",
+            f"{run['map_seconds']:.1f}",
+            "dense" if run["dense"] else "patches",
+            *(quality(run, of) for of in sets),
+            f"{run['seconds'] / 60:.1f}",
+        ])  # fmt: skip
+    run = next(iter(zoo.values()))
+    note = (
+        f"Each trained on {run['maps']:,} maps for {run['epochs']} epochs. Feasibility correct / mean cost error; bold: "
+        "on a front of the picture. The time is for all actions of all 160,000 states of a map without equal patches, "
+        f"CPU seconds of one core, extrapolated from {SAMPLED:,} patches, or where dense from the states of one heading. "
+        "Minutes of training are those of a busy machine.\n\n![Errors over time](figures/pareto.png)"
+    )
+    return markdown(header, rows) + "\n\n" + note
+
+
+def ablation_table(ablations: Mapping[str, Mapping[str, Any]]) -> str:
+    """Markdown: an experiment in each line, in brackets its difference to the base."""
+    if not ablations:
+        return "No runs yet."
+    if BASE not in ablations:
+        raise InputError(f"ablations: there is no run {BASE!r} to compare with; there are {', '.join(ablations)}")
+    base = ablations[BASE]
+    sets = sets_of(ablations)
+    rows = [[BASE, EMPTY, *(quality(base, of) for of in sets)]]
+    for name, run in ablations.items():
+        if name != BASE:
+            told = ", ".join(f"{key}: {_plain(value)}" for key, value in (run["different"] or {}).items())
+            rows.append([name, told or EMPTY, *(f"{quality(run, of)} ({change(run, base, of)})" for of in sets)])
+    note = "Feasibility correct / mean cost error, in brackets the difference to the base."
+    return markdown(["experiment", "what is different", *sets], rows) + "\n\n" + note
+
+
+def sets_of(runs: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Names of all sets that runs have figures of, without the one that chose their epochs."""
+    return list(dict.fromkeys(of for run in runs.values() for of in run["feasibility_accuracy"] if of != "val"))
+
+
+def quality(run: Mapping[str, Any], of: str) -> str:
+    """Feasibility accuracy and cost error on a set."""
+    accuracy, error = (run[key].get(of) for key in QUALITY)
+    return EMPTY if accuracy is None or error is None else f"{100 * accuracy:.2f} % / {error:.4f}"
+
+
+def change(run: Mapping[str, Any], base: Mapping[str, Any], of: str) -> str:
+    """How both differ from the base, in percent points and as they are."""
+    if EMPTY in (quality(run, of), quality(base, of)):
+        return EMPTY
+    accuracy, error = (run[key][of] - base[key][of] for key in QUALITY)
+    return f"{100 * accuracy:+.2f} / {error:+.4f}"
+
+
+def panels(zoo: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, float]]:
+    """The two errors of the picture by model, on the first set that all models have figures of."""
+    common = [of for of in PICTURED if all(quality(run, of) != EMPTY for run in zoo.values())]
+    if not common:
+        raise InputError(f"runs of the zoo: no set of {', '.join(PICTURED)} has figures of all models")
+    of = common[0]
+    return {
+        f"tasks judged wrongly (%), {of}": {k: 100 * (1 - run["feasibility_accuracy"][of]) for k, run in zoo.items()},
+        f"mean cost error, {of}": {k: run["cost_error"][of] for k, run in zoo.items()},
+    }
+
+
+def fronts(zoo: Mapping[str, Mapping[str, Any]]) -> set[str]:
+    """Names of the models on a Pareto front of error over time."""
+    from hdsp.viz import pareto_front
+
+    names = list(zoo)
+    found: set[str] = set()
+    for errors in panels(zoo).values():
+        found |= {names[i] for i in pareto_front([(zoo[name]["map_seconds"], errors[name]) for name in names])}
+    return found
+
+
+def picture(zoo: Mapping[str, Mapping[str, Any]], path: Path) -> None:
+    from hdsp.viz import save_pareto
+
+    save_pareto({name: run["map_seconds"] for name, run in zoo.items()}, panels(zoo), path)
+
+
+#: What the page shows of each kind of runs.
+TABLES = {"zoo": zoo_table, "ablations": ablation_table}
+
+
+def _plain(value: Any) -> str:
+    return yaml.safe_dump(value, default_flow_style=True).removesuffix("\n").removesuffix("\n...")
+
+
+if __name__ == "__main__":
+    run_stage(compare, "compare")
