@@ -7,17 +7,20 @@ consecutive maps. Its name contains a hash of everything its labels depend on, c
 import hashlib
 import json
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from hdsp.errors import InputError
 from hdsp.fingerprint import code_fingerprint
 from hdsp.heightmap import HeightMap
 from hdsp.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, PATCH_CELLS
 from hdsp.robot import Robot
+from hdsp.sensing import SensingSettings, sensed
 from hdsp.shards import SCHEMA_VERSION, SUFFIX
-from hdsp.terrain import CATEGORIES, TerrainSettings, random_map
+from hdsp.terrain import ALL_CATEGORIES, CATEGORIES, TerrainSettings, random_map
 
 if TYPE_CHECKING:
     from hdsp.labelling import LabelSettings
@@ -43,6 +46,7 @@ class SplitSettings:
             repeat at every quarter turn, so [0, 1, 2, 3] covers all that a planner asks for.
         categories: of terrain.
         maps_per_shard: before dropping.
+        sensing: whether maps are made such as sensors see them, before they are labelled (`hdsp.sensing`).
 
     Raises:
         InputError: for a number out of range or an unknown category.
@@ -53,6 +57,7 @@ class SplitSettings:
     heading_residues: tuple[int, ...] = (0,)
     categories: tuple[str, ...] = CATEGORIES
     maps_per_shard: int = 90
+    sensing: bool = False
 
     def __post_init__(self):
         for name, least in (("seed", 0), ("maps_per_category", 1), ("maps_per_shard", 1)):
@@ -64,8 +69,10 @@ class SplitSettings:
         if not self.heading_residues or not set(self.heading_residues) <= set(range(ABSTRACT_HEADINGS)):
             allowed = f"abstract headings, 0 to {ABSTRACT_HEADINGS - 1}"
             raise InputError(f"split: heading_residues is {list(self.heading_residues)}; need some {allowed}")
-        if not self.categories or not set(self.categories) <= set(CATEGORIES):
-            raise InputError(f"split: categories is {list(self.categories)}; need some of {', '.join(CATEGORIES)}")
+        if not self.categories or not set(self.categories) <= set(ALL_CATEGORIES):
+            raise InputError(f"split: categories is {list(self.categories)}; need some of {', '.join(ALL_CATEGORIES)}")
+        if not isinstance(self.sensing, bool):
+            raise InputError(f"split: sensing is {self.sensing!r}; need true or false")
 
     @property
     def maps(self) -> int:
@@ -88,6 +95,7 @@ class LabelRun:
     robot: Robot
     terrain: TerrainSettings
     settings: "LabelSettings"
+    sensing: SensingSettings = field(default_factory=SensingSettings)
 
     def inputs(self) -> dict[str, Any]:
         """Plain values by name; the code as a fingerprint."""
@@ -101,6 +109,7 @@ class LabelRun:
             "robot": self.robot.hash(),
             "terrain": asdict(self.terrain),
             "settings": asdict(self.settings),
+            **({"sensing": asdict(self.sensing)} if self.split.sensing else {}),
         }
 
     @cached_property
@@ -131,7 +140,12 @@ class LabelRun:
         """The height map of map ``number``."""
         category, index, heading = self.map_of(number)
         cells = PATCH_CELLS if heading == 0 else TURNED_MAP_CELLS
-        return random_map(self.split.seed, category, index, self.terrain, cells, heading)
+        terrain = random_map(self.split.seed, category, index, self.terrain, cells, heading)
+        if not self.split.sensing:
+            return terrain
+        # A stream of its own: the scene of a map is the same with and without.
+        numbers = [self.split.seed, ALL_CATEGORIES.index(category), index, 1]
+        return sensed(terrain, self.sensing, np.random.default_rng(np.random.SeedSequence(numbers)))
 
     def describe(self, number: int) -> str:
         """Names map ``number``, so that it can be made again."""

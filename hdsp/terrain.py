@@ -1,4 +1,4 @@
-"""Random terrain: cuboids, walls and staircases in the nine categories of the paper's training data.
+"""Random terrain: cuboids, walls and staircases in the nine categories of the paper's training data, and richer ones.
 
 A map is a function of (seed, category, index) alone, so that any map can be made again anywhere and in any order.
 
@@ -27,8 +27,17 @@ _CONTENTS = {
     "staircase": ("staircase",),
     "staircase_wall": ("staircase", "wall"),
     "staircase_focused": ("staircase_focused",),
+    "mixed_2": ("any",) * 2,
+    "mixed_3": ("any",) * 3,
+    "mixed_4": ("any",) * 4,
+    "ramp_mixed": ("ramp", "any"),
+    "tiles_mixed": ("tiles", "any"),
+    "clutter": ("clutter",) * 6,
 }
-CATEGORIES = tuple(_CONTENTS)
+#: Those of the paper.
+CATEGORIES = tuple(_CONTENTS)[:9]
+#: With those that hold more of what real places do.
+ALL_CATEGORIES = tuple(_CONTENTS)
 
 Range = tuple[float, float]
 
@@ -48,6 +57,10 @@ class TerrainSettings:
         staircase_depth: length of each step from its riser on, m.
         focused_width: width of a focused staircase, m.
         focused_yaw: largest angle between a focused staircase and the heading of the robot, rad.
+        ramp_length, ramp_width, ramp_height: m; one end of a ramp is a drop.
+        tiles_extent, tile_side: sides of a field of tiles, and of one of them, m.
+        tile_height, tile_slope: height of a tile's middle, m; its greatest slope along either side.
+        clutter_side, clutter_height: of the small things that stand about, m.
 
     Raises:
         InputError: for a range that is empty or not positive.
@@ -66,6 +79,15 @@ class TerrainSettings:
     staircase_depth: float = 2.0
     focused_width: Range = (1.4, 2.0)
     focused_yaw: float = math.pi / 16
+    ramp_length: Range = (0.6, 2.0)
+    ramp_width: Range = (0.6, 2.0)
+    ramp_height: Range = (0.05, 0.4)
+    tiles_extent: Range = (0.6, 2.0)
+    tile_side: Range = (0.25, 0.5)
+    tile_height: Range = (0.02, 0.3)
+    tile_slope: float = 0.25
+    clutter_side: Range = (0.05, 0.4)
+    clutter_height: Range = (0.05, 1.2)
 
     def __post_init__(self):
         for field in fields(self):
@@ -120,6 +142,32 @@ class Ramp(Block):
     def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         along = math.cos(self.yaw) * (x - self.x) + math.sin(self.yaw) * (y - self.y)
         return self.height * np.clip(0.5 + along / self.length, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Tiles(Block):
+    """A field of square tiles, each at a height and tilt of its own; ``height`` is that of none.
+
+    Attributes:
+        side: of a tile, m; those at the far borders may be cut.
+        tiles: rows along the length, of (height of the middle in m, slope along, slope across).
+    """
+
+    side: float
+    tiles: tuple[tuple[tuple[float, float, float], ...], ...]
+
+    def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        turn = lattice.rotation(-self.yaw)
+        along = turn[0, 0] * (x - self.x) + turn[0, 1] * (y - self.y) + self.length / 2
+        across = turn[1, 0] * (x - self.x) + turn[1, 1] * (y - self.y) + self.width / 2
+        tiles = np.array(self.tiles)
+        i, j = (
+            np.clip(np.floor(at / self.side), 0, count - 1).astype(int)
+            for at, count in zip((along, across), tiles.shape, strict=False)
+        )
+        height, slope_along, slope_across = np.moveaxis(tiles[i, j], -1, 0)
+        top = height + slope_along * (along - (i + 0.5) * self.side) + slope_across * (across - (j + 0.5) * self.side)
+        return np.maximum(top, 0.0)
 
 
 @dataclass(frozen=True)
@@ -197,11 +245,11 @@ def random_scene(seed: int, category: str, index: int, settings: TerrainSettings
         InputError: for an unknown category, or a negative seed or index.
     """
     if category not in _CONTENTS:
-        raise InputError(f"terrain category {category!r}; need one of {', '.join(CATEGORIES)}")
+        raise InputError(f"terrain category {category!r}; need one of {', '.join(ALL_CATEGORIES)}")
     if seed < 0 or index < 0:
         raise InputError(f"terrain seed {seed}, index {index}; need numbers of at least 0")
     settings = settings or TerrainSettings()
-    random = np.random.default_rng(np.random.SeedSequence([seed, CATEGORIES.index(category), index]))
+    random = np.random.default_rng(np.random.SeedSequence([seed, ALL_CATEGORIES.index(category), index]))
     return Scene(tuple(_DRAW[kind](random, settings) for kind in _CONTENTS[category]))
 
 
@@ -274,4 +322,41 @@ def _steps(random: np.random.Generator, settings: TerrainSettings, yaw: float, w
     )
 
 
-_DRAW = {"cuboid": _cuboid, "wall": _wall, "staircase": _staircase, "staircase_focused": _staircase_focused}
+def _ramp(random: np.random.Generator, settings: TerrainSettings) -> Ramp:
+    length, width = random.uniform(*settings.ramp_length), random.uniform(*settings.ramp_width)
+    return Ramp(*_position(random, settings), _any_yaw(random), length, width, random.uniform(*settings.ramp_height))
+
+
+def _tiles(random: np.random.Generator, settings: TerrainSettings) -> Tiles:
+    length, width = random.uniform(*settings.tiles_extent, size=2).tolist()
+    side, highest = random.uniform(*settings.tile_side), random.uniform(*settings.tile_height)
+    shape = math.ceil(length / side), math.ceil(width / side)
+    heights = random.uniform(settings.tile_height[0], highest, shape)
+    slopes = random.uniform(-settings.tile_slope, settings.tile_slope, (*shape, 2))
+    tiles = np.concatenate([heights[..., None], slopes], axis=-1).tolist()
+    rows = tuple(tuple(tuple(tile) for tile in row) for row in tiles)
+    return Tiles(*_position(random, settings), _any_yaw(random), length, width, highest, side, rows)
+
+
+def _clutter(random: np.random.Generator, settings: TerrainSettings) -> Block:
+    length, width = random.uniform(*settings.clutter_side, size=2).tolist()
+    return Block(
+        *_position(random, settings), _any_yaw(random), length, width, random.uniform(*settings.clutter_height)
+    )
+
+
+def _any(random: np.random.Generator, settings: TerrainSettings) -> Obstacle:
+    return _DRAW[_ANY[int(random.integers(len(_ANY)))]](random, settings)
+
+
+_ANY = ("cuboid", "wall", "staircase", "ramp", "tiles")
+_DRAW = {
+    "cuboid": _cuboid,
+    "wall": _wall,
+    "staircase": _staircase,
+    "staircase_focused": _staircase_focused,
+    "ramp": _ramp,
+    "tiles": _tiles,
+    "clutter": _clutter,
+    "any": _any,
+}

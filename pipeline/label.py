@@ -44,6 +44,7 @@ def label_run(config: DictConfig, split: str) -> LabelRun:
     """
     from hdsp.labelling import LabelSettings
     from hdsp.robot import Robot
+    from hdsp.sensing import SensingSettings
     from hdsp.splits import LabelRun, SplitSettings
     from hdsp.terrain import TerrainSettings
 
@@ -55,6 +56,7 @@ def label_run(config: DictConfig, split: str) -> LabelRun:
         Robot.load(plain(config.robot)),
         settings(TerrainSettings, config.terrain, "terrain"),
         settings(LabelSettings, config.labelling.settings, "labelling.settings"),
+        settings(SensingSettings, config.labelling.sensing, "labelling.sensing"),
     )
 
 

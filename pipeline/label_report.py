@@ -22,7 +22,9 @@ def label_report(config: DictConfig, folders: Folders) -> None:
     from hdsp.label_report import describe_labels
 
     splits: dict[str, Any] = {}
-    for split in config.labelling.splits:
+    for split, chosen in config.labelling.splits.items():
+        if chosen.get("sensing"):
+            continue  # the paper has none of these
         place = shards_place(config, folders.inputs, split)
         ours = describe_labels(label_run(config, split), place)
         records = folders.read("data", "label_runs", f"{split}.jsonl")

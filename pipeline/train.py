@@ -6,7 +6,7 @@ import csv
 import hashlib
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
@@ -17,8 +17,13 @@ from pipeline.config import flatten, plain
 from pipeline.data import read_set
 from pipeline.stage import Folders, run_stage, write_json
 
+if TYPE_CHECKING:
+    from hdsp.tasks import TaskSet
+
 #: Parts of the configuration on which a training depends.
 SECTIONS = ("robot", "terrain", "labelling", "model", "trainer")
+#: Keys of the trainer that name splits, and the split that each names by default.
+ROLES = {"splits": "train", "val_splits": "val"}
 
 
 def train(config: DictConfig, folders: Folders) -> None:
@@ -27,8 +32,9 @@ def train(config: DictConfig, folders: Folders) -> None:
     from hdsp.robot import Robot
     from hdsp.viz import save_training_curves
 
-    splits = {name: folders.read("data", "labels", name) for name in ("train", "val")}
-    train_tasks, val_tasks = (_required(path) for path in splits.values())
+    chosen = {role: config.trainer.get(role) or [default] for role, default in ROLES.items()}
+    splits = {name: folders.read("data", "labels", name) for names in chosen.values() for name in names}
+    train_tasks, val_tasks = (_required([splits[name] for name in names]) for names in chosen.values())
     sets = {"val": val_tasks}
     for name in config.evaluation.watched:
         path = folders.read(config.evaluation.sets[name].tasks)
@@ -37,6 +43,8 @@ def train(config: DictConfig, folders: Folders) -> None:
             sets[name], splits[name] = tasks, path
 
     hashes = {f"data.{name}": folder_hash(path) for name, path in splits.items()}
+    learnt = [hashes[f"data.{name}"] for name in chosen["splits"]]
+    data_hash = learnt[0] if len(learnt) == 1 else hashlib.sha256("".join(learnt).encode()).hexdigest()
     parameters = flatten({name: config[name] for name in SECTIONS} | {"profile": config.profile})
     with tracking.run(f"{config.model.architecture} {config.profile}", parameters, hashes) as mlflow:
         work = folders.write("models", "training")
@@ -47,7 +55,7 @@ def train(config: DictConfig, folders: Folders) -> None:
             sets,
             work,
             on_epoch=lambda epoch, metrics: mlflow.log_metrics(metrics, step=epoch),
-            provenance=Provenance.of(Robot.load(plain(config.robot)), hashes["data.train"], profile=config.profile),
+            provenance=Provenance.of(Robot.load(plain(config.robot)), data_hash, profile=config.profile),
             quiet=not config.runtime.progress,
         )
         abstraction_dir = folders.write("models", "abstraction")
@@ -94,11 +102,17 @@ def write_history(path: Path, rows: list[dict[str, Any]]) -> None:
         writer.writerows(rows)
 
 
-def _required(path: Path):
-    tasks, reason = read_set(path)
-    if tasks is None:
-        raise InputError(f"cannot train: {reason}")
-    return tasks
+def _required(paths: list[Path]) -> TaskSet:
+    """The tasks of several splits as one set."""
+    from hdsp.tasks import TaskSet
+
+    sets = []
+    for path in paths:
+        tasks, reason = read_set(path)
+        if tasks is None:
+            raise InputError(f"cannot train: {reason}")
+        sets.append(tasks)
+    return sets[0] if len(sets) == 1 else TaskSet.concatenate(sets)
 
 
 def _nested(metrics: dict[str, float]) -> dict[str, Any]:

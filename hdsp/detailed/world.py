@@ -40,7 +40,6 @@ class Tables(NamedTuple):
     move_dy: np.ndarray
     move_flat: np.ndarray  # int64 [20]
     move_key: np.ndarray  # int64 [20], what a move adds to a packed state
-    move_length: np.ndarray  # float64 [20], metres
     move_first: np.ndarray  # int64 [20]
     move_count: np.ndarray
     deviation: np.ndarray  # float64 [64, 20], factor on driving
@@ -228,7 +227,6 @@ def _tables(robot: Robot, stride: int, size: int) -> Tables:
         move_dy=DRIVE_MOVES[:, 1].copy(),
         move_flat=flat(DRIVE_MOVES),
         move_key=pack_steps(DRIVE_MOVES),
-        move_length=length,
         move_first=MOVE_SAMPLES.first,
         move_count=MOVE_SAMPLES.count,
         deviation=factor,

@@ -59,7 +59,10 @@ class SelectionSettings:
 
 @dataclass(frozen=True)
 class TrainerSettings:
-    """What ``conf/trainer/*.yaml`` holds: all that the trained network depends on besides model and data."""
+    """What ``conf/trainer/*.yaml`` holds: all that the trained network depends on besides model and data.
+
+    ``splits`` and ``val_splits`` name the labelled splits that ``pipeline.train`` passes to ``train``.
+    """
 
     epochs: int = 100
     seed: int = 0
@@ -70,8 +73,13 @@ class TrainerSettings:
     losses: LossSettings = field(default_factory=LossSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     gradient_clip: float | None = None
+    splits: tuple[str, ...] = field(default=("train",), repr=False)  # checkpoints are marked with the tasks themselves
+    val_splits: tuple[str, ...] = field(default=("val",), repr=False)
 
     def __post_init__(self):
+        for name in ("splits", "val_splits"):
+            if not getattr(self, name):
+                raise InputError(f"trainer.{name}: it is empty; need the name of a labelled split")
         if self.epochs < 1:
             raise InputError(f"trainer.epochs: {self.epochs} is below 1")
 

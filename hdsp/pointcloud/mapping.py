@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hdsp.errors import InputError
+from hdsp.filling import filled, smoothed
 from hdsp.heightmap import HeightMap
 from hdsp.lattice import RESOLUTION
 from hdsp.pointcloud.alignment import FloorSettings, fit_floor, level, thinned
@@ -95,8 +96,8 @@ def height_map(points: np.ndarray, settings: MapSettings | None = None, resoluti
     low = cells.min(axis=0)
     heights = _surface(cells - low, points[:, 2], settings)
     if settings.fill or settings.smooth:
-        heights = _filled(heights, settings.fill)
-        heights = _smoothed(heights, settings.smooth)
+        heights = filled(heights, settings.fill)
+        heights = smoothed(heights, settings.smooth)
     heights, shift = _trimmed(_without_islands(heights, settings.island))
     return HeightMap(heights, tuple((low + shift) * resolution), resolution)
 
@@ -164,43 +165,6 @@ def _surface(cells: np.ndarray, z: np.ndarray, settings: MapSettings) -> np.ndar
     count = np.bincount(flat[upper], minlength=len(top))
     total = np.bincount(flat[upper], z[upper], minlength=len(top))
     return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(shape)
-
-
-def _filled(heights: np.ndarray, radius: int) -> np.ndarray:
-    if radius == 0:
-        return heights
-    from scipy.ndimage import binary_closing
-
-    known = np.pad(np.isfinite(heights), radius)
-    x, y = np.indices((2 * radius + 1,) * 2) - radius
-    closed = binary_closing(known, x**2 + y**2 <= radius**2)[radius:-radius, radius:-radius]
-    return np.where(closed, _everywhere(heights), np.nan)
-
-
-def _everywhere(heights: np.ndarray) -> np.ndarray:
-    """Unknown cells get the height of the nearest known one."""
-    from scipy.ndimage import distance_transform_edt
-
-    nearest = distance_transform_edt(np.isnan(heights), return_distances=False, return_indices=True)
-    return heights[tuple(nearest)]
-
-
-def _smoothed(heights: np.ndarray, limit: float) -> np.ndarray:
-    if limit == 0:
-        return heights
-    from scipy.ndimage import median_filter
-
-    known = np.isfinite(heights)
-    calm = np.where(known, median_filter(_everywhere(heights), 3, mode="nearest"), np.nan)
-    padded = np.pad(calm, 2, constant_values=np.nan)
-    total, count = np.zeros_like(calm), np.zeros_like(calm)
-    for i in range(5):
-        for j in range(5):
-            other = padded[i : i + calm.shape[0], j : j + calm.shape[1]]
-            alike = np.abs(other - calm) < limit
-            total += np.where(alike, other, 0)
-            count += alike
-    return np.where(known, total / np.maximum(count, 1), np.nan)
 
 
 def _without_islands(heights: np.ndarray, least: int) -> np.ndarray:

@@ -38,7 +38,10 @@ def test_a_second_run_changes_no_shard(labelled):
 
 
 def test_an_unknown_split_is_named(tmp_path):
-    with pytest.raises(AssertionError, match=r"error: unknown split 'tset'; labelling.splits has train, val, random\n"):
+    with pytest.raises(
+        AssertionError,
+        match=r"error: unknown split 'tset'; labelling.splits has train, val, random, sensed, val_sensed\n",
+    ):
         run_python("pipeline.label", "tset", *tiny(tmp_path))
 
 
