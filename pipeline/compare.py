@@ -158,10 +158,10 @@ def zoo_table(zoo: Mapping[str, Mapping[str, Any]]) -> str:
         ])  # fmt: skip
     run = next(iter(zoo.values()))
     note = (
-        f"Each trained on {run['maps']:,} maps for {run['epochs']} epochs. Feasibility correct / mean cost error; bold: "
-        "on a front of the picture. The time is for all actions of all 160,000 states of a map without equal patches, "
-        f"CPU seconds of one core, extrapolated from {SAMPLED:,} patches, or where dense from the states of one heading. "
-        "Minutes of training are those of a busy machine.\n\n![Errors over time](figures/pareto.png)"
+        f"Each trained on {run['maps']:,} maps for {run['epochs']} epochs. Feasibility correct / mean cost error; "
+        "bold: on a front of the picture. The time is for all actions of all 160,000 states of a map without equal "
+        f"patches, CPU seconds of one core, extrapolated from {SAMPLED:,} patches, or where dense from the states of "
+        "one heading. Minutes of training are those of a busy machine.\n\n![Errors over time](figures/pareto.png)"
     )
     return markdown(header, rows) + "\n\n" + note
 
