@@ -48,7 +48,7 @@ class LearnedCosts:
         network = abstraction.network
         self._on_turned_map = network.is_dense()
         self._trunk = network.dense_trunk() if method == "dense" or (method == "auto" and network.is_dense()) else None
-        if method == "dense" and (self._trunk is None or not network.encoding.is_local()):
+        if method == "dense" and (self._trunk is None or not (network.is_dense() or network.encoding.is_local())):
             raise InputError(
                 f"method dense: {abstraction.model.architecture} needs a trunk of convolutions without stride, and "
                 "heights as they are (encoding.reference none, encoding.channels [height])"

@@ -142,14 +142,14 @@ class LearnedAbstraction:
             encoded = network.encoding(torch.from_numpy(heights)[None, None].to(self.device))
             # Channels innermost, as the weights are.
             dense = trunk(encoded.contiguous(memory_format=torch.channels_last))
-        dense, shared_goals = dense.float(), torch.from_numpy(goals)[None].to(self.device)
+        shared_goals = torch.from_numpy(goals)[None].to(self.device)
         feasible, costs = np.zeros((len(corners), len(goals)), bool), np.zeros((len(corners), len(goals)), np.float32)
         # Some at a time: what belongs to all goals of all patches would not stay in the processor's cache. And always
         # the same ones together: sums of another number of rows may round otherwise.
         for start in range(0, len(corners), WINDOWS):
             part = slice(start, start + WINDOWS)
             if wanted[part].any():
-                features = trunk.windows(dense, torch.from_numpy(corners[part]).to(self.device))
+                features = trunk.windows(dense, torch.from_numpy(corners[part]).to(self.device)).float()
                 cost, logits = network.goal_part(features, shared_goals)
                 feasible[part] = (logits.sigmoid() > 0.5).cpu().numpy()
                 costs[part] = cost.clamp_min(MINIMUM_COST).cpu().numpy()

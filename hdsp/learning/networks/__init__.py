@@ -14,6 +14,7 @@ from hdsp.learning.networks.base import TaskNetwork, count_parameters, initialis
 from hdsp.learning.networks.compact import Compact, CompactOptions
 from hdsp.learning.networks.dilated import Dilated, DilatedOptions
 from hdsp.learning.networks.goalmap import GoalMap, GoalMapOptions
+from hdsp.learning.networks.footprint import Footprint, FootprintOptions
 from hdsp.learning.networks.klamt2019 import Klamt2019, Klamt2019Options
 from hdsp.learning.networks.swept import Swept, SweptOptions
 from hdsp.learning.networks.table import Table, TableOptions
@@ -27,6 +28,7 @@ ARCHITECTURES: dict[str, tuple[type[TaskNetwork], type]] = {
     "dilated": (Dilated, DilatedOptions),
     "goalmap": (GoalMap, GoalMapOptions),
     "table": (Table, TableOptions),
+    "footprint": (Footprint, FootprintOptions),
 }
 
 

@@ -1,0 +1,266 @@
+"""A network that judges the robot's footprint at every pose on the way to a goal; dense, and blind to absolute height."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from hdsp.errors import InputError
+from hdsp.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
+from hdsp.learning.encoding import HeightEncoding
+from hdsp.learning.networks.base import TaskNetwork
+from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
+
+#: Cells that the base may move along each axis on its way to a goal: that of the longest action, at any heading residue.
+REACH = 9
+#: Side of the square of base positions at which footprints are judged.
+POSES = 2 * REACH + 1
+#: Poses on the way to a goal, start and goal included.
+SAMPLES = 5
+#: What is read of the ground itself at each tap: highest and lowest relative height, unevenness.
+GROUND = 3
+#: Radius in cells of the ground around each tap whose highest and lowest points are compared with the ground at the base.
+GROUND_RADIUS = 2
+
+
+@dataclass(frozen=True)
+class FootprintOptions:
+    """Widths of the network.
+
+    Attributes:
+        width: channels of the local features.
+        dilations: of the 3 x 3 convolutions behind the first one, 5 x 5. Together they may look 9 cells far.
+        taps: points of the footprint (along x, along y), odd numbers, at which local features are read.
+        spacing: cells between taps. 9 x 7 taps, 3 apart, put one at 1 cell from where each neutral foot stands.
+        hidden: width of the first layer that sees a whole footprint.
+        features: width of what is kept of a footprint.
+        context: width of the summary of all footprints around the start; detours need it.
+        head: width of the layers that judge a way.
+    """
+
+    width: int = 32
+    dilations: tuple[int, ...] = (1, 2, 4)
+    taps: tuple[int, int] = (9, 7)
+    spacing: int = 3
+    hidden: int = 96
+    features: int = 48
+    context: int = 64
+    head: int = 128
+
+    def __post_init__(self):
+        if 2 + sum(self.dilations) > 9 or min(self.dilations, default=1) < 1:
+            raise InputError(f"model.options.dilations: {list(self.dilations)} have to be at least 1 and add up to <= 7")
+        if min(self.taps) < 1 or any(n % 2 == 0 for n in self.taps) or max(self.taps) * self.spacing > 27:
+            raise InputError(
+                f"model.options: taps {list(self.taps)} have to be odd, and with spacing {self.spacing} within 27 cells"
+            )
+
+
+class Footprint(TaskNetwork):
+    """Local features, gathered over the robot's footprint at each pose of a way.
+
+    The detailed costs depend on what lies under the feet and the body at each pose, in the same manner for every goal
+    and every part of a way. So one and the same layer judges the footprint at all positions within reach (a convolution
+    with the robot's size), and turned, for the goals that turn. A small network then judges the sequence of footprints
+    on the straight way to a goal, beside a summary of all that lie around it.
+
+    Nothing is padded and only differences of heights enter, so the network can be evaluated densely, on any floor.
+    """
+
+    def __init__(self, encoding: HeightEncoding, options: FootprintOptions):
+        super().__init__(encoding)
+        width, hidden = options.width, options.hidden
+        missing = {"height", "unknown", "unevenness"} - set(encoding.channels)
+        if missing:
+            raise InputError(f"model.encoding.channels: the footprint network needs {', '.join(sorted(missing))} too")
+        self.trunk_channels = [i for i, c in enumerate(encoding.channels) if c not in ("height", "unevenness")]
+        self.options = options
+        layers: list[nn.Module] = [nn.Conv2d(len(self.trunk_channels), width, 5), nn.ReLU()]
+        for dilation in options.dilations:
+            layers += [nn.Conv2d(width, width, 3, dilation=dilation), nn.ReLU()]
+        self.local = nn.Sequential(*layers)
+        self.radius = 2 + sum(options.dilations)
+        self.margins = tuple(n // 2 * options.spacing for n in options.taps)
+        self.of_local = nn.Conv2d(width, hidden, options.taps, dilation=options.spacing)
+        self.of_ground = nn.Linear(GROUND * math.prod(options.taps), hidden, bias=False)
+        self.footprint = nn.Linear(hidden, options.features)
+        self.context = nn.Linear(7 * 7 * options.features, options.context)
+        way = (SAMPLES + 2) * options.features + options.context + GOAL_FEATURES
+        self.rest = nn.Sequential(
+            nn.Linear(way, options.head), nn.ReLU(), nn.Linear(options.head, options.head // 2), nn.ReLU()
+        )
+        self.heads = nn.Linear(options.head // 2, 2)
+        self.goal_cost = nn.Sequential(nn.Linear(GOAL_FEATURES, 64), nn.ReLU(), nn.Linear(64, 1))
+        taps_x, taps_y = ((torch.arange(n) - n // 2) * options.spacing for n in options.taps)
+        self.register_buffer("taps", torch.cartesian_prod(taps_x, taps_y).float(), persistent=False)
+        share = torch.linspace(0, 1, SAMPLES)[1:] * (2 * math.pi / ABSTRACT_HEADINGS)
+        self.register_buffer("turns", torch.cat([share, -share]), persistent=False)
+
+    def map_part(self, encoded: Tensor) -> Tensor:
+        x, y = (PATCH_CENTER - REACH - n for n in self.margins)
+        local, ground = self._maps(encoded, (x, PATCH_CELLS - x + 1), (y, PATCH_CELLS - y + 1))
+        centre = torch.tensor([[PATCH_CENTER - x, PATCH_CENTER - y]], device=encoded.device)
+        return _packed(self._footprints(local, ground), self._turned(local, ground, centre)[:, 0])
+
+    def dense_trunk(self) -> "FootprintTrunk":
+        return FootprintTrunk(self)
+
+    def is_dense(self) -> bool:
+        # All that the network reads of a patch lies so far from its rim that what is beyond has no part in it.
+        used = {name: max(self.margins) + REACH for name in ("height", "unknown", "unevenness")}
+        used["height"] += GROUND_RADIUS
+        for name in self.encoding.channels:
+            used[name] = max(used.get(name, 0), max(self.margins) + REACH + self.radius)
+        used["unevenness"] -= self.radius
+        last = PATCH_CELLS - 1 - PATCH_CENTER
+        return self.encoding.reference == "none" and all(
+            reach + self.encoding.radius(name) <= last for name, reach in used.items()
+        )
+
+    def _maps(self, encoded: Tensor, x: tuple[int, int], y: tuple[int, int]) -> tuple[Tensor, Tensor]:
+        """Local features [B, width, nx, ny] of ranges of cells, and of their ground [B, 4, nx, ny] the highest and
+        lowest height around, the unevenness, and the height of the cell itself; NaN where no height is known."""
+
+        def cut(radius: int, channels) -> Tensor:
+            return encoded[:, channels, x[0] - radius : x[1] + radius, y[0] - radius : y[1] + radius]
+
+        names = self.encoding.channels
+        local = self.local(cut(self.radius, self.trunk_channels))
+        height = cut(GROUND_RADIUS, [names.index("height")]).float()
+        unknown = cut(GROUND_RADIUS, [names.index("unknown")]) > 0
+        inner = slice(GROUND_RADIUS, -GROUND_RADIUS)
+        highest = _highest(height.masked_fill(unknown, -math.inf), 2 * GROUND_RADIUS + 1)
+        lowest = -_highest((-height).masked_fill(unknown, -math.inf), 2 * GROUND_RADIUS + 1)
+        own = height.masked_fill(unknown, math.nan)[..., inner, inner]
+        return local, torch.cat([highest, lowest, cut(0, [names.index("unevenness")]).float(), own], dim=1)
+
+    def _footprints(self, local: Tensor, ground: Tensor) -> Tensor:
+        """Footprints [B, features, mx, my] at all positions whose taps lie within the maps."""
+        taps, spacing = self.options.taps, self.options.spacing
+        of_local = self.of_local(local)
+        mx, my = of_local.shape[-2:]
+        x, y = self.margins
+        base = ground[:, 3:, x : x + mx, y : y + my]
+        seen = [
+            ground[:, :3, i * spacing : i * spacing + mx, j * spacing : j * spacing + my]
+            for i in range(taps[0])
+            for j in range(taps[1])
+        ]
+        seen = torch.stack(seen, dim=1)
+        of_ground = torch.cat([_relative(seen[:, :, :2], base[:, None]), seen[:, :, 2:]], dim=2).flatten(1, 2)
+        hidden = torch.relu(of_local + functional.conv2d(of_ground, self.of_ground.weight[:, :, None, None]))
+        return torch.relu(functional.conv2d(hidden, self.footprint.weight[:, :, None, None], self.footprint.bias))
+
+    def _turned(self, local: Tensor, ground: Tensor, centres: Tensor) -> Tensor:
+        """Footprints [B, n, turns, features] of bases at cells ``centres`` [n, 2] of the maps, turned on the spot."""
+        cos, sin = self.turns.cos()[:, None], self.turns.sin()[:, None]
+        x, y = self.taps.unbind(-1)
+        positions = centres[:, None, None, :] + torch.stack([cos * x - sin * y, sin * x + cos * y], dim=-1)
+        near = positions.round().long()
+        seen = ground[:, :3, near[..., 0], near[..., 1]].permute(0, 2, 3, 4, 1)
+        base = ground[:, 3, centres[:, 0], centres[:, 1]][:, :, None, None, None]
+        of_ground = torch.cat([_relative(seen[..., :2], base), seen[..., 2:]], dim=-1).flatten(3)
+        weight = self.of_local.weight.flatten(2).permute(0, 2, 1).flatten(1)
+        of_local = functional.linear(_interpolated(local, positions).flatten(-2), weight, self.of_local.bias)
+        return torch.relu(self.footprint(torch.relu(of_local + self.of_ground(of_ground))))
+
+    def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
+        width = self.options.features
+        straight, turned = features.split([POSES * POSES * width, 2 * (SAMPLES - 1) * width], dim=1)
+        straight = straight.reshape(-1, POSES, POSES, width)
+        turned = turned.reshape(-1, 2, SAMPLES - 1, width)
+        share = torch.linspace(0, 1, SAMPLES, device=goals.device)[1:, None]
+        positions = (goals[..., None, :2] * (share * CELLS_PER_ABSTRACT) + REACH).clamp(0, POSES - 1)
+        way = _interpolated_each(straight, positions)
+        turning = goals[..., 2] != 0
+        chosen = torch.where((goals[..., 2] > 0)[..., None, None], turned[:, None, 0], turned[:, None, 1])
+        way = torch.where(turning[..., None, None], chosen, way)
+        start = straight[:, None, REACH, REACH].expand(-1, goals.shape[1], -1)
+        way = torch.cat([start[:, :, None], way], dim=2)
+        around = torch.relu(self.context(straight[:, ::3, ::3].flatten(1)))[:, None].expand(-1, goals.shape[1], -1)
+        known = goal_features(goals)
+        seen = torch.cat([way.flatten(2), way.mean(2), way.amax(2), around, known], dim=-1)
+        excess, logits = self.heads(self.rest(seen)).unbind(-1)
+        return self.goal_cost(known).squeeze(-1) * (1 + excess), logits
+
+
+class FootprintTrunk:
+    """Dense evaluation of a footprint network (see ``networks.dense.DenseTrunk``, whose contract it keeps)."""
+
+    exact = True
+    margin = 0
+
+    def __init__(self, network: Footprint):
+        self.network = network
+
+    def __call__(self, encoded: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Local features, ground, and footprints, at all cells of [1, channels, nx, ny] that have their surroundings."""
+        radius = self.network.radius
+        local, ground = self.network._maps(
+            encoded, (radius, encoded.shape[-2] - radius), (radius, encoded.shape[-1] - radius)
+        )
+        # Cells first: what belongs to one cell then lies side by side, and is copied in one piece.
+        straight = self.network._footprints(local, ground)[0].permute(1, 2, 0).contiguous()
+        return local, ground, straight
+
+    def windows(self, dense: tuple[Tensor, Tensor, Tensor], corners: Tensor) -> Tensor:
+        """Features [n, F], as ``map_part`` gives them, of patches with lower corners [n, 2]."""
+        local, ground, straight = dense
+        radius = self.network.radius
+        turned = self.network._turned(local, ground, corners + (PATCH_CENTER - radius))[0]
+        first_x, first_y = (corners + (PATCH_CENTER - radius - REACH) - corners.new_tensor(self.network.margins)).unbind(1)
+        inside = torch.arange(POSES, device=corners.device)
+        width = straight.shape[1]
+        index = ((first_x * width + first_y)[:, None, None] + inside[:, None] * width + inside).flatten()
+        windows = straight.flatten(0, 1)[index].view(len(corners), POSES, POSES, -1)
+        return torch.cat([windows.flatten(1), turned.flatten(1)], dim=1)
+
+
+def _packed(straight: Tensor, turned: Tensor) -> Tensor:
+    """Footprints [B, features, POSES, POSES] and turned ones [B, turns, features] as features [B, F]."""
+    return torch.cat([straight.permute(0, 2, 3, 1).flatten(1), turned.flatten(1)], dim=1)
+
+
+def _relative(heights: Tensor, base: Tensor) -> Tensor:
+    """Heights relative to the ground at the base. Higher than the body, or deeper than a foot reaches: how much no
+    longer matters. What is unknown counts as level."""
+    return (heights - base).nan_to_num(nan=0.0, posinf=0.0, neginf=0.0).clamp(-0.5, 0.8)
+
+
+def _highest(values: Tensor, window: int) -> Tensor:
+    """Maximum over a square window at every cell that has a whole one, [B, C, nx - window + 1, ...]."""
+    for axis in (-2, -1):
+        length = values.shape[axis] - window + 1
+        parts = [values.narrow(axis, start, length) for start in range(window)]
+        values = parts[0]
+        for part in parts[1:]:
+            values = torch.maximum(values, part)
+    return values
+
+
+def _interpolated(maps: Tensor, positions: Tensor) -> Tensor:
+    """Maps [B, C, nx, ny] at positions [..., 2] common to all: [B, ..., C], bilinear."""
+    low = positions.detach().floor()
+    share = positions - low
+    i, j = low.long().unbind(-1)
+    x, y = share.to(maps.dtype).unbind(-1)
+    corners = ((0, 0, (1 - x) * (1 - y)), (0, 1, (1 - x) * y), (1, 0, x * (1 - y)), (1, 1, x * y))
+    rows = maps.permute(0, 2, 3, 1)
+    return sum(rows[:, i + a, j + b] * weight[..., None] for a, b, weight in corners)
+
+
+def _interpolated_each(maps: Tensor, positions: Tensor) -> Tensor:
+    """Maps [B, nx, ny, C] at positions [B, ..., 2] of their own: [B, ..., C], bilinear."""
+    cells = maps.shape[1]
+    at = positions.flatten(1, -2)
+    low = at.floor().clamp_max(cells - 2)
+    x, y = (at - low).unbind(-1)
+    first = low[..., 0].long() * cells + low[..., 1].long()
+    rows = maps.flatten(1, 2)
+    result = 0
+    for step, weight in ((0, (1 - x) * (1 - y)), (1, (1 - x) * y), (cells, x * (1 - y)), (cells + 1, x * y)):
+        index = (first + step)[..., None].expand(-1, -1, maps.shape[-1])
+        result = result + rows.gather(1, index) * weight[..., None]
+    return result.view(*positions.shape[:-1], maps.shape[-1])
