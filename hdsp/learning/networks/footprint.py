@@ -168,6 +168,7 @@ class Footprint(TaskNetwork):
 
     def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
         width = self.options.features
+        goals = goals.expand(len(features), -1, -1)
         straight, turned = features.split([POSES * POSES * width, 2 * (SAMPLES - 1) * width], dim=1)
         straight = straight.reshape(-1, POSES, POSES, width)
         turned = turned.reshape(-1, 2, SAMPLES - 1, width)
