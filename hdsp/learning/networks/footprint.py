@@ -108,16 +108,10 @@ class Footprint(TaskNetwork):
         return FootprintTrunk(self)
 
     def is_dense(self) -> bool:
-        # All that the network reads of a patch lies so far from its rim that what is beyond has no part in it.
-        used = {name: max(self.margins) + REACH for name in ("height", "unknown", "unevenness")}
-        used["height"] += GROUND_RADIUS
-        for name in self.encoding.channels:
-            used[name] = max(used.get(name, 0), max(self.margins) + REACH + self.radius)
-        used["unevenness"] -= self.radius
-        last = PATCH_CELLS - 1 - PATCH_CENTER
-        return self.encoding.reference == "none" and all(
-            reach + self.encoding.radius(name) <= last for name, reach in used.items()
-        )
+        # What the network reads of a patch lies so far from its rim that what is beyond has no part in it.
+        within = {name: self.radius for name in self.encoding.channels} | {"height": GROUND_RADIUS, "unevenness": 0}
+        beyond = max(radius + self.encoding.radius(name) for name, radius in within.items())
+        return self.encoding.reference == "none" and max(self.margins) + REACH + beyond < PATCH_CELLS - PATCH_CENTER
 
     def _maps(self, encoded: Tensor, x: tuple[int, int], y: tuple[int, int]) -> tuple[Tensor, Tensor]:
         """Local features [B, width, nx, ny] of ranges of cells, and of their ground [B, 4, nx, ny] the highest and
