@@ -103,7 +103,9 @@ class HeightEncoding:
         if "edge" in self.channels:
             # Without a height, unknown cells are edges by themselves, whatever the height of the ground around them.
             edge = greatest_difference(heights if self.unknown is not None else known)
-            encoded["edge"] = torch.where(unknown, 1.0, self._bounded(edge)) if self.unknown is None else self._bounded(edge)
+            encoded["edge"] = (
+                torch.where(unknown, 1.0, self._bounded(edge)) if self.unknown is None else self._bounded(edge)
+            )
         for channel, axis in (("slope_x", -2), ("slope_y", -1)):
             if channel in self.channels:
                 encoded[channel] = self._bounded(slope(known, axis)).nan_to_num(nan=0.0)

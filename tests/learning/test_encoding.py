@@ -2,11 +2,16 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
+from hdsp.costs import cost_maps
 from hdsp.errors import InputError
+from hdsp.heightmap import HeightMap
+from hdsp.lattice import cells
 from hdsp.learning.encoding import HeightEncoding, greatest_difference
+from hdsp.robot import Robot
 
 
 def patch(value=0.0):
@@ -67,13 +72,43 @@ def test_the_edge_channel_is_one_half_at_its_scale():
     assert encoded[0, 1, 20, 10] == 0
 
 
+def test_unknown_cells_without_a_height_are_edges_and_do_not_count_for_their_neighbours():
+    heights = patch(3.0)
+    heights[..., 20:, :] = 3.1
+    heights[..., 40:, 30:] = math.nan
+    encoded = HeightEncoding(unknown=None, clip=(-100, 100), channels=("edge", "unknown", "slope_x", "slope_y"))(
+        heights
+    )
+    edge, unknown, slope_x, slope_y = encoded[0]
+    assert (unknown == heights[0, 0].isnan()).all()
+    assert (edge[40:, 30:] == 1).all()
+    assert edge[39, 50] == 0
+    assert slope_x[39, 50] == 0
+    assert slope_x[19, 3] == slope_x[20, 3] == pytest.approx(0.5, abs=1e-5)
+    assert (slope_y == 0).all()
+
+
+def test_unevenness_is_that_of_the_cost_model():
+    rng = np.random.default_rng(0)
+    heights = rng.normal(0, 0.02, (72, 72)).astype(np.float32)
+    heights[30:36, 50:] = np.nan
+    encoding = HeightEncoding(unknown=None, channels=("height", "unevenness"))
+    expected = cost_maps(HeightMap(heights), Robot.load("momaro")).unevenness
+    encoded = encoding(torch.from_numpy(heights)[None, None])[0, 1]
+    inner = slice(13, 72 - 13)  # beyond the rim the two know different things
+    np.testing.assert_allclose(encoded[inner, inner].expm1(), expected[inner, inner], rtol=1e-4)
+    assert encoding.unevenness_radius == round(cells(Robot.load("momaro").drive.unevenness_radius))
+    assert encoding.radius("unevenness") == 12
+
+
 def test_encoding_survives_its_mapping():
     encoding = HeightEncoding(reference="base", clip=(-0.5, 1.0), channels=("edge",), edge_scale=0.2)
     assert HeightEncoding.from_config(encoding.to_dict()) == encoding
 
 
 @pytest.mark.parametrize(
-    "faulty", [{"channels": ["slope"]}, {"channels": []}, {"edge_scale": 0}, {"reference": "mean"}]
+    "faulty",
+    [{"channels": ["slope"]}, {"channels": []}, {"unevenness_radius": 0}, {"edge_scale": 0}, {"reference": "mean"}],
 )
 def test_wrong_encodings_are_refused(faulty):
     with pytest.raises(InputError, match=r"encoding\."):

@@ -18,7 +18,7 @@ from hdsp.learning.settings import settings_from
 
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = sorted(path.stem for path in (ROOT / "conf/model").glob("*.yaml"))
-DENSE = ["klamt2019_dense", "dilated", "table"]
+DENSE = ["klamt2019_dense", "dilated", "footprint", "table"]
 EXACT = HardwareSettings("cpu", "32", 1)
 
 

@@ -19,8 +19,6 @@ REACH = 9
 POSES = 2 * REACH + 1
 #: Poses on the way to a goal, start and goal included.
 SAMPLES = 5
-#: What is read of the ground itself at each tap: highest and lowest relative height, unevenness.
-GROUND = 3
 #: Radius in cells of the ground around each tap whose highest and lowest points are compared with the ground at the base.
 GROUND_RADIUS = 2
 
@@ -51,7 +49,9 @@ class FootprintOptions:
 
     def __post_init__(self):
         if 2 + sum(self.dilations) > 9 or min(self.dilations, default=1) < 1:
-            raise InputError(f"model.options.dilations: {list(self.dilations)} have to be at least 1 and add up to <= 7")
+            raise InputError(
+                f"model.options.dilations: {list(self.dilations)} have to be at least 1 and add up to <= 7"
+            )
         if min(self.taps) < 1 or any(n % 2 == 0 for n in self.taps) or max(self.taps) * self.spacing > 27:
             raise InputError(
                 f"model.options: taps {list(self.taps)} have to be odd, and with spacing {self.spacing} within 27 cells"
@@ -72,10 +72,14 @@ class Footprint(TaskNetwork):
     def __init__(self, encoding: HeightEncoding, options: FootprintOptions):
         super().__init__(encoding)
         width, hidden = options.width, options.hidden
-        missing = {"height", "unknown", "unevenness"} - set(encoding.channels)
-        if missing:
-            raise InputError(f"model.encoding.channels: the footprint network needs {', '.join(sorted(missing))} too")
-        self.trunk_channels = [i for i, c in enumerate(encoding.channels) if c not in ("height", "unevenness")]
+        names = encoding.channels
+        if "height" not in names:
+            raise InputError(f"model.encoding.channels: {list(names)} lacks height, which the footprint network needs")
+        # The trunk sees differences; the height itself only where there is nothing else.
+        self.trunk_channels = [i for i, c in enumerate(names) if c not in ("height", "unevenness")] or [
+            names.index("height")
+        ]
+        self.ground_channels = 3 if "unevenness" in names else 2
         self.options = options
         layers: list[nn.Module] = [nn.Conv2d(len(self.trunk_channels), width, 5), nn.ReLU()]
         for dilation in options.dilations:
@@ -84,7 +88,7 @@ class Footprint(TaskNetwork):
         self.radius = 2 + sum(options.dilations)
         self.margins = tuple(n // 2 * options.spacing for n in options.taps)
         self.of_local = nn.Conv2d(width, hidden, options.taps, dilation=options.spacing)
-        self.of_ground = nn.Linear(GROUND * math.prod(options.taps), hidden, bias=False)
+        self.of_ground = nn.Linear(self.ground_channels * math.prod(options.taps), hidden, bias=False)
         self.footprint = nn.Linear(hidden, options.features)
         self.context = nn.Linear(7 * 7 * options.features, options.context)
         way = (SAMPLES + 2) * options.features + options.context + GOAL_FEATURES
@@ -114,8 +118,8 @@ class Footprint(TaskNetwork):
         return self.encoding.reference == "none" and max(self.margins) + REACH + beyond < PATCH_CELLS - PATCH_CENTER
 
     def _maps(self, encoded: Tensor, x: tuple[int, int], y: tuple[int, int]) -> tuple[Tensor, Tensor]:
-        """Local features [B, width, nx, ny] of ranges of cells, and of their ground [B, 4, nx, ny] the highest and
-        lowest height around, the unevenness, and the height of the cell itself; NaN where no height is known."""
+        """Local features [B, width, nx, ny] of ranges of cells, and of their ground [B, 3 or 4, nx, ny] the height of
+        the cell itself (NaN if unknown), the highest and lowest around, and the unevenness if that is a channel."""
 
         def cut(radius: int, channels) -> Tensor:
             return encoded[:, channels, x[0] - radius : x[1] + radius, y[0] - radius : y[1] + radius]
@@ -123,12 +127,16 @@ class Footprint(TaskNetwork):
         names = self.encoding.channels
         local = self.local(cut(self.radius, self.trunk_channels))
         height = cut(GROUND_RADIUS, [names.index("height")]).float()
-        unknown = cut(GROUND_RADIUS, [names.index("unknown")]) > 0
+        known = "unknown" not in names
+        unknown = (
+            torch.zeros_like(height, dtype=torch.bool) if known else cut(GROUND_RADIUS, [names.index("unknown")]) > 0
+        )
         inner = slice(GROUND_RADIUS, -GROUND_RADIUS)
         highest = _highest(height.masked_fill(unknown, -math.inf), 2 * GROUND_RADIUS + 1)
         lowest = -_highest((-height).masked_fill(unknown, -math.inf), 2 * GROUND_RADIUS + 1)
         own = height.masked_fill(unknown, math.nan)[..., inner, inner]
-        return local, torch.cat([highest, lowest, cut(0, [names.index("unevenness")]).float(), own], dim=1)
+        unevenness = [cut(0, [i]).float() for i, name in enumerate(names) if name == "unevenness"]
+        return local, torch.cat([own, highest, lowest, *unevenness], dim=1)
 
     def _footprints(self, local: Tensor, ground: Tensor) -> Tensor:
         """Footprints [B, features, mx, my] at all positions whose taps lie within the maps."""
@@ -136,9 +144,9 @@ class Footprint(TaskNetwork):
         of_local = self.of_local(local)
         mx, my = of_local.shape[-2:]
         x, y = self.margins
-        base = ground[:, 3:, x : x + mx, y : y + my]
+        base = ground[:, :1, x : x + mx, y : y + my]
         seen = [
-            ground[:, :3, i * spacing : i * spacing + mx, j * spacing : j * spacing + my]
+            ground[:, 1:, i * spacing : i * spacing + mx, j * spacing : j * spacing + my]
             for i in range(taps[0])
             for j in range(taps[1])
         ]
@@ -153,8 +161,8 @@ class Footprint(TaskNetwork):
         x, y = self.taps.unbind(-1)
         positions = centres[:, None, None, :] + torch.stack([cos * x - sin * y, sin * x + cos * y], dim=-1)
         near = positions.round().long()
-        seen = ground[:, :3, near[..., 0], near[..., 1]].permute(0, 2, 3, 4, 1)
-        base = ground[:, 3, centres[:, 0], centres[:, 1]][:, :, None, None, None]
+        seen = ground[:, 1:, near[..., 0], near[..., 1]].permute(0, 2, 3, 4, 1)
+        base = ground[:, 0, centres[:, 0], centres[:, 1]][:, :, None, None, None]
         of_ground = torch.cat([_relative(seen[..., :2], base), seen[..., 2:]], dim=-1).flatten(3)
         weight = self.of_local.weight.flatten(2).permute(0, 2, 1).flatten(1)
         of_local = functional.linear(_interpolated(local, positions).flatten(-2), weight, self.of_local.bias)
@@ -205,7 +213,9 @@ class FootprintTrunk:
         local, ground, straight = dense
         radius = self.network.radius
         turned = self.network._turned(local, ground, corners + (PATCH_CENTER - radius))[0]
-        first_x, first_y = (corners + (PATCH_CENTER - radius - REACH) - corners.new_tensor(self.network.margins)).unbind(1)
+        first_x, first_y = (
+            corners + (PATCH_CENTER - radius - REACH) - corners.new_tensor(self.network.margins)
+        ).unbind(1)
         inside = torch.arange(POSES, device=corners.device)
         width = straight.shape[1]
         index = ((first_x * width + first_y)[:, None, None] + inside[:, None] * width + inside).flatten()

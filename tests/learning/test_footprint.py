@@ -1,0 +1,82 @@
+"""The network that judges footprints."""
+
+import math
+
+import pytest
+import torch
+
+from hdsp.errors import InputError
+from hdsp.learning.data import mirror_goals, mirror_heights
+from hdsp.learning.networks import build_network
+from tests.learning.test_zoo import model_file, rough_patches
+
+GOALS = torch.tensor([[1.0, 0, 0], [2, -1, 0], [-2, 1, 0], [0, 0, 1], [0, 0, -1], [0.92, 0.38, 0]])
+
+
+@pytest.fixture(scope="module")
+def network():
+    torch.manual_seed(0)
+    network = build_network(model_file("footprint")).eval()
+    with torch.no_grad():
+        network.heads.weight.mul_(10)
+    return network
+
+
+@pytest.fixture
+def patches():
+    heights = torch.from_numpy(rough_patches(4))[:, None]
+    heights[0, 0, 40:44, 50:60] = math.nan
+    heights[1, 0, 36, 36] = math.nan
+    return heights
+
+
+def judged(network, heights, goals=GOALS):
+    with torch.no_grad():
+        return torch.stack(network(heights, goals.expand(len(heights), -1, -1)))
+
+
+def test_only_differences_of_heights_count(network, patches):
+    torch.testing.assert_close(judged(network, patches + 2.5), judged(network, patches), atol=1e-4, rtol=0)
+
+
+def test_the_rim_of_a_patch_has_no_part_in_it(network, patches):
+    changed = patches.clone()
+    changed[..., 0, :], changed[..., :, -1] = 7.0, math.nan
+    assert (judged(network, changed) == judged(network, patches)).all()
+
+
+def test_a_turn_to_the_other_side_is_the_mirrored_turn_of_a_mirrored_network(network, patches):
+    """The turned footprints are those of the mirrored map under mirrored taps: checked by a network whose weights are
+    symmetric in y."""
+    symmetric = build_network(model_file("footprint")).eval()
+    symmetric.load_state_dict(network.state_dict())
+    with torch.no_grad():
+        for kernel in (m.weight for m in [*symmetric.local, symmetric.of_local] if hasattr(m, "weight")):
+            kernel.copy_((kernel + kernel.flip(-1)) / 2)
+        # The channel slope_y changes its sign in a mirror.
+        names = [symmetric.encoding.channels[i] for i in symmetric.trunk_channels]
+        symmetric.local[0].weight[:, names.index("slope_y")] = 0
+        taps = symmetric.of_ground.weight.view(-1, *symmetric.options.taps, symmetric.ground_channels)
+        taps.copy_((taps + taps.flip(2)) / 2)
+    mirrored = mirror_heights(patches)
+    goals = torch.tensor([[0.0, 0, 1]])
+    features = [symmetric.map_part(symmetric.encoding(h)) for h in (patches, mirrored)]
+    width = symmetric.options.features
+    left = features[0][:, -8 * width : -4 * width]
+    right = features[1][:, -4 * width :]
+    torch.testing.assert_close(left, right, atol=2e-3, rtol=0)
+    assert (mirror_goals(goals) == torch.tensor([[0.0, 0, -1]])).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"options": {"dilations": [8]}}, "dilations"),
+        ({"options": {"taps": [8, 7]}}, "taps"),
+        ({"options": {"spacing": 4}}, "taps"),
+        ({"encoding": {"channels": ["edge"]}}, "lacks height"),
+    ],
+)
+def test_wrong_options_are_named(change, message):
+    with pytest.raises(InputError, match=message):
+        build_network({"architecture": "footprint", **change})
