@@ -38,7 +38,7 @@ class HeightEncoding:
             planner are built from that difference, and this spares the network learning it. ``slope_x``, ``slope_y``:
             the difference d between the two neighbours along an axis, as d / (|d| + edge_scale), in (-1, 1).
             ``unevenness``: log(1 + S) of the sum S over all cells within ``unevenness_radius`` of their greatest
-            height differences, weighted by 1 - distance / radius: what the costs of feet consist of (docs/cost-model.md).
+            height differences, weighted by 1 - distance / radius: what the costs of feet consist of.
             ``unknown``: 1 where the height is unknown.
         edge_scale: height difference in metres at which ``edge`` is one half.
         unevenness_radius: in cells.

@@ -51,7 +51,7 @@ def test_profile_paper_has_the_counts_and_recipe_of_the_paper():
     [
         ("modle=compact", "unknown config key 'modle'"),
         ("trainer.epoch=3", "unknown config key 'trainer.epoch'; allowed under trainer: "),
-        ("model=nonsense", "Available options in 'model': compact klamt2019"),
+        ("model=nonsense", "Available options in 'model': compact dilated"),
         ("model=[", "no viable alternative"),
     ],
 )

@@ -13,8 +13,8 @@ from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork, count_parameters, initialise_he
 from hdsp.learning.networks.compact import Compact, CompactOptions
 from hdsp.learning.networks.dilated import Dilated, DilatedOptions
-from hdsp.learning.networks.goalmap import GoalMap, GoalMapOptions
 from hdsp.learning.networks.footprint import Footprint, FootprintOptions
+from hdsp.learning.networks.goalmap import GoalMap, GoalMapOptions
 from hdsp.learning.networks.klamt2019 import Klamt2019, Klamt2019Options
 from hdsp.learning.networks.swept import Swept, SweptOptions
 from hdsp.learning.networks.table import Table, TableOptions

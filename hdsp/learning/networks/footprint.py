@@ -1,4 +1,4 @@
-"""A network that judges the robot's footprint at every pose on the way to a goal; dense, and blind to absolute height."""
+"""A network that judges the robot's footprint at every pose on the way to a goal; dense, the same on every floor."""
 
 import math
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
 
-#: Cells that the base may move along each axis on its way to a goal: that of the longest action, at any heading residue.
+#: Cells that the base may move along each axis on its way to a goal: the longest action at any heading residue.
 REACH = 9
 #: Side of the square of base positions at which footprints are judged.
 POSES = 2 * REACH + 1
 #: Poses on the way to a goal, start and goal included.
 SAMPLES = 5
-#: Radius in cells of the ground around each tap whose highest and lowest points are compared with the ground at the base.
+#: Radius in cells of the ground around each tap whose highest and lowest points are compared with that at the base.
 GROUND_RADIUS = 2
 
 
@@ -199,7 +199,7 @@ class FootprintTrunk:
         self.network = network
 
     def __call__(self, encoded: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Local features, ground, and footprints, at all cells of [1, channels, nx, ny] that have their surroundings."""
+        """Local features, ground and footprints of all cells of [1, channels, nx, ny] that have their surroundings."""
         radius = self.network.radius
         local, ground = self.network._maps(
             encoded, (radius, encoded.shape[-2] - radius), (radius, encoded.shape[-1] - radius)
