@@ -17,14 +17,15 @@ class DilatedOptions:
     """Widths and reach of the network.
 
     Attributes:
-        widths: channels of the convolutions.
+        widths: channels of the convolutions. Multiples of 16: with others the gradients that oneDNN computes in bfloat16
+            for dilated convolutions are NaN.
         kernels: their sides in cells.
         dilations: cells between neighbours of a kernel.
         pool: side in cells of the squares of which the greatest values are kept.
         hidden: width of the layers that see the goal.
     """
 
-    widths: tuple[int, ...] = (16, 24, 32, 32)
+    widths: tuple[int, ...] = (16, 32, 32, 32)
     kernels: tuple[int, ...] = (5, 3, 3, 3)
     dilations: tuple[int, ...] = (1, 2, 4, 8)
     pool: int = 8
