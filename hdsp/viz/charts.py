@@ -11,9 +11,41 @@ import numpy as np
 from matplotlib.colors import to_rgb
 
 from hdsp.errors import InputError
-from hdsp.viz.style import BLUE, GREEN, METHODS, NAMES, ORANGE, PURPLE, SKY, VERMILLION, figure, quiet, save
+from hdsp.viz.style import BLUE, GREEN, GREY, METHODS, NAMES, ORANGE, PURPLE, SKY, VERMILLION, figure, quiet, save
 
 _SETS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+
+
+def save_training_beside(
+    ours: Sequence[Mapping[str, Any]], theirs: Sequence[Mapping[str, Any]], path: str | os.PathLike, name: str
+) -> Path:
+    """Feasibility accuracy and cost error over the epochs of our training and of a published one.
+
+    Args:
+        ours, theirs: one mapping per epoch with `epoch` (from 1), `feasibility_accuracy`, `cost_error`.
+        path: of the PNG.
+        name: of the published one, for the legend.
+
+    Raises:
+        InputError: one of them has no epoch.
+    """
+    if not ours or not theirs:
+        raise InputError("training curves: a history has no epoch")
+    made = figure(9, 3.4)
+    panels = zip(made.subplots(1, 2), ("feasibility_accuracy", "cost_error"), (100.0, 1.0), strict=True)
+    labels = ("feasibility correct (%)", "mean cost error")
+    for (axes, metric, scale), label in zip(panels, labels, strict=True):
+        for rows, color, whose in ((theirs, GREY, name), (ours, BLUE, "ours")):
+            values = scale * np.array([_value(row[metric]) for row in rows])
+            axes.plot([row["epoch"] for row in rows], values, color=color, linewidth=1.5, label=whose)
+        axes.set_ylabel(label)
+        axes.set_xlabel("epoch")
+        axes.set_xlim(0, max(len(ours), len(theirs)) + 1)
+        quiet(axes)
+    made.axes[0].set_ylim(85, 100)
+    made.axes[1].set_ylim(0, 0.09)
+    made.axes[0].legend(fontsize=8, frameon=False)
+    return save(made, path)
 
 
 def save_training_curves(history: Sequence[Mapping[str, Any]], path: str | os.PathLike) -> Path:

@@ -1,0 +1,95 @@
+"""The paper's network, trained by its recipe: our curve beside the published one, in docs/architectures.md.
+
+    python -m pipeline.paper_training
+
+The run of `conf/experiment/klamt2019.yaml` in `outputs/paper` is gathered into `reports/klamt2019.json`; without it
+that report stays as it is, and page and picture are made of the report. An unfinished training shows the epochs it has.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from hdsp.errors import InputError
+from pipeline.compare import PAGE, markers
+from pipeline.config import compose
+from pipeline.report import put_between_markers
+from pipeline.stage import Folders, read_json, run_stage, write_json
+from pipeline.tables import markdown
+
+RUN = ("outputs", "paper")
+#: Where a training in progress keeps its history, and where a finished one has left it.
+HISTORIES = (("models", "training", "history.csv"), ("reports", "training_history.csv"))
+#: The validation accuracy and cost error of the paper's figure, epoch by epoch.
+PUBLISHED = Path(__file__).with_name("paper_training.csv")
+METRICS = ("feasibility_accuracy", "cost_error")
+
+
+def paper_training(config: DictConfig, folders: Folders) -> None:
+    from hdsp.viz import save_training_beside
+
+    report = folders.write("reports", "klamt2019.json")
+    for parts in HISTORIES:
+        history = folders.read(*RUN, *parts)
+        if history.is_file():
+            write_json(report, {"epochs": read_history(history)})
+            break
+    if not report.is_file():
+        command = "python -m pipeline.train experiment=klamt2019 runtime.outputs=outputs/paper"
+        raise InputError(f"{report} is missing, and there is no training yet: {command}")
+    ours, theirs = read_json(report)["epochs"], read_published()
+    curves = [{"epoch": row["epoch"], **{metric: row[f"{metric}/val"] for metric in METRICS}} for row in ours]
+    save_training_beside(
+        curves, theirs, folders.write("docs", "figures", "klamt2019_training.png"), "Klamt & Behnke 2019"
+    )
+    page = folders.outputs / "docs" / PAGE
+    if page.is_file():
+        put_between_markers(
+            page, table(ours, theirs, compose(["experiment=klamt2019"]).trainer.epochs) + "\n", *begin_end()
+        )
+
+
+def begin_end() -> tuple[str, str]:
+    """Lines of the page between which the table stands."""
+    return tuple(line.replace("pipeline.compare", "pipeline.paper_training") for line in markers("klamt2019"))
+
+
+def read_history(path: Path) -> list[dict[str, Any]]:
+    """Rows of a `history.csv`, epochs counted from 1."""
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = [{name: float(value) for name, value in row.items() if value} for row in csv.DictReader(file)]
+    return [{**row, "epoch": int(row["epoch"]) + 1} for row in rows]
+
+
+def read_published() -> list[dict[str, Any]]:
+    """The paper's figure: `epoch`, `feasibility_accuracy`, `cost_error`."""
+    with PUBLISHED.open(newline="", encoding="utf-8") as file:
+        return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+
+
+def table(ours: Sequence[Mapping[str, Any]], theirs: Sequence[Mapping[str, Any]], planned: int) -> str:
+    """Best epoch by validation, ours and theirs, and our other sets in that epoch."""
+
+    def best(rows, accuracy, error):
+        return min(rows, key=lambda row: 1 - row[accuracy] + row[error])
+
+    def shown(row, suffix=""):
+        return f"{row[f'feasibility_accuracy{suffix}']:.2%} / {row[f'cost_error{suffix}']:.4f}"
+
+    sets = sorted(name.partition("/")[2] for name in ours[0] if name.startswith("cost_error/"))
+    chosen, published = best(ours, "feasibility_accuracy/val", "cost_error/val"), best(theirs, *METRICS)
+    rows = [
+        ["paper, validation", str(len(theirs)), str(int(published["epoch"])), shown(published)],
+        *([f"ours, {name}", str(len(ours)), str(chosen["epoch"]), shown(chosen, f"/{name}")] for name in sets),
+    ]
+    note = "" if len(ours) >= planned else f"\n\nThe training has done {len(ours)} of {planned} epochs so far."
+    return markdown(["", "epochs", "best epoch", "feasibility correct / cost error there"], rows) + note
+
+
+if __name__ == "__main__":
+    run_stage(paper_training, "paper_training")
