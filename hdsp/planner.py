@@ -29,6 +29,7 @@ from hdsp.errors import InputError, RefinementError
 from hdsp.heightmap import HeightMap
 from hdsp.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
 from hdsp.lattice import RESOLUTION, Grid, heading_index
+from hdsp.pretrained import abstraction_of, load_abstraction
 from hdsp.robot import Robot
 
 
@@ -102,11 +103,12 @@ class Planner:
     Args:
         terrain: height map at the detailed resolution.
         robot: a ``Robot``, the name of a preset, or the path of a YAML file.
-        heuristic: ``"geometric"``, ``"manual"``, ``"learned:FOLDER"`` (a folder with a trained abstraction), any
-            ``AbstractCosts`` (learned, manual, ...), or a ``Heuristic`` made for the same terrain and robot.
+        heuristic: ``"geometric"``, ``"manual"``, ``"learned"`` (the trained abstraction of this robot that comes with
+            the package), ``"learned:FOLDER"`` (one of your own), any ``AbstractCosts`` (learned, manual, ...), or a
+            ``Heuristic`` made for the same terrain and robot.
 
     Raises:
-        InputError: for another resolution, an unknown robot or heuristic.
+        InputError: for another resolution, an unknown robot or heuristic, or an abstraction of another robot.
     """
 
     def __init__(
@@ -154,13 +156,15 @@ class Planner:
             from hdsp.abstract.manual import ManualCosts
 
             return AbstractHeuristic(self.world, self.terrain, ManualCosts(self.robot), "manual")
-        if isinstance(heuristic, str) and heuristic.startswith("learned:"):
-            from hdsp.learning import LearnedAbstraction, LearnedCosts
+        if isinstance(heuristic, str) and (heuristic == "learned" or heuristic.startswith("learned:")):
+            folder = heuristic.removeprefix("learned").removeprefix(":")
+            abstraction = load_abstraction(folder, self.robot) if folder else abstraction_of(self.robot)
+            from hdsp.learning.costs import LearnedCosts
 
-            abstraction = LearnedAbstraction.from_pretrained(heuristic.removeprefix("learned:"), self.robot)
             return AbstractHeuristic(self.world, self.terrain, LearnedCosts(abstraction), "learned")
         raise InputError(
-            f"heuristic {heuristic!r}: need 'geometric', 'manual', 'learned:FOLDER', an AbstractCosts or a Heuristic"
+            f"heuristic {heuristic!r}: need 'geometric', 'manual', 'learned', 'learned:FOLDER', an AbstractCosts or a "
+            "Heuristic"
         )
 
     def prepare(self) -> Planner:

@@ -17,8 +17,18 @@ if TYPE_CHECKING:
 METHODS = ("learned", "manual", "flat")
 
 
-def task_predictor(name: str, config: DictConfig, folders: Folders) -> TaskPredictor:
+#: Where the stage `train` leaves the learned abstraction.
+TRAINED = "models/abstraction"
+
+
+def task_predictor(name: str, config: DictConfig, folders: Folders, model: str = TRAINED) -> TaskPredictor:
     """The abstraction `name` as a judge of single tasks.
+
+    Args:
+        name: one of `METHODS`.
+        config: of the stage.
+        folders: of the stage.
+        model: of the learned one: a folder, or the name of one that comes with the package.
 
     Raises:
         InputError: there is no abstraction of that name; the learned one is not trained yet, or for another robot.
@@ -28,10 +38,13 @@ def task_predictor(name: str, config: DictConfig, folders: Folders) -> TaskPredi
         from hdsp.learning.hardware import HardwareSettings
         from hdsp.learning.pretrained import LearnedAbstraction
         from hdsp.learning.settings import settings_from
+        from hdsp.pretrained import load_abstraction, presets
 
         hardware = settings_from(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
         hardware.apply_threads()
-        return LearnedAbstraction.from_pretrained(folders.read("models", "abstraction"), robot, hardware)
+        if model in presets():
+            return load_abstraction(model, robot, hardware)
+        return LearnedAbstraction.from_pretrained(folders.read(model), robot, hardware)
     if name == "manual":
         from hdsp.abstract import ManualCosts, ManualSettings
 

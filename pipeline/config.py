@@ -29,6 +29,10 @@ PARAMS = Path("params.yaml")
 Settings = TypeVar("Settings")
 
 
+#: Mappings to which a command line may add entries of its own, without the + that Hydra asks for elsewhere.
+OPEN = ("evaluation.sets.",)
+
+
 def compose(overrides: Sequence[str] = ()) -> DictConfig:
     """The configuration of conf/ with Hydra overrides applied, all interpolations resolved.
 
@@ -36,6 +40,7 @@ def compose(overrides: Sequence[str] = ()) -> DictConfig:
         InputError: unknown key, unknown choice of a group, or an override that cannot be parsed.
     """
     GlobalHydra.instance().clear()
+    overrides = [f"++{override}" if override.startswith(OPEN) else override for override in overrides]
     try:
         with initialize_config_dir(str(CONF), version_base=None):
             config = hydra_compose("config", overrides=list(overrides))

@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig
+
+from hdsp.errors import InputError
+from hdsp.robot import Robot
+from pipeline.config import plain, settings
+from pipeline.stage import Folders
 
 if TYPE_CHECKING:
     from hdsp.shards import TaskSet
@@ -26,3 +34,38 @@ def read_set(folder: Path) -> tuple[TaskSet | None, str]:
     if (folder / ABSENT).is_file():
         return None, json.loads((folder / ABSENT).read_text(encoding="utf-8"))["reason"]
     return read_tasks(folder), ""
+
+
+def read_evaluation_set(
+    name: str, entry: Mapping[str, Any], config: DictConfig, folders: Folders
+) -> tuple[TaskSet | None, str]:
+    """As `read_set`, of an entry of `evaluation.sets`: `tasks` names a folder of shards among the inputs; `scans` any
+    folder of scans, which are labelled first (`hdsp.scan_sets`).
+
+    Raises:
+        InputError: also for another key, or none or both of the two.
+    """
+    allowed = ("tasks", "scans", "paper")
+    if unknown := sorted(set(entry) - set(allowed)):
+        raise InputError(f"evaluation.sets.{name}: unknown key {unknown[0]!r}; allowed are {', '.join(allowed)}")
+    if ("tasks" in entry) == ("scans" in entry):
+        raise InputError(f"evaluation.sets.{name}: need either tasks (a folder of shards) or scans (a folder of scans)")
+    if "tasks" in entry:
+        return read_set(folders.read(entry["tasks"]))
+    from hdsp.labelling import LabelSettings
+    from hdsp.scan_patches import PatchSettings
+    from hdsp.scan_sets import read_scan_folder
+
+    found = read_scan_folder(
+        entry["scans"],
+        Robot.load(plain(config.robot)),
+        settings(PatchSettings, config.scans.patches, "scans.patches"),
+        settings(LabelSettings, config.labelling.settings, "labelling.settings"),
+        folders.write("data", "scans", name),
+        config.runtime.data_dir,
+    )
+    for scan, maps in found.used.items():
+        print(f"{name}: {maps} patches of {scan}")
+    for scan, reason in found.skipped.items():
+        print(f"{name}: skipped {scan}: {reason}")
+    return found.tasks, ""

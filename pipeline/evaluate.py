@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
@@ -12,25 +13,30 @@ from hdsp.files import replacing
 from hdsp.robot import Robot
 from pipeline.abstractions import task_predictor
 from pipeline.config import plain
-from pipeline.data import read_set
+from pipeline.data import read_evaluation_set
 from pipeline.stage import Folders, run_stage, write_json
+
+if TYPE_CHECKING:
+    from hdsp.tasks import TaskSet
 
 
 def evaluate(config: DictConfig, folders: Folders) -> None:
     from hdsp.evaluation import COLUMNS, evaluate_set, predict, rows
-    from hdsp.viz import save_example_patches, save_quality_bars
+    from hdsp.viz import save_example_patches, save_quality_bars, save_reliability
 
-    predictors = {name: task_predictor(name, config, folders) for name in config.evaluation.methods}
+    model = config.evaluation.model
+    predictors = {name: task_predictor(name, config, folders, model) for name in config.evaluation.methods}
     sets: dict[str, Any] = {}
     example = None
     for name, entry in plain(config.evaluation.sets).items():
-        tasks, reason = read_set(folders.read(entry["tasks"]))
+        tasks, reason = read_evaluation_set(name, entry, config, folders)
+        paper = entry.get("paper")
         if tasks is None:
             print(f"{name}: skipped, {reason}")
-            sets[name] = {"available": False, "paper": entry["paper"], "reason": reason}
+            sets[name] = {"available": False, "paper": paper, "reason": reason}
             continue
-        figures = evaluate_set(predictors, tasks)
-        sets[name] = {"available": True, "paper": entry["paper"], **figures}
+        figures = evaluate_set(predictors, tasks) | {"calibration": calibration(predictors, tasks)}
+        sets[name] = {"available": True, "paper": paper, **figures}
         for method, values in figures["methods"].items():
             accuracy, error = values["feasibility_accuracy"], values["cost_error"]
             print(f"{name}, {method}: {100 * accuracy:.2f} % feasibility correct, cost error {_digits(error)}")
@@ -44,9 +50,19 @@ def evaluate(config: DictConfig, folders: Folders) -> None:
         writer.writeheader()
         writer.writerows(rows(sets))
     save_quality_bars(sets, folders.write("reports", "figures", "abstraction_quality.png"))
+    save_reliability(sets, folders.write("reports", "figures", "reliability.png"))
     judged = predict(next(iter(predictors.values())), example)
     picture = folders.write("reports", "figures", "example_patches.png")
     save_example_patches(example, judged, picture, config.evaluation.examples, Robot.load(plain(config.robot)))
+
+
+def calibration(predictors: Mapping[str, Any], tasks: TaskSet) -> dict[str, Any]:
+    """By method, of those that give probabilities: `hdsp.learning.calibration.calibration_figures`."""
+    return {
+        name: predictor.calibration_figures(tasks)
+        for name, predictor in predictors.items()
+        if hasattr(predictor, "calibration_figures")
+    }
 
 
 def _digits(value: float | None) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,7 +56,7 @@ def train(config: DictConfig, folders: Folders) -> None:
             sets,
             work,
             on_epoch=lambda epoch, metrics: mlflow.log_metrics(metrics, step=epoch),
-            provenance=Provenance.of(Robot.load(plain(config.robot)), data_hash, profile=config.profile),
+            provenance=Provenance.of(Robot.load(plain(config.robot)), data_hash, **notes(config, train_tasks)),
             quiet=not config.runtime.progress,
         )
         abstraction_dir = folders.write("models", "abstraction")
@@ -84,6 +85,25 @@ def train(config: DictConfig, folders: Folders) -> None:
         served_model.log(mlflow, abstraction_dir, val_tasks)
     # A finished training is not to be resumed: the next one, perhaps after a change of the code, begins anew.
     shutil.rmtree(work / "checkpoints", ignore_errors=True)
+
+
+def notes(config: DictConfig, tasks: TaskSet) -> dict[str, Any]:
+    """What the model card says of data and recipe, kept with the model."""
+    return {
+        "profile": config.profile,
+        "maps": len(tasks),
+        "trainer": plain(config.trainer),
+        **data_notes(config, config.trainer.get("splits") or ["train"]),
+    }
+
+
+def data_notes(config: DictConfig, splits: Sequence[str]) -> dict[str, Any]:
+    """What training maps hold."""
+    return {
+        "splits": {name: plain(config.labelling.splits[name]) for name in splits},
+        "sensing": plain(config.labelling.sensing),
+        "terrain": plain(config.terrain),
+    }
 
 
 def folder_hash(folder: Path) -> str:

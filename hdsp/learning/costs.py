@@ -36,15 +36,23 @@ class LearnedCosts:
         batch: patches evaluated at once.
         method: ``auto``: dense where the network declares itself so. ``patches``, ``dense``: that way; dense evaluation
             of a network with zero padding is an approximation, which sees the map where the patch saw zeros.
+        quantile: level of the costs, see ``LearnedAbstraction.at_quantile``: a low one makes the heuristic overestimate
+            seldom, so that plans are better and searches longer. None = costs as the network says.
 
     Raises:
-        InputError: if the method is dense and the network cannot be evaluated so.
+        InputError: if the method is dense and the network cannot be evaluated so, or if the abstraction was not
+            calibrated for the quantile.
     """
 
     def __init__(
-        self, abstraction: LearnedAbstraction, batch: int = 128, method: Literal["auto", "patches", "dense"] = "auto"
+        self,
+        abstraction: LearnedAbstraction,
+        batch: int = 128,
+        method: Literal["auto", "patches", "dense"] = "auto",
+        quantile: float | None = None,
     ):
-        self.abstraction, self.batch = abstraction, batch
+        self.abstraction = abstraction if quantile is None else abstraction.at_quantile(quantile)
+        self.batch = batch
         network = abstraction.network
         self._on_turned_map = network.is_dense()
         self._trunk = network.dense_trunk() if method == "dense" or (method == "auto" and network.is_dense()) else None

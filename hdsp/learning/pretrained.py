@@ -10,20 +10,23 @@ import os
 import secrets
 import shutil
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as tensor_bytes
+from scipy.special import expit
 
 from hdsp import lattice
 from hdsp.costs import COST_MODEL_VERSION
 from hdsp.errors import InputError
 from hdsp.files import existing_file
+from hdsp.learning.calibration import Calibration, calibration_figures, fit_calibration
 from hdsp.learning.hardware import HardwareSettings, autocast
 from hdsp.learning.metrics import MINIMUM_COST
 from hdsp.learning.networks import ModelSettings, TaskNetwork, build_network
@@ -31,8 +34,12 @@ from hdsp.learning.networks.dense import DenseTrunk
 from hdsp.learning.settings import settings_from
 from hdsp.robot import Robot
 
+if TYPE_CHECKING:
+    from hdsp.tasks import TaskSet
+
 FORMAT_VERSION = 1
 WINDOWS = 24  # patches of a map whose goals are judged at once
+Precision = Literal["float32", "float16"]
 
 
 @dataclass(frozen=True)
@@ -67,6 +74,8 @@ class LearnedAbstraction:
         model: the settings it was built from.
         provenance: where its labels came from.
         metrics: flat metrics at the end of training.
+        calibration: corrects probabilities, and knows quantiles of costs.
+        quantile: level of the costs that are predicted, see ``at_quantile``; None = as the network says.
     """
 
     def __init__(
@@ -76,8 +85,12 @@ class LearnedAbstraction:
         provenance: Provenance | None = None,
         metrics: Mapping[str, float] | None = None,
         hardware: HardwareSettings | None = None,
+        calibration: Calibration | None = None,
     ):
         self.model, self.provenance, self.metrics = model, provenance or Provenance(), dict(metrics or {})
+        self.calibration = calibration or Calibration()
+        self.quantile: float | None = None
+        self._flat: dict[bytes, np.ndarray] = {}
         self.hardware = hardware or HardwareSettings()
         self.device = self.hardware.device()
         self.network = network.to(self.device, memory_format=torch.channels_last).eval()
@@ -92,7 +105,8 @@ class LearnedAbstraction:
 
         Returns:
             feasible: bool [n, G], probability above one half.
-            cost: float32 [n, G], at least ``MINIMUM_COST``; meaningful where feasible.
+            cost: float32 [n, G], at least ``MINIMUM_COST``; meaningful where feasible; that quantile for an abstraction
+                ``at_quantile``.
 
         Raises:
             InputError: on wrong shapes.
@@ -100,14 +114,66 @@ class LearnedAbstraction:
         Convention: axis 1 of ``patches`` is x, along the robot's heading; the base stands at the centre of cell (36,
         36).
         """
-        probability, cost = self.predict_probability(patches, goals, batch)
-        return probability > 0.5, cost
+        logits, cost = self._predict(patches, goals, batch)
+        return logits > 0, self._at_level(cost, goals)
 
-    @torch.inference_mode()
     def predict_probability(
         self, patches: np.ndarray, goals: np.ndarray, batch: int = 128
     ) -> tuple[np.ndarray, np.ndarray]:
         """As ``predict``, with the probability of feasibility, float32 [n, G], instead of the judgement."""
+        logits, cost = self._predict(patches, goals, batch)
+        return expit(logits / np.float32(self.calibration.temperature)), self._at_level(cost, goals)
+
+    def at_quantile(self, level: float) -> "LearnedAbstraction":
+        """The same abstraction (the network is shared) with a quantile of the cost instead of its prediction: 0.05
+        gives costs that in one task of twenty are above the label.
+
+        Raises:
+            InputError: the level is not among those that the abstraction was calibrated for.
+        """
+        self.calibration.factors(level)
+        other = copy(self)
+        other.quantile = level
+        return other
+
+    def calibrated(self, tasks: "TaskSet") -> "LearnedAbstraction":
+        """The same abstraction (the network is shared), calibrated on tasks that it was not trained on."""
+        logits, cost = self._predict(tasks.heights, tasks.goals)
+        other = copy(self)
+        other.calibration = fit_calibration(logits, cost, self.flat_costs(tasks.goals), tasks.feasible, tasks.cost)
+        return other
+
+    def calibration_figures(self, tasks: "TaskSet") -> dict[str, Any]:
+        """Of labelled tasks what ``hdsp.learning.calibration.calibration_figures`` returns."""
+        logits, cost = self._predict(tasks.heights, tasks.goals)
+        flat = self.flat_costs(tasks.goals)
+        bounds = {level: self.calibration.at_level(level, cost, flat) for level in self.calibration.cost_quantiles}
+        probability = expit(logits / np.float32(self.calibration.temperature))
+        return calibration_figures(probability, tasks.feasible, bounds, tasks.cost, logits > 0)
+
+    def flat_costs(self, goals: np.ndarray) -> np.ndarray:
+        """What the network predicts for goals [..., 3] on flat ground; float32 [...]."""
+        goals = np.asarray(goals, np.float32)
+        distinct, which = np.unique(goals.reshape(-1, 3), axis=0, return_inverse=True)
+        flat = np.zeros((1, lattice.PATCH_CELLS, lattice.PATCH_CELLS), np.float32)
+        _, cost = self._predict(flat, distinct)
+        return cost[0][which.reshape(-1)].reshape(goals.shape[:-1])
+
+    def _at_level(self, cost: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        """The costs [n, G] that the network predicts, at the level that is asked for."""
+        if self.quantile is None:
+            return cost
+        key = np.asarray(goals, np.float32).tobytes()
+        if key not in self._flat:  # the goals of a heading are asked for again and again
+            if len(self._flat) == lattice.ABSTRACT_HEADINGS:
+                self._flat.clear()
+            self._flat[key] = self.flat_costs(goals)
+        flat = np.broadcast_to(self._flat[key], cost.shape)
+        return np.maximum(self.calibration.at_level(self.quantile, cost, flat), np.float32(MINIMUM_COST))
+
+    @torch.inference_mode()
+    def _predict(self, patches: np.ndarray, goals: np.ndarray, batch: int = 128) -> tuple[np.ndarray, np.ndarray]:
+        """Logits of feasibility and costs as the network says, float32 [n, G]."""
         patches, goals = np.asarray(patches, np.float32), np.asarray(goals, np.float32)
         cells = lattice.PATCH_CELLS
         if patches.ndim != 3 or patches.shape[1:] != (cells, cells):
@@ -116,13 +182,13 @@ class LearnedAbstraction:
             goals = np.broadcast_to(goals, (len(patches), *goals.shape))
         if goals.ndim != 3 or len(goals) != len(patches) or goals.shape[2] != 3:
             raise InputError(f"goals: shape {goals.shape} is not [{len(patches)}, goals, 3]")
-        probability, cost = np.empty((2, *goals.shape[:2]), np.float32)
+        logits, cost = np.empty((2, *goals.shape[:2]), np.float32)
         for start in range(0, len(patches), batch):
             part = slice(start, start + batch)
-            predicted, logits = self._evaluate(patches[part], goals[part])
-            probability[part] = logits.sigmoid().cpu().numpy()
+            predicted, of_feasible = self._evaluate(patches[part], goals[part])
+            logits[part] = of_feasible.float().cpu().numpy()
             cost[part] = predicted.clamp_min(MINIMUM_COST).cpu().numpy()
-        return probability, cost
+        return logits, cost
 
     @torch.inference_mode()
     def predict_windows(
@@ -151,17 +217,24 @@ class LearnedAbstraction:
             if wanted[part].any():
                 features = trunk.windows(dense, torch.from_numpy(corners[part]).to(self.device)).float()
                 cost, logits = network.goal_part(features, shared_goals)
-                feasible[part] = (logits.sigmoid() > 0.5).cpu().numpy()
+                feasible[part] = (logits > 0).cpu().numpy()
                 costs[part] = cost.clamp_min(MINIMUM_COST).cpu().numpy()
-        return feasible, costs
+        return feasible, self._at_level(costs, goals)
 
     def _evaluate(self, patches: np.ndarray, goals: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         heights = torch.tensor(patches)[:, None].to(self.device, memory_format=torch.channels_last)
         with autocast(self.device, self.hardware.uses_bfloat16()):
             return self.network(heights, torch.tensor(goals).to(self.device))
 
-    def save_pretrained(self, folder: str | Path) -> Path:
+    def save_pretrained(
+        self, folder: str | Path, precision: Precision = "float32", beside: Mapping[str, str] | None = None
+    ) -> Path:
         """Writes the abstraction; a folder that is there already is replaced as a whole.
+
+        Args:
+            folder: receives ``config.json`` and ``model.safetensors``.
+            precision: of the trained values in the file; ``float16`` halves it and rounds them.
+            beside: further texts to put into the folder, by the name of their file.
 
         Raises:
             InputError: if the folder cannot be written, or holds something else than an abstraction.
@@ -169,8 +242,7 @@ class LearnedAbstraction:
         folder = Path(folder)
         if folder.exists() and any(folder.iterdir()) and not (folder / "config.json").is_file():
             raise InputError(f"{folder}: holds other files than a pretrained abstraction; it is not replaced")
-        tensors = {key: value.detach().cpu().contiguous() for key, value in self.network.state_dict().items()}
-        weights = tensor_bytes(tensors)
+        weights = tensor_bytes(self._tensors(precision))
         config = {
             "format_version": FORMAT_VERSION,
             "model": self.model.to_dict(),
@@ -178,23 +250,37 @@ class LearnedAbstraction:
             "provenance": asdict(self.provenance),
             # JSON has no NaN; a metric that does not exist is left out.
             "metrics": {key: value for key, value in self.metrics.items() if math.isfinite(value)},
+            "calibration": self.calibration.to_dict(),
+            "precision": precision,
             "weights_sha256": hashlib.sha256(weights).hexdigest(),
         }
-        beside = folder.with_name(f".{folder.name}.{os.getpid()}-{secrets.token_hex(4)}")
+        files = {"config.json": json.dumps(config, indent=2) + "\n", **(beside or {})}
+        work = folder.with_name(f".{folder.name}.{os.getpid()}-{secrets.token_hex(4)}")
         try:
-            beside.mkdir(parents=True)
-            (beside / "model.safetensors").write_bytes(weights)
-            (beside / "config.json").write_text(json.dumps(config, indent=2) + "\n")
+            work.mkdir(parents=True)
+            (work / "model.safetensors").write_bytes(weights)
+            for name, text in files.items():
+                (work / name).write_text(text, encoding="utf-8")
             if folder.exists():
-                folder.rename(beside.with_suffix(".old"))
-            beside.rename(folder)
+                folder.rename(work.with_suffix(".old"))
+            work.rename(folder)
         except OSError as error:
             raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
         finally:
-            shutil.rmtree(beside, ignore_errors=True)
+            shutil.rmtree(work, ignore_errors=True)
             if folder.exists():
-                shutil.rmtree(beside.with_suffix(".old"), ignore_errors=True)
+                shutil.rmtree(work.with_suffix(".old"), ignore_errors=True)
         return folder
+
+    def _tensors(self, precision: Precision) -> dict[str, torch.Tensor]:
+        if precision not in ("float32", "float16"):
+            raise InputError(f"precision {precision!r}: allowed are float32, float16")
+        # What is no parameter (running means of normalisation) is little, and may be out of the range of half floats.
+        halved = {key for key, _ in self.network.named_parameters()} if precision == "float16" else set()
+        return {
+            key: (value.detach().half() if key in halved else value.detach()).cpu().contiguous()
+            for key, value in self.network.state_dict().items()
+        }
 
     @classmethod
     def from_pretrained(
@@ -245,7 +331,8 @@ class LearnedAbstraction:
             raise InputError(
                 f"{weights_path}: does not fit {model.architecture}: {str(error).splitlines()[0]}"
             ) from None
-        return cls(network, model, provenance, found["metrics"], hardware)
+        calibration = Calibration.from_dict(config["calibration"]) if "calibration" in config else None
+        return cls(network, model, provenance, found["metrics"], hardware, calibration)
 
 
 def example_input() -> dict[str, np.ndarray]:

@@ -1,7 +1,13 @@
 """Pictures, as PNG files. Importing this package loads matplotlib, which nothing else in `hdsp` does."""
 
 from hdsp.viz.arena import save_arena, save_courses, save_note
-from hdsp.viz.charts import save_planning_bars, save_quality_bars, save_training_beside, save_training_curves
+from hdsp.viz.charts import (
+    save_planning_bars,
+    save_quality_bars,
+    save_reliability,
+    save_training_beside,
+    save_training_curves,
+)
 from hdsp.viz.motion import save_motion
 from hdsp.viz.pareto import pareto_front, save_pareto
 from hdsp.viz.patches import save_example_patches
@@ -28,6 +34,7 @@ __all__ = [
     "save_planned_path",
     "save_planning_bars",
     "save_quality_bars",
+    "save_reliability",
     "save_scan_sheet",
     "save_training_beside",
     "save_training_curves",

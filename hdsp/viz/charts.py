@@ -134,6 +134,40 @@ def save_quality_bars(sets: Mapping[str, Mapping[str, Any]], path: str | os.Path
     return save(made, path)
 
 
+def save_reliability(sets: Mapping[str, Mapping[str, Any]], path: str | os.PathLike) -> Path:
+    """Reliability diagrams, one for each set: share of feasible tasks against the probability that the abstraction
+    states, with the share of tasks in each bin below. On the diagonal probabilities can be taken at their word.
+
+    Args:
+        sets: by the name of the set figures with `calibration`: by method what
+            `hdsp.learning.calibration.calibration_figures` returns; sets and methods without are left out.
+        path: of the PNG.
+    """
+    shown = {name: figures["calibration"] for name, figures in sets.items() if figures.get("calibration")}
+    made = figure(max(3.0, 2.4 * len(shown)), 3.4)
+    if not shown:
+        made.text(0.5, 0.5, "no abstraction that states probabilities", ha="center", fontsize=9)
+        return save(made, path)
+    above, below = made.subplots(2, len(shown), sharex=True, squeeze=False, height_ratios=(3, 1))
+    for diagram, histogram, (name, methods) in zip(above, below, shown.items(), strict=True):
+        diagram.plot([0, 1], [0, 1], color=GREY, linewidth=0.8, linestyle="--")
+        for method, figures in methods.items():
+            bins, color = figures["bins"], METHODS.get(method, PURPLE)
+            diagram.plot(bins["predicted"], bins["observed"], color=color, marker="o", markersize=3, linewidth=1.2)
+            share = np.array(bins["count"]) / sum(bins["count"])
+            histogram.bar(bins["predicted"], share, 0.05, color=color)
+        errors = ", ".join(f"{figures['ece']:.3f}" for figures in methods.values())
+        diagram.set_title(f"{name}: ECE {errors}")
+        histogram.set_yscale("log")
+        histogram.set_xlabel("stated probability")
+        diagram.set_xlim(-0.03, 1.03)
+        for axes in (diagram, histogram):
+            quiet(axes)
+    above[0].set_ylabel("share that is feasible")
+    below[0].set_ylabel("share of tasks")
+    return save(made, path)
+
+
 def save_planning_bars(runs: Sequence[Mapping[str, Any]], path: str | os.PathLike) -> Path:
     """Planning times (logarithmic) and path costs of each task, heuristic and weight: the paper's figure of Sec. VI-B.
 

@@ -1,0 +1,66 @@
+"""How well a trained network agrees with labels in the published format, task by task.
+
+    python -m benchmarks.network_on_published FILE [--model momaro | FOLDER] [--maps]
+
+FILE is the authors' text format, whole or in part. Prints one JSON line: of all maps, and of flat, driving and stairs
+maps, the number of maps and tasks, feasibility accuracy, and mean absolute cost error over the tasks that both judge
+feasible; and the expected calibration error of all maps. With --maps also a line for each map.
+
+Which maps are flat, driving or stairs maps is said by their numbers in the authors' file (``hdsp.published``).
+"""
+
+import argparse
+import json
+import sys
+
+import numpy as np
+
+from hdsp.errors import InputError
+from hdsp.learning.calibration import reliability
+from hdsp.pretrained import load_abstraction
+from hdsp.published import read_published, terrain_kind
+
+KINDS = ("flat", "driving", "stairs")
+
+
+def main(argv: list[str] | None = None) -> dict:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("file")
+    parser.add_argument("--model", default="momaro", help="one that comes with the package, or a folder")
+    parser.add_argument("--maps", action="store_true", help="print a line for each map")
+    arguments = parser.parse_args(argv)
+    try:
+        abstraction, tasks = load_abstraction(arguments.model), read_published(arguments.file)
+    except InputError as error:
+        sys.exit(f"error: {error}")
+    probability, cost = abstraction.predict_probability(tasks.heights, tasks.goals)
+    judged, _ = abstraction.predict(tasks.heights, tasks.goals)
+    kinds = np.array([terrain_kind(int(number)) for number in tasks.index])
+    everything = np.ones(len(tasks), bool)
+    if arguments.maps:
+        for row, number in enumerate(tasks.index):
+            only = np.arange(len(tasks)) == row
+            figures = scores(judged[only], cost[only], tasks.feasible[only], tasks.cost[only])
+            print(f"map {number:3d} {kinds[row]:8s} {json.dumps(figures)}")
+    groups = {"all": everything, **{kind: kinds == kind for kind in KINDS}}
+    result: dict = {"model": arguments.model, "architecture": abstraction.model.architecture}
+    for name, maps in groups.items():
+        result[name] = scores(judged[maps], cost[maps], tasks.feasible[maps], tasks.cost[maps])
+    result["ece"] = round(reliability(probability, tasks.feasible).error, 6)
+    print(json.dumps(result))
+    return result
+
+
+def scores(judged: np.ndarray, cost: np.ndarray, feasible: np.ndarray, labelled_cost: np.ndarray) -> dict:
+    """Figures of some maps; arrays [n, 22]. A mean over no task is None."""
+    both = judged & feasible
+    return {
+        "maps": len(judged),
+        "tasks": int(judged.size),
+        "feasibility_accuracy": round(float((judged == feasible).mean()), 6) if judged.size else None,
+        "cost_error": round(float(np.abs(cost - labelled_cost)[both].mean()), 6) if both.any() else None,
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,246 @@
+"""The model card of an abstraction that comes with the package. Every number in it is measured or configured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig
+
+from hdsp import lattice
+from hdsp.costs import COST_MODEL_VERSION
+from hdsp.robot import Robot
+from hdsp.terrain import CATEGORIES
+from pipeline.config import flatten, plain
+from pipeline.paper import ABSTRACTION_QUALITY
+from pipeline.train import data_notes
+
+if TYPE_CHECKING:
+    from hdsp.learning import LearnedAbstraction
+
+
+def model_card(
+    abstraction: LearnedAbstraction,
+    robot: Robot,
+    precision: str,
+    figures: Mapping[str, Mapping[str, Any]],
+    missing: Mapping[str, str],
+    config: DictConfig,
+) -> str:
+    """The card as Markdown.
+
+    Args:
+        abstraction: as it will be loaded.
+        robot: what it is for.
+        precision: of the weights in the file.
+        figures: by set, what `pipeline.publish_model.figures_of` returns, with `paper`: the set of the paper whose
+            figures stand beside.
+        missing: by set without data, why.
+        config: says what training maps hold, and the recipe where the abstraction itself does not.
+    """
+    parts = [
+        _head(robot),
+        _model(abstraction, precision),
+        _data(abstraction, robot, config),
+        _recipe(abstraction, config),
+        _metrics(figures, missing),
+        _calibration(abstraction, figures),
+        _limits(abstraction, figures, config),
+        _again(),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _head(robot: Robot) -> str:
+    return f"""# The learned abstraction of {robot.name}
+
+Written by `python -m pipeline.publish_model`; do not edit. Judges the 22 abstract actions of a hybrid
+driving-stepping robot from a height map around it: can it be done, and what does it cost? (Klamt & Behnke, ICRA 2019)
+
+```python
+import hdsp
+
+planner = hdsp.Planner(terrain, robot="{robot.name}", heuristic="learned")      # or, on its own:
+feasible, cost = hdsp.load_abstraction("{robot.name}").predict(patches, goals)
+```"""
+
+
+def _model(abstraction: LearnedAbstraction, precision: str) -> str:
+    from hdsp.learning import count_parameters
+
+    cells, encoding = lattice.PATCH_CELLS, abstraction.model.encoding
+    rows = [
+        ("architecture", f"`{abstraction.model.architecture}`, {count_parameters(abstraction.network):,} parameters"),
+        ("options", _inline(abstraction.model.options)),
+        ("heights", _inline(plain(abstraction.model.to_dict()["encoding"]))),
+        ("weights", f"{precision}, safetensors; no pickle"),
+        (
+            "input",
+            f"patch of {cells} x {cells} cells of {lattice.RESOLUTION:g} m along the robot's heading, NaN = unknown; "
+            f"goals (dx, dy, dtheta) in steps of {lattice.ABSTRACT_RESOLUTION:g} m and "
+            f"{360 / lattice.ABSTRACT_HEADINGS:g} degrees",
+        ),
+        ("output", "probability of feasibility, and cost (unitless) where feasible"),
+        ("heights beyond", f"{encoding.clip[0]:g} and {encoding.clip[1]:g} m look like these to it"),
+    ]
+    return "## Model\n\n" + _table(("what", "value"), rows)
+
+
+def _data(abstraction: LearnedAbstraction, robot: Robot, config: DictConfig) -> str:
+    provenance = abstraction.provenance
+    notes = provenance.notes
+    rows: list[tuple[str, str]] = [
+        ("robot", f"{robot.name}, hash `{provenance.robot_hash[:16]}`"),
+        ("cost model", f"version {provenance.cost_model_version} (docs/cost-model.md)"),
+        ("labels", f"hash `{provenance.labels_hash[:16]}`" if provenance.labels_hash else "not recorded"),
+    ]
+    if "maps" in notes:
+        rows.append(("training maps", f"{notes['maps']:,} with 22 tasks each"))
+    data = _data_notes(abstraction, config)
+    rows += [(f"random maps `{name}`", _inline(split)) for name, split in data["splits"].items()]
+    rows.append(("contents of a map", _inline(data["terrain"])))
+    if _sensed(data):
+        rows.append(("maps as sensors see them", _inline(data["sensing"])))
+    return (
+        "## Training data\n\nRandom height maps (`hdsp/terrain.py`, `hdsp/sensing.py`), labelled by the optimal "
+        "detailed planner. Maps where the robot cannot stand are dropped.\n\n" + _table(("what", "value"), rows)
+    )
+
+
+def _data_notes(abstraction: LearnedAbstraction, config: DictConfig) -> dict[str, Any]:
+    """As `pipeline.train.data_notes`; of a model that was saved without, what is configured now."""
+    notes = abstraction.provenance.notes
+    if "splits" in notes:
+        return notes
+    trainer = notes.get("trainer") or plain(config.trainer)
+    return data_notes(config, trainer.get("splits") or ["train"])
+
+
+def _sensed(data: Mapping[str, Any]) -> list[str]:
+    """The splits whose maps are such as sensors see them."""
+    return [name for name, split in data["splits"].items() if split.get("sensing")]
+
+
+def _recipe(abstraction: LearnedAbstraction, config: DictConfig) -> str:
+    notes = abstraction.provenance.notes
+    recorded = notes.get("trainer")
+    source = "as recorded with the model" if recorded else "as configured when it was published"
+    rows = [(f"`{key}`", str(value)) for key, value in flatten(recorded or config.trainer).items()]
+    if "profile" in notes:
+        rows.insert(0, ("`profile`", str(notes["profile"])))
+    return f"## Training recipe\n\nThe section `trainer` of the configuration, {source}.\n\n" + _table(
+        ("setting", "value"), rows
+    )
+
+
+def _metrics(figures: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str]) -> str:
+    rows = []
+    for name, values in figures.items():
+        paper = ABSTRACTION_QUALITY.get(values.get("paper") or "", {}).get("learned", {})
+        rows.append((
+            name, f"{values['maps']:,}", f"{values['tasks']:,}",
+            _percent(values["feasibility_accuracy"]), _percent(paper.get("feasibility_accuracy")),
+            _cost(values["cost_error"]), _cost(paper.get("cost_error")),
+            _percent(values["false_feasible"]), _percent(values["false_infeasible"]),
+        ))  # fmt: skip
+    header = (
+        "set", "maps", "tasks", "feasibility correct", "the paper's", "cost error", "the paper's",
+        "wrongly feasible", "wrongly infeasible",
+    )  # fmt: skip
+    text = (
+        "## Metrics\n\nAgreement with the detailed planner; the epoch was chosen by `val`, no other set took part. "
+        "Cost errors are mean absolute differences over tasks that both judge feasible. The paper's figures are of its "
+        "own sets, `published` stands beside its simulated set.\n\n" + _table(header, rows)
+    )
+    if missing:
+        text += "\n\nWithout data: " + "; ".join(f"{name} ({reason})" for name, reason in missing.items()) + "."
+    categories = [
+        (
+            name, category, str(values["maps"]), _percent(values["feasibility_accuracy"]), _cost(values["cost_error"]),
+        )
+        for name, set_figures in figures.items() if name != "val"
+        for category, values in set_figures["categories"].items() if len(set_figures["categories"]) > 1
+    ]  # fmt: skip
+    header = ("set", "category", "maps", "feasibility correct", "cost error")
+    return text + ("\n\n" + _table(header, categories) if categories else "")
+
+
+def _calibration(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, Any]]) -> str:
+    calibration = abstraction.calibration
+    levels = [f"{level:g}" for level in calibration.cost_quantiles]
+    rows = [
+        (
+            name, _cost(values["ece"]), _cost(values["ece_adaptive"]), _cost(values["brier"]),
+            *(_percent(values["cost_coverage"].get(level)) for level in levels),
+        )
+        for name, values in figures.items()
+    ]  # fmt: skip
+    header = ("set", "ECE", "ECE, adaptive", "Brier score", *(f"cost <= q {level}" for level in levels))
+    return (
+        f"## Calibration\n\nFitted to {calibration.tasks:,} tasks of `val`: temperature {calibration.temperature:.3f}, "
+        f"and quantiles of the relative cost error in {len(calibration.excess) + 1} groups of tasks (split conformal). "
+        "ECE: expected calibration error of the probability of feasibility, 15 bins. `cost <= q a`: share of tasks "
+        "whose cost is at most the quantile that the model states for level a; on exchangeable tasks it is a.\n\n"
+        + _table(header, rows)
+    )
+
+
+def _limits(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, Any]], config: DictConfig) -> str:
+    levels = list(next(iter(figures.values()))["cost_errors"])
+    rows = [(name, *(_cost(values["cost_errors"].get(level)) for level in levels)) for name, values in figures.items()]
+    header = ("set", *("largest cost error" if level == 1 else f"{level:.0%} of cost errors up to" for level in levels))
+    lines = []
+    for name, values in figures.items():
+        worst = min(values["categories"].items(), key=lambda item: item[1]["feasibility_accuracy"])
+        if name != "val" and len(values["categories"]) > 1:
+            accuracy = _percent(worst[1]["feasibility_accuracy"])
+            lines.append(f"- Least right in set `{name}`: {worst[0]}, {accuracy} of {worst[1]['maps']} maps' tasks.")
+    data = _data_notes(abstraction, config)
+    terrain = data["terrain"]
+    highest = max(_largest(value) for key, value in terrain.items() if key.endswith(("height", "rise")))
+    kinds = dict.fromkeys(kind for split in data["splits"].values() for kind in split.get("categories", CATEGORIES))
+    sensed = _sensed(data)
+    lines += [
+        f"- Trained on these kinds of random terrain alone: {', '.join(kinds)}. It never saw round or soft things, "
+        f"stairs of more than {_largest(terrain['staircase_steps']):g} steps, or anything higher than {highest:g} m.",
+        f"- Noise, unknown cells and rounded edges, as sensors make them, it saw in the maps of {', '.join(sensed)}, "
+        "by a model of them and not by a sensor."
+        if sensed
+        else "- It never saw what sensors do to maps: noise, unknown cells, rounded edges.",
+        "- The figures of `simulated` and `real` show what it makes of scans.",
+        f"- Holds for this robot with these constants and cost model version {COST_MODEL_VERSION}; loading it for "
+        "another one is an error. The labels are the planner's, which no robot has driven.",
+        "- A heuristic may be wrong without harm to validity: every plan is made of actions that the detailed planner "
+        "has checked.",
+    ]
+    return "## Limits\n\n" + _table(header, rows) + "\n\n" + "\n".join(lines)
+
+
+def _again() -> str:
+    return """## Make it again
+
+```sh
+dvc exp run -S profile=beyond                             # or any other; models/abstraction
+python -m pipeline.publish_model models/abstraction       # judges it and writes this folder
+```"""
+
+
+def _largest(value: Any) -> float:
+    return float(max(value) if isinstance(value, Sequence) else value)
+
+
+def _inline(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"`{key}` {value}" for key, value in flatten(values).items()) or "none"
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _percent(value: float | None) -> str:
+    return "–" if value is None else f"{100 * value:.2f} %"
+
+
+def _cost(value: float | None) -> str:
+    return "–" if value is None else f"{value:.4f}"

@@ -1,0 +1,124 @@
+"""Put a trained abstraction into the package, with its model card.
+
+    python -m pipeline.publish_model models/abstraction
+
+It is calibrated on the validation set and judged on every set of `evaluation.sets` as it will be loaded, after its
+weights were rounded. Writes `hdsp/pretrained/ROBOT/`. With overrides add `runtime.outputs=.`, or it lands in
+outputs/.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from omegaconf import DictConfig
+
+from hdsp.errors import InputError
+from hdsp.robot import Robot
+from pipeline.config import plain
+from pipeline.data import read_evaluation_set, read_set
+from pipeline.model_card import model_card
+from pipeline.stage import Folders, run_stage
+
+if TYPE_CHECKING:
+    from hdsp.learning import LearnedAbstraction
+    from hdsp.tasks import TaskSet
+
+#: Bytes; larger weights are rounded to half floats.
+LARGEST = 4_000_000
+#: Levels of the cost errors that the card states.
+ERROR_LEVELS = (0.5, 0.9, 0.99, 1.0)
+
+
+def publish_model(config: DictConfig, folders: Folders, source: str) -> None:
+    from hdsp.learning.hardware import HardwareSettings
+    from hdsp.learning.pretrained import LearnedAbstraction
+    from hdsp.learning.settings import settings_from
+
+    robot = Robot.load(plain(config.robot))
+    hardware = settings_from(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
+    hardware.apply_threads()
+    trained = LearnedAbstraction.from_pretrained(source, robot, hardware)
+    precision = "float16" if (Path(source) / "model.safetensors").stat().st_size > LARGEST else "float32"
+    with tempfile.TemporaryDirectory() as folder:
+        trained.save_pretrained(Path(folder) / "model", precision)
+        abstraction = LearnedAbstraction.from_pretrained(Path(folder) / "model", robot, hardware)
+
+    val = _validation(trained.provenance.notes.get("trainer") or plain(config.trainer), folders)
+    abstraction = abstraction.calibrated(val)
+    figures = {"val": figures_of(abstraction, val)}
+    missing = {}
+    for name, entry in plain(config.evaluation.sets).items():
+        tasks, reason = read_evaluation_set(name, entry, config, folders)
+        if tasks is None:
+            missing[name] = reason
+            continue
+        figures[name] = figures_of(abstraction, tasks) | {"paper": entry.get("paper")}
+    abstraction.metrics = {
+        f"{metric}/{name}": values[metric]
+        for name, values in figures.items()
+        for metric in ("feasibility_accuracy", "cost_error", "ece")
+        if values[metric] is not None
+    }
+    target = folders.write("hdsp", "pretrained", robot.name)
+    card = model_card(abstraction, robot, precision, figures, missing, config)
+    abstraction.save_pretrained(target, precision, beside={"README.md": card})
+    size = (target / "model.safetensors").stat().st_size / 1e6
+    print(f"{target}: {abstraction.model.architecture}, {precision}, {size:.2f} MB")
+    for name, values in figures.items():
+        error = "none" if values["cost_error"] is None else f"{values['cost_error']:.4f}"
+        print(f"{name}: {100 * values['feasibility_accuracy']:.2f} %, cost error {error}, ECE {values['ece']:.4f}")
+
+
+def _validation(trainer: Mapping[str, Any], folders: Folders) -> TaskSet:
+    """The maps by which the training chose its epoch."""
+    from hdsp.tasks import TaskSet
+
+    sets = []
+    for name in trainer.get("val_splits") or ["val"]:
+        tasks, reason = read_set(folders.read("data", "labels", name))
+        if tasks is None:
+            raise InputError(f"cannot calibrate: {reason}")
+        sets.append(tasks)
+    return TaskSet.concatenate(sets)
+
+
+def figures_of(abstraction: LearnedAbstraction, tasks: TaskSet) -> dict[str, Any]:
+    """All that the card says of a set: what `hdsp.evaluation.evaluate_predictor` and the calibration return,
+    `categories` with the same for each, and `false_feasible`, `false_infeasible` (shares of tasks), `cost_errors`."""
+    from hdsp.evaluation import evaluate_set, predict
+
+    # Answers are computed once: a set may be large, and a network slow.
+    feasible, cost = predict(abstraction, tasks)
+    whole = evaluate_set({"it": _Answers(feasible, cost)}, tasks)
+    both = feasible & tasks.feasible
+    errors = np.abs(cost - tasks.cost)[both]
+    return {
+        **{key: whole[key] for key in ("maps", "tasks", "feasible")},
+        **whole["methods"]["it"],
+        **abstraction.calibration_figures(tasks),
+        "false_feasible": float((feasible & ~tasks.feasible).mean()),
+        "false_infeasible": float((~feasible & tasks.feasible).mean()),
+        "cost_errors": {level: float(np.quantile(errors, level)) for level in ERROR_LEVELS} if errors.size else {},
+        "categories": {
+            name: {"maps": part["maps"], **part["methods"]["it"]} for name, part in whole["categories"].items()
+        },
+    }
+
+
+class _Answers:
+    """A predictor that was asked already."""
+
+    def __init__(self, feasible: np.ndarray, cost: np.ndarray):
+        self.answers = feasible, cost
+
+    def predict(self, patches: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self.answers
+
+
+if __name__ == "__main__":
+    run_stage(publish_model, "publish_model", positional=("folder",))
