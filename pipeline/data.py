@@ -42,14 +42,18 @@ def read_evaluation_set(
     """As `read_set`, of an entry of `evaluation.sets`: `tasks` names a folder of shards among the inputs; `scans` any
     folder of scans, which are labelled first (`hdsp.scan_sets`).
 
+    An entry with `robot` is of labels that were not made here; there are none for any other robot.
+
     Raises:
         InputError: also for another key, or none or both of the two.
     """
-    allowed = ("tasks", "scans", "paper")
+    allowed = ("tasks", "scans", "paper", "robot")
     if unknown := sorted(set(entry) - set(allowed)):
         raise InputError(f"evaluation.sets.{name}: unknown key {unknown[0]!r}; allowed are {', '.join(allowed)}")
     if ("tasks" in entry) == ("scans" in entry):
         raise InputError(f"evaluation.sets.{name}: need either tasks (a folder of shards) or scans (a folder of scans)")
+    if (robot := entry.get("robot")) not in (None, config.robot.name):
+        return None, f"its labels are of robot {robot}"
     if "tasks" in entry:
         return read_set(folders.read(entry["tasks"]))
     from hdsp.labelling import LabelSettings

@@ -13,6 +13,7 @@ from hdsp.robot import Robot
 from hdsp.terrain import CATEGORIES
 from pipeline.config import flatten, plain
 from pipeline.paper import ABSTRACTION_QUALITY
+from pipeline.tables import markdown
 from pipeline.train import data_notes
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ def _model(abstraction: LearnedAbstraction, precision: str) -> str:
         ("output", "probability of feasibility, and cost (unitless) where feasible"),
         ("heights beyond", f"{encoding.clip[0]:g} and {encoding.clip[1]:g} m look like these to it"),
     ]
-    return "## Model\n\n" + _table(("what", "value"), rows)
+    return "## Model\n\n" + markdown(("what", "value"), rows)
 
 
 def _data(abstraction: LearnedAbstraction, robot: Robot, config: DictConfig) -> str:
@@ -103,7 +104,7 @@ def _data(abstraction: LearnedAbstraction, robot: Robot, config: DictConfig) -> 
         rows.append(("maps as sensors see them", _inline(data["sensing"])))
     return (
         "## Training data\n\nRandom height maps (`hdsp/terrain.py`, `hdsp/sensing.py`), labelled by the optimal "
-        "detailed planner. Maps where the robot cannot stand are dropped.\n\n" + _table(("what", "value"), rows)
+        "detailed planner. Maps where the robot cannot stand are dropped.\n\n" + markdown(("what", "value"), rows)
     )
 
 
@@ -128,7 +129,7 @@ def _recipe(abstraction: LearnedAbstraction, config: DictConfig) -> str:
     rows = [(f"`{key}`", str(value)) for key, value in flatten(recorded or config.trainer).items()]
     if "profile" in notes:
         rows.insert(0, ("`profile`", str(notes["profile"])))
-    return f"## Training recipe\n\nThe section `trainer` of the configuration, {source}.\n\n" + _table(
+    return f"## Training recipe\n\nThe section `trainer` of the configuration, {source}.\n\n" + markdown(
         ("setting", "value"), rows
     )
 
@@ -150,7 +151,7 @@ def _metrics(figures: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str
     text = (
         "## Metrics\n\nAgreement with the detailed planner; the epoch was chosen by `val`, no other set took part. "
         "Cost errors are mean absolute differences over tasks that both judge feasible. The paper's figures are of its "
-        "own sets, `published` stands beside its simulated set.\n\n" + _table(header, rows)
+        "own sets, `published` stands beside its simulated set.\n\n" + markdown(header, rows)
     )
     if missing:
         text += "\n\nWithout data: " + "; ".join(f"{name} ({reason})" for name, reason in missing.items()) + "."
@@ -162,7 +163,7 @@ def _metrics(figures: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str
         for category, values in set_figures["categories"].items() if len(set_figures["categories"]) > 1
     ]  # fmt: skip
     header = ("set", "category", "maps", "feasibility correct", "cost error")
-    return text + ("\n\n" + _table(header, categories) if categories else "")
+    return text + ("\n\n" + markdown(header, categories) if categories else "")
 
 
 def _calibration(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, Any]]) -> str:
@@ -181,7 +182,7 @@ def _calibration(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[
         f"and quantiles of the relative cost error in {len(calibration.excess) + 1} groups of tasks (split conformal). "
         "ECE: expected calibration error of the probability of feasibility, 15 bins. `cost <= q a`: share of tasks "
         "whose cost is at most the quantile that the model states for level a; on exchangeable tasks it is a.\n\n"
-        + _table(header, rows)
+        + markdown(header, rows)
     )
 
 
@@ -213,7 +214,7 @@ def _limits(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, 
         "- A heuristic may be wrong without harm to validity: every plan is made of actions that the detailed planner "
         "has checked.",
     ]
-    return "## Limits\n\n" + _table(header, rows) + "\n\n" + "\n".join(lines)
+    return "## Limits\n\n" + markdown(header, rows) + "\n\n" + "\n".join(lines)
 
 
 def _again() -> str:
@@ -231,11 +232,6 @@ def _largest(value: Any) -> float:
 
 def _inline(values: Mapping[str, Any]) -> str:
     return ", ".join(f"`{key}` {value}" for key, value in flatten(values).items()) or "none"
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def _percent(value: float | None) -> str:

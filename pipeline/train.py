@@ -15,7 +15,7 @@ from hdsp.errors import InputError
 from hdsp.files import replacing
 from pipeline import served_model, tracking
 from pipeline.config import flatten, plain
-from pipeline.data import read_set
+from pipeline.data import read_evaluation_set, read_set
 from pipeline.stage import Folders, run_stage, write_json
 
 if TYPE_CHECKING:
@@ -38,10 +38,10 @@ def train(config: DictConfig, folders: Folders) -> None:
     train_tasks, val_tasks = (_required([splits[name] for name in names]) for names in chosen.values())
     sets = {"val": val_tasks}
     for name in config.evaluation.watched:
-        path = folders.read(config.evaluation.sets[name].tasks)
-        tasks, _ = read_set(path)
+        entry = plain(config.evaluation.sets[name])
+        tasks, _ = read_evaluation_set(name, entry, config, folders)
         if tasks is not None:
-            sets[name], splits[name] = tasks, path
+            sets[name], splits[name] = tasks, folders.read(entry.get("tasks") or entry["scans"])
 
     hashes = {f"data.{name}": folder_hash(path) for name, path in splits.items()}
     learnt = [hashes[f"data.{name}"] for name in chosen["splits"]]

@@ -1,0 +1,92 @@
+"""All stages for another robot, in a folder of its own.
+
+    python -m pipeline.own_robot robot=anymal_wheels profile=own_robot
+
+`robot` names a file of hdsp/robots (where conf/robot points to). Labels, training, evaluation and planning go to
+outputs/robots/NAME, and what was done before is kept there: a second call continues. The figures also go into
+docs/own-robot.md, with a picture, if the project has that page.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from hdsp.errors import InputError
+from hdsp.files import replacing
+from hdsp.robot import Robot
+from pipeline.config import plain
+from pipeline.evaluate import evaluate
+from pipeline.label import label
+from pipeline.plan import plan
+from pipeline.report import put_between_markers
+from pipeline.stage import Folders, read_json, run_stage
+from pipeline.tables import markdown
+from pipeline.train import train
+
+PAGE = Path("docs/own-robot.md")
+BEGIN, END = "<!-- written by pipeline.own_robot: begin -->", "<!-- written by pipeline.own_robot: end -->"
+
+
+def own_robot(config: DictConfig, folders: Folders) -> None:
+    robot = Robot.load(plain(config.robot))
+    place = Path(config.runtime.outputs or f"outputs/robots/{robot.name}")
+    folders = Folders(place, place)
+    for split in (*config.trainer.splits, *config.trainer.val_splits, "random"):
+        label(config, folders, split)
+    train(config, folders)
+    evaluate(config, folders)
+    plan(config, folders)
+    text = section(robot, config.profile, read_reports(folders))
+    with replacing(folders.write("reports", "own_robot.md")) as path:
+        path.write_text(text, encoding="utf-8")
+    print(text)
+    if PAGE.is_file() and robot.name in Robot.presets():
+        picture = PAGE.parent / "figures" / f"{robot.name}.png"
+        shutil.copyfile(folders.read("reports", "figures", "planned_path.png"), picture)
+        put_between_markers(PAGE, f"{text}\n![A path of {robot.name}](figures/{picture.name})\n", BEGIN, END)
+
+
+def read_reports(folders: Folders) -> dict[str, Any]:
+    names = ("training", "abstraction_quality", "planning")
+    return {name: read_json(folders.read("reports", f"{name}.json")) for name in names}
+
+
+def section(robot: Robot, profile: str, reports: dict[str, Any]) -> str:
+    """What came out, as Markdown."""
+    training, sets = reports["training"], reports["abstraction_quality"]["sets"]
+    random = sets["random"]
+    if not random["available"]:
+        raise InputError(f"own robot: no random set: {random['reason']}")
+    quality = [
+        (method, f"{100 * values['feasibility_accuracy']:.2f} %", _digits(values["cost_error"]))
+        for method, values in random["methods"].items()
+    ]
+    runs = [
+        (
+            run["pair"], run["heuristic"], f"{run['weight']:g}", run["status"], _digits(run["cost"]),
+            f"{run['expansions']:,}", f"{run['seconds']:.2f}", str(run["steps"]),
+        )
+        for run in reports["planning"]["runs"]
+    ]  # fmt: skip
+    return (
+        f"`{robot.name}`, profile `{profile}`: {training['maps']:,} maps to learn from, {training['epochs']} epochs of "
+        f"`{training['model']}` ({training['parameters']:,} parameters) in {training['seconds']:.0f} s; judged on "
+        f"{random['maps']} random maps ({random['tasks']:,} tasks, {100 * random['feasible'] / random['tasks']:.0f} % "
+        "feasible).\n\n"
+        + markdown(("abstraction", "feasibility correct", "cost error"), quality)
+        + "\n\n"
+        + markdown(("task", "heuristic", "W", "ended", "cost", "expansions", "seconds", "steps"), runs)
+        + "\n"
+    )
+
+
+def _digits(value: float | None) -> str:
+    return "–" if value is None else f"{value:.4f}"
+
+
+if __name__ == "__main__":
+    run_stage(own_robot, "own_robot")
