@@ -27,9 +27,13 @@ def abstraction(name: str) -> LearnedAbstraction:
     torch.manual_seed(0)
     model = settings_from(ModelSettings, model_file(name), "model")
     network = build_network(model).eval()
+    half = len(network.heads.bias) // 2  # the first half are costs, the other logits
     with torch.no_grad():
         network.heads.weight *= 20
-        network.heads.bias[: len(network.heads.bias) // 2] += 0.5
+        network.heads.bias[:half] += 0.5
+        goals = torch.from_numpy(robot_frame_goals(2)).expand(2, -1, -1)
+        _, logits = network(torch.from_numpy(rough_patches(2))[:, None], goals)
+        network.heads.bias[half:] -= logits.median()
     return LearnedAbstraction(network, model, hardware=EXACT)
 
 
@@ -79,6 +83,16 @@ def test_a_step_against_the_gradient_lessens_the_loss(name):
         for parameter in network.parameters():
             parameter -= 1e-3 * before.detach() / squared * parameter.grad
         assert loss() < before
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_gradients_are_finite_in_bfloat16(name):
+    network = abstraction(name).network.train().to(memory_format=torch.channels_last)
+    heights = torch.from_numpy(rough_patches(8))[:, None]
+    with torch.autocast("cpu", torch.bfloat16):
+        cost, logits = network(heights, torch.from_numpy(robot_frame_goals(1)).expand(8, -1, -1))
+    (cost.sum() + logits.sum()).backward()
+    assert all(parameter.grad.isfinite().all() for parameter in network.parameters())
 
 
 def test_which_models_are_dense():

@@ -17,8 +17,8 @@ class DilatedOptions:
     """Widths and reach of the network.
 
     Attributes:
-        widths: channels of the convolutions. Multiples of 16: with others the gradients that oneDNN computes in bfloat16
-            for dilated convolutions are NaN.
+        widths: channels of the convolutions. Multiples of 16: with others the gradients that oneDNN computes in
+            bfloat16 for dilated convolutions are NaN.
         kernels: their sides in cells.
         dilations: cells between neighbours of a kernel.
         pool: side in cells of the squares of which the greatest values are kept.
