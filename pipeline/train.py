@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +35,9 @@ def train(config: DictConfig, folders: Folders) -> None:
 
     chosen = {role: config.trainer.get(role) or [default] for role, default in ROLES.items()}
     splits = {name: folders.read("data", "labels", name) for names in chosen.values() for name in names}
-    train_tasks, val_tasks = (_required([splits[name] for name in names]) for names in chosen.values())
+    learnt, deciding = ([splits[name] for name in names] for names in chosen.values())
+    train_tasks = learnt if config.trainer.get("stream") else part_of(_required(learnt), config.trainer)
+    val_tasks = _required(deciding)
     sets = {"val": val_tasks}
     for name in config.evaluation.watched:
         entry = plain(config.evaluation.sets[name])
@@ -44,8 +46,7 @@ def train(config: DictConfig, folders: Folders) -> None:
             sets[name], splits[name] = tasks, folders.read(entry.get("tasks") or entry["scans"])
 
     hashes = {f"data.{name}": folder_hash(path) for name, path in splits.items()}
-    learnt = [hashes[f"data.{name}"] for name in chosen["splits"]]
-    data_hash = learnt[0] if len(learnt) == 1 else hashlib.sha256("".join(learnt).encode()).hexdigest()
+    data_hash = _hash_of([hashes[f"data.{name}"] for name in chosen["splits"]])
     parameters = flatten({name: config[name] for name in SECTIONS} | {"profile": config.profile})
     with tracking.run(f"{config.model.architecture} {config.profile}", parameters, hashes) as mlflow:
         work = folders.write("models", "training")
@@ -70,7 +71,7 @@ def train(config: DictConfig, folders: Folders) -> None:
         summary = {
             "model": config.model.architecture,
             "parameters": count_parameters(LearnedAbstraction.from_pretrained(abstraction_dir).network),
-            "maps": len(train_tasks),
+            "maps": result.maps,
             "epochs": len(result.history),
             "best_epoch": result.best_epoch,
             "seconds": result.seconds,
@@ -87,11 +88,14 @@ def train(config: DictConfig, folders: Folders) -> None:
     shutil.rmtree(work / "checkpoints", ignore_errors=True)
 
 
-def notes(config: DictConfig, tasks: TaskSet) -> dict[str, Any]:
-    """What the model card says of data and recipe, kept with the model."""
+def notes(config: DictConfig, tasks: TaskSet | list[Path]) -> dict[str, Any]:
+    """What the model card says of data and recipe, kept with the model; tasks, or the folders that they come from."""
+    from hdsp.shards import read_shards
+
+    streamed = isinstance(tasks, list)
     return {
         "profile": config.profile,
-        "maps": len(tasks),
+        "maps": sum(len(shard.tasks) for place in tasks for shard in read_shards(place)) if streamed else len(tasks),
         "trainer": plain(config.trainer),
         **data_notes(config, config.trainer.get("splits") or ["train"]),
     }
@@ -106,6 +110,26 @@ def data_notes(config: DictConfig, splits: Sequence[str]) -> dict[str, Any]:
     }
 
 
+def part_of(tasks: TaskSet, trainer: Mapping[str, Any]) -> TaskSet:
+    """The maps that `trainer.share` and `trainer.residues` leave; a function of these alone.
+
+    Raises:
+        InputError: if none is left.
+    """
+    import numpy as np
+
+    from hdsp.lattice import HEADINGS, HEADINGS_PER_ABSTRACT
+
+    kept = np.ones(len(tasks), bool)
+    if (share := trainer.get("share", 1.0)) < 1:
+        kept[np.random.default_rng(0).permutation(len(tasks))[round(share * len(tasks)) :]] = False
+    if (residues := trainer.get("residues")) is not None:
+        kept &= np.isin(tasks.heading % (HEADINGS // 4), HEADINGS_PER_ABSTRACT * np.array(residues, int))
+    if not kept.any():
+        raise InputError(f"cannot train: no map is left of {len(tasks)} by trainer.share and trainer.residues")
+    return tasks if kept.all() else tasks[kept]
+
+
 def folder_hash(folder: Path) -> str:
     """Hash of the names and contents of the files of a folder."""
     digest = hashlib.sha256()
@@ -113,6 +137,10 @@ def folder_hash(folder: Path) -> str:
         digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
         digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()
+
+
+def _hash_of(hashes: list[str]) -> str:
+    return hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
 
 
 def write_history(path: Path, rows: list[dict[str, Any]]) -> None:

@@ -1,7 +1,7 @@
-"""Loss weights that fall during training: the paper's rule and the rule of the published script.
+"""Loss weights that fall during training, by the paper's rule or the published script's; an average of the weights.
 
-Both count losses per epoch, before weighting. The weights are part of the module's state and the history of the rule is
-part of the callback's, so both survive a resume from a checkpoint.
+Both rules count losses per epoch, before weighting. The weights of losses are part of the module's state and the
+history of the rule is part of the callback's, so both survive a resume from a checkpoint.
 """
 
 from abc import ABC, abstractmethod
@@ -9,8 +9,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import lightning.pytorch as pl
+import torch
+from lightning.pytorch.callbacks import WeightAveraging
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from hdsp.errors import InputError
+from hdsp.learning.data import ResumableBatches
 
 #: The losses, in the order in which rules treat them.
 LOSSES = ("feasibility", "cost")
@@ -94,3 +98,35 @@ class PublishedLossWeights(LossWeightRule):
 
 #: Names of the rules in the configuration; ``constant`` has no callback.
 LOSS_WEIGHT_RULES: dict[str, type[LossWeightRule]] = {"plateau": PlateauLossWeights, "published": PublishedLossWeights}
+
+
+class EpochPosition(pl.Callback):
+    """Brings batches to where a checkpoint was written within an epoch.
+
+    Lightning restores states of loaders by itself only where nothing has asked for the number of steps before, and the
+    schedules of the learning rate do.
+    """
+
+    def __init__(self, batches: ResumableBatches):
+        self.batches = batches
+
+    def state_dict(self) -> dict[str, Any]:
+        return self.batches.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.batches.load_state_dict(state)
+
+
+class AveragedWeights(WeightAveraging):
+    """Keeps an exponential moving average of the weights, which validation uses and checkpoints hold as the network's.
+
+    The average forgets faster in the first steps (its decay is at most (1 + n) / (10 + n) after n of them), so that it
+    does not hold on to the random weights of the beginning.
+    """
+
+    def __init__(self, decay: float):
+        def average(averaged, current, count):
+            steps = int(count)
+            get_ema_multi_avg_fn(min(decay, (1 + steps) / (10 + steps)))(averaged, current, count)
+
+        super().__init__(multi_avg_fn=torch.no_grad()(average))

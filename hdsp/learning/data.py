@@ -1,9 +1,11 @@
 """Labelled tasks as batches of tensors: everything in memory once, batches are picked by index (`task_loader`); or read
 shard by shard, where that is too much (`TaskStream`)."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -11,6 +13,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, IterableDataset, Sampler, get_worker_info
 
 from hdsp.errors import InputError
+from hdsp.lattice import N_ABSTRACT_ACTIONS
 
 if TYPE_CHECKING:
     from hdsp.storage import Place
@@ -83,13 +86,20 @@ class TaskDataset(Dataset):
 
 class BatchSampler(Sampler[BatchIndex]):
     """Batches of an epoch, shuffled and mirrored as a function of (seed, epoch) alone, so that a resumed training sees
-    the batches an undisturbed one would have seen."""
+    the batches an undisturbed one would have seen.
+
+    Attributes:
+        epoch: which one the next iteration is.
+        skip: batches that the next iteration, and it alone, leaves out: those before an interruption.
+        first: size of the first batch where it is not that of all; 0 = it is.
+    """
 
     def __init__(
         self, maps: int, goals: int, settings: BatchSettings, shuffle: bool, mirror: bool = False, seed: int = 0
     ):
         self.maps, self.goals, self.settings = maps, goals, settings
         self.shuffle, self.mirror, self.seed, self.epoch = shuffle, mirror, seed, 0
+        self.skip = self.first = 0
 
     def set_epoch(self, epoch: int) -> None:
         """Called by Lightning before each epoch."""
@@ -104,8 +114,12 @@ class BatchSampler(Sampler[BatchIndex]):
         items = self.maps * self.goals if single else self.maps
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
         order = torch.randperm(items, generator=generator) if self.shuffle else torch.arange(items)
-        for chosen in order.split(self.settings.size):
+        skip, self.skip = self.skip, 0
+        parts = [order[: self.first]] * bool(self.first) + list(order[self.first :].split(self.settings.size))
+        for number, chosen in enumerate(part for part in parts if len(part)):
             mirrored = torch.rand(len(chosen), generator=generator) < 0.5 if self.mirror else None
+            if number < skip:
+                continue
             if single:
                 yield BatchIndex(chosen // self.goals, chosen % self.goals, mirrored)
             else:
@@ -133,25 +147,28 @@ def task_loader(
 
 
 class TaskStream(IterableDataset):
-    """Batches of a labelled split that need not fit into memory: its shards are read a few at a time.
+    """Batches of labelled splits that need not fit into memory: their shards are read a few at a time.
 
     The same maps as those of `task_loader`, each once an epoch. Shards come in an order that is new every epoch, and
-    maps are shuffled among the shards that are in memory together; the last batch of these may be smaller. All is a
-    function of (seed, epoch) alone.
+    maps are shuffled among the shards that are in memory together; what is left of these fills the first batch of the
+    next, so that all batches but the last are full. All is a function of (seed, epoch) alone.
 
     Args:
-        place: folder or URL of shards.
+        places: folder or URL of shards, or several.
         settings: batches by map or single tasks.
         shuffle, mirror, seed: as for `task_loader`.
         shards_in_memory: how many are read at a time.
 
+    Attributes:
+        epoch, skip: as of `BatchSampler`; batches that are skipped are read all the same.
+
     Raises:
-        InputError: if there is no shard, or, when it is met, one is damaged.
+        InputError: if there is no shard in a place, or, when it is met, one is damaged.
     """
 
     def __init__(
         self,
-        place: "Place",
+        places: "Place | Sequence[Place]",
         settings: BatchSettings,
         shuffle: bool = False,
         mirror: bool = False,
@@ -160,17 +177,52 @@ class TaskStream(IterableDataset):
     ):
         from hdsp.shards import shard_paths
 
-        self.paths = shard_paths(place)
-        if not self.paths:
-            raise InputError(f"folder {place} holds no shard")
+        self.paths = []
+        for place in [places] if isinstance(places, str | Path) else places:
+            found = shard_paths(place)
+            if not found:
+                raise InputError(f"folder {place} holds no shard")
+            self.paths += found
         self.settings, self.shuffle, self.mirror = settings, shuffle, mirror
-        self.seed, self.shards_in_memory, self.epoch = seed, shards_in_memory, 0
+        self.seed, self.shards_in_memory = seed, shards_in_memory
+        self.epoch = self.skip = 0
+
+    @cached_property
+    def maps(self) -> list[int]:
+        """Maps in each shard; all are read for it, once."""
+        from hdsp.shards import read_shard
+
+        return [len(read_shard(path).tasks) for path in self.paths]
+
+    def __len__(self) -> int:
+        """Batches of an epoch, where one process reads them."""
+        items = sum(self.maps) * (1 if self.settings.by == "map" else N_ABSTRACT_ACTIONS)
+        return -(-items // self.settings.size)
 
     def set_epoch(self, epoch: int) -> None:
-        """Which epoch the next iteration is."""
+        """Which epoch the next iteration is; called by Lightning before each epoch."""
         self.epoch = epoch
 
     def __iter__(self) -> Iterator[Batch]:
+        skip, self.skip = self.skip, 0
+        rest: Batch | None = None
+        for dataset, sampler in self._parts():
+            sampler.first = self.settings.size - len(rest.heights) if rest is not None else 0
+            for index in sampler:
+                batch = dataset[index]
+                if rest is not None:
+                    batch, rest = Batch(*(torch.cat(pair) for pair in zip(rest, batch, strict=True))), None
+                if len(batch.heights) < self.settings.size:
+                    rest = batch
+                elif skip:
+                    skip -= 1
+                else:
+                    yield batch
+        if rest is not None and not skip:
+            yield rest
+
+    def _parts(self) -> Iterator[tuple[TaskDataset, BatchSampler]]:
+        """The maps that are in memory together, and how they come."""
         from hdsp.shards import read_shard
         from hdsp.tasks import TaskSet
 
@@ -184,14 +236,42 @@ class TaskStream(IterableDataset):
             tasks = TaskSet.concatenate([read_shard(self.paths[k]).tasks for k in chosen.tolist()])
             if not len(tasks):
                 continue
-            dataset = TaskDataset(tasks)
-            goals = dataset.goals.shape[1]
-            sampler = BatchSampler(
-                len(dataset), goals, self.settings, self.shuffle, self.mirror, self.seed * 10_007 + number
-            )
+            seed = self.seed * 10_007 + number
+            sampler = BatchSampler(len(tasks), N_ABSTRACT_ACTIONS, self.settings, self.shuffle, self.mirror, seed)
             sampler.set_epoch(self.epoch)
-            for index in sampler:
-                yield dataset[index]
+            yield TaskDataset(tasks), sampler
+
+
+class ResumableBatches:
+    """The batches of a training, which goes on within an epoch where a checkpoint was written.
+
+    Lightning sets the epoch of `sampler`; `hdsp.learning.callbacks.EpochPosition` puts the position into checkpoints.
+
+    Args:
+        batches: what `task_loader` returns, or a stream.
+    """
+
+    def __init__(self, batches: "DataLoader | TaskStream"):
+        self.batches = batches
+        self.sampler = batches if isinstance(batches, TaskStream) else batches.sampler
+        self.given = self.start = 0
+
+    def __len__(self) -> int:
+        return len(self.batches)
+
+    def __iter__(self) -> Iterator[Batch]:
+        self.given, self.start = self.start, 0
+        self.sampler.skip = self.given
+        for batch in self.batches:
+            self.given += 1
+            yield batch
+
+    def state_dict(self) -> dict[str, Any]:
+        """How many batches of the epoch were given."""
+        return {"given": self.given}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.start = state["given"] % len(self)  # after the last one the next epoch begins
 
 
 def mirror_heights(heights: Tensor) -> Tensor:

@@ -28,6 +28,9 @@ class EpochHistory(pl.Callback):
         self.started = 0.0
         self.epochs_seen = 0
 
+    def on_train_start(self, trainer: pl.Trainer, module: pl.LightningModule) -> None:
+        self.started = time.perf_counter()  # an epoch that goes on within does not start
+
     def on_train_epoch_start(self, trainer: pl.Trainer, module: pl.LightningModule) -> None:
         self.started = time.perf_counter()
 

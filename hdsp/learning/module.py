@@ -1,7 +1,7 @@
 """The Lightning module: losses, optimiser, schedule and metrics of a network of tasks."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import lightning.pytorch as pl
 import torch
@@ -107,6 +107,12 @@ class AbstractionModule(pl.LightningModule):
 
     def on_train_epoch_start(self) -> None:
         self.loss_sums.zero_()
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        checkpoint["loss_sums"] = self.loss_sums.tolist()
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        self.loss_sums[:] = torch.tensor(checkpoint.get("loss_sums", [0.0] * 3), dtype=torch.float64)
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
         cost, logits = self.network(batch.heights, batch.goals)

@@ -1,4 +1,4 @@
-"""Training from labelled tasks to a saved abstraction, resumable at every epoch."""
+"""Training from labelled tasks to a saved abstraction, resumable at every epoch and every few minutes within one."""
 
 import hashlib
 import json
@@ -7,20 +7,21 @@ import math
 import shutil
 import time
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import lightning.pytorch as pl
 import torch
-from lightning.pytorch.callbacks import ModelCheckpoint
+from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
 from lightning.pytorch.loggers import Logger
 
 from hdsp.errors import InputError
-from hdsp.learning.callbacks import LOSS_WEIGHT_RULES
-from hdsp.learning.data import BatchSettings, task_loader
+from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, AveragedWeights, EpochPosition
+from hdsp.learning.data import BatchSettings, ResumableBatches, TaskStream, task_loader
 from hdsp.learning.hardware import HardwareSettings
 from hdsp.learning.history import EpochHistory, OnEpoch
 from hdsp.learning.metrics import combined_score
@@ -30,6 +31,7 @@ from hdsp.learning.pretrained import LearnedAbstraction, Provenance
 from hdsp.learning.settings import settings_from
 
 if TYPE_CHECKING:
+    from hdsp.storage import Place
     from hdsp.tasks import TaskSet
 
 #: Maps in a validation batch; it has no influence on results.
@@ -61,7 +63,18 @@ class SelectionSettings:
 class TrainerSettings:
     """What ``conf/trainer/*.yaml`` holds: all that the trained network depends on besides model and data.
 
-    ``splits`` and ``val_splits`` name the labelled splits that ``pipeline.train`` passes to ``train``.
+    Attributes:
+        epochs, seed, batch, optimizer, schedule, losses, selection: see their classes.
+        mirror: whether maps are mirrored at random on the x axis of the robot. It is the only symmetry of the costs:
+            driving back is not driving ahead, and a quarter turn moves the feet.
+        gradient_clip: greatest norm of a step's gradients; None = any.
+        ema: decay of the average of the weights that is evaluated and saved; None = the last weights are.
+        early_stopping: epochs without a better score after which training ends; None = it does not.
+        checkpoint_minutes: how often the state is written within an epoch.
+        splits, val_splits: names of the labelled splits that ``pipeline.train`` passes to ``train``.
+        stream: whether it passes their folders, of which a few shards at a time are in memory.
+        share, residues: of the maps of ``splits`` it passes this share, and of these those with a heading of these
+            abstract ones modulo a quarter turn; None = all.
     """
 
     epochs: int = 100
@@ -73,7 +86,14 @@ class TrainerSettings:
     losses: LossSettings = field(default_factory=LossSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     gradient_clip: float | None = None
-    splits: tuple[str, ...] = field(default=("train",), repr=False)  # checkpoints are marked with the tasks themselves
+    # Left out of what marks checkpoints (`_fingerprint`): the tasks themselves are in it, ema and stopping where set.
+    ema: float | None = field(default=None, repr=False)
+    early_stopping: int | None = field(default=None, repr=False)
+    checkpoint_minutes: float = field(default=10.0, repr=False)
+    stream: bool = field(default=False, repr=False)
+    share: float = field(default=1.0, repr=False)
+    residues: tuple[int, ...] | None = field(default=None, repr=False)
+    splits: tuple[str, ...] = field(default=("train",), repr=False)
     val_splits: tuple[str, ...] = field(default=("val",), repr=False)
 
     def __post_init__(self):
@@ -82,6 +102,16 @@ class TrainerSettings:
                 raise InputError(f"trainer.{name}: it is empty; need the name of a labelled split")
         if self.epochs < 1:
             raise InputError(f"trainer.epochs: {self.epochs} is below 1")
+        if self.ema is not None and not 0 < self.ema < 1:
+            raise InputError(f"trainer.ema: {self.ema} is not between 0 and 1")
+        if self.early_stopping is not None and self.early_stopping < 1:
+            raise InputError(f"trainer.early_stopping: {self.early_stopping} is below 1")
+        if not 0 < self.share <= 1:
+            raise InputError(f"trainer.share: {self.share} is not above 0 and at most 1")
+        if self.stream and (self.share < 1 or self.residues is not None):
+            raise InputError("trainer.stream: whole splits are streamed; share has to be 1.0 and residues null")
+        if not self.checkpoint_minutes > 0:
+            raise InputError(f"trainer.checkpoint_minutes: {self.checkpoint_minutes} is not above 0")
 
 
 @dataclass(frozen=True)
@@ -104,6 +134,7 @@ class TrainResult:
         history: flat metrics of every epoch.
         seconds: duration of this call; after a resume without the interrupted part.
         resumed_from: number of epochs that an earlier, interrupted call had finished.
+        maps: that were learnt from.
     """
 
     model_dir: Path
@@ -112,11 +143,12 @@ class TrainResult:
     history: list[dict[str, float]]
     seconds: float
     resumed_from: int
+    maps: int
 
 
 def train(
     config: Mapping[str, Any] | TrainingConfig,
-    train_tasks: "TaskSet",
+    train_tasks: "TaskSet | Sequence[Place]",
     val_sets: Mapping[str, "TaskSet"],
     out_dir: str | Path,
     logger: Logger | Iterable[Logger] | None = None,
@@ -128,11 +160,11 @@ def train(
     """Trains a network and saves the best state on the validation set.
 
     If ``out_dir/checkpoints`` holds the last state of the same training (same model, trainer settings and tasks), the
-    training goes on from there; the state of another training is replaced.
+    training goes on from there, within an epoch at the next batch; the state of another training is replaced.
 
     Args:
         config: keys ``model``, ``trainer``, ``hardware``, see ``TrainingConfig``.
-        train_tasks: labelled maps to learn from.
+        train_tasks: labelled maps to learn from; or folders or URLs of shards, which are then read a few at a time.
         val_sets: labelled maps by name; all are evaluated after every epoch, ``trainer.selection.set`` decides.
         out_dir: receives ``model/``, ``history.csv``, ``history.json``, ``checkpoints/``.
         logger: Lightning logger(s), told the metrics once per epoch with the epoch as step.
@@ -154,17 +186,23 @@ def train(
     started = time.perf_counter()
     config.hardware.apply_threads()
     module = _module(config, tuple(val_sets))
-    train_loader = task_loader(
-        train_tasks, trainer_settings.batch, shuffle=True, mirror=trainer_settings.mirror, seed=trainer_settings.seed
-    )
+    source, maps = _training_batches(trainer_settings, train_tasks)
+    batches = ResumableBatches(source)
     val_loaders = [task_loader(tasks, VALIDATION_BATCH) for tasks in val_sets.values()]
 
     checkpoints = out_dir / "checkpoints"
-    last = _checkpoint_to_resume(checkpoints, _fingerprint(config, train_tasks))
+    last = _checkpoint_to_resume(checkpoints, _fingerprint(config, source))
     history = EpochHistory(out_dir, trainer_settings.selection.score, on_epoch, quiet)
     keep_best = ModelCheckpoint(checkpoints, "best", monitor="score", enable_version_counter=False)
     keep_last = ModelCheckpoint(checkpoints, "last", enable_version_counter=False)
-    own_callbacks: list[pl.Callback] = [history, keep_best, keep_last]
+    interval = timedelta(minutes=trainer_settings.checkpoint_minutes)
+    keep_within = ModelCheckpoint(checkpoints, "last", train_time_interval=interval, enable_version_counter=False)
+    own_callbacks: list[pl.Callback] = [history, EpochPosition(batches), keep_best, keep_last, keep_within]
+    if trainer_settings.early_stopping:
+        patience = trainer_settings.early_stopping
+        own_callbacks.append(EarlyStopping("score", patience=patience, check_finite=False))
+    if trainer_settings.ema:
+        own_callbacks.append(AveragedWeights(trainer_settings.ema))
     if trainer_settings.losses.rule != "constant":
         rule = LOSS_WEIGHT_RULES[trainer_settings.losses.rule]
         own_callbacks.append(rule(trainer_settings.losses.factor, trainer_settings.losses.patience))
@@ -184,7 +222,7 @@ def train(
             num_sanity_val_steps=0,
             log_every_n_steps=1_000_000,
         )
-        trainer.fit(module, train_loader, val_loaders, ckpt_path=last, weights_only=False if last else None)
+        trainer.fit(module, batches, val_loaders, ckpt_path=last, weights_only=False if last else None)
 
     if not math.isfinite(min(row["score"] for row in history.rows)):
         rate = trainer_settings.optimizer.lr
@@ -200,7 +238,7 @@ def train(
     abstraction = abstraction.calibrated(val_sets[trainer_settings.selection.set])
     abstraction.save_pretrained(out_dir / "model")
     seconds, resumed_from = time.perf_counter() - started, len(history.rows) - history.epochs_seen
-    return TrainResult(out_dir / "model", best_epoch, metrics, history.rows, seconds, resumed_from)
+    return TrainResult(out_dir / "model", best_epoch, metrics, history.rows, seconds, resumed_from, maps)
 
 
 def _module(config: TrainingConfig, val_sets: tuple[str, ...]) -> AbstractionModule:
@@ -217,11 +255,32 @@ def _loggers(logger: Logger | Iterable[Logger] | None) -> list[Logger] | bool:
     return [logger] if isinstance(logger, Logger) else list(logger)
 
 
-def _fingerprint(config: TrainingConfig, tasks: "TaskSet") -> str:
+def _training_batches(settings: TrainerSettings, tasks: "TaskSet | Sequence[Place]") -> tuple[Any, int]:
+    """The batches of an epoch, and how many maps they hold."""
+    from hdsp.tasks import TaskSet
+
+    order = {"shuffle": True, "mirror": settings.mirror, "seed": settings.seed}
+    if isinstance(tasks, TaskSet):
+        return task_loader(tasks, settings.batch, **order), len(tasks)
+    stream = TaskStream(tasks, settings.batch, **order)
+    if not len(stream):
+        raise InputError(f"{', '.join(map(str, tasks))}: the shards hold no maps")
+    return stream, sum(stream.maps)
+
+
+def _fingerprint(config: TrainingConfig, batches: Any) -> str:
     """Hash of all that decides whether a checkpoint belongs to this training."""
-    digest = hashlib.sha256(json.dumps([config.model.to_dict(), repr(config.trainer)], sort_keys=True).encode())
-    for array in (tasks.heights, tasks.goals, tasks.feasible, tasks.cost):
-        digest.update(memoryview(array).cast("B"))
+    trainer = config.trainer
+    parts = [config.model.to_dict(), repr(trainer)]
+    later = {"ema": trainer.ema, "early_stopping": trainer.early_stopping}
+    parts += [f"{name} {value}" for name, value in later.items() if value is not None]
+    digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode())
+    if isinstance(batches, TaskStream):  # the name of a shard holds a hash of all its labels depend on
+        digest.update(json.dumps([*map(str, batches.paths), *batches.maps]).encode())
+        return digest.hexdigest()
+    data = batches.dataset
+    for tensor in (data.heights, data.goals, data.feasible, data.cost):
+        digest.update(memoryview(tensor.numpy()).cast("B"))
     return digest.hexdigest()
 
 

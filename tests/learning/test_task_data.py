@@ -6,7 +6,15 @@ import torch
 
 from hdsp.errors import InputError
 from hdsp.heightmap import HeightMap
-from hdsp.learning.data import BatchSettings, TaskDataset, TaskStream, mirror_goals, mirror_heights, task_loader
+from hdsp.learning.data import (
+    BatchSettings,
+    ResumableBatches,
+    TaskDataset,
+    TaskStream,
+    mirror_goals,
+    mirror_heights,
+    task_loader,
+)
 from hdsp.shards import write_shard
 from hdsp.tasks import TaskSet
 from tests.learning.synthetic import synthetic_tasks
@@ -125,10 +133,46 @@ def test_a_stream_gives_every_map_once_in_a_new_order_each_epoch(tasks, shards):
 
 def test_a_stream_in_order_is_the_split_in_order(tasks, shards):
     batches = list(TaskStream(shards, BatchSettings("map", 4), shards_in_memory=1))
-    assert [len(batch.heights) for batch in batches] == [3, 1, 4, 2]
+    assert [len(batch.heights) for batch in batches] == [4, 4, 2]
     for name in ("goals", "feasible", "cost"):
         found = torch.cat([getattr(batch, name) for batch in batches]).numpy()
         np.testing.assert_array_equal(found, tasks.arrays()[name])
+
+
+@pytest.mark.parametrize("by", ["map", "task"])
+def test_a_stream_has_as_many_batches_as_it_says(tasks, shards, by):
+    stream = TaskStream([shards, shards], BatchSettings(by, 3), shuffle=True, shards_in_memory=2)
+    sizes = [len(batch.heights) for batch in stream]
+    assert len(sizes) == len(stream) and set(sizes[:-1]) == {3}
+    assert sum(sizes) == 2 * len(tasks) * (1 if by == "map" else 22)
+
+
+@pytest.mark.parametrize("streamed", [False, True])
+@pytest.mark.parametrize("by", ["map", "task"])
+def test_batches_go_on_after_those_of_before_an_interruption(tasks, shards, streamed, by):
+    settings, order = BatchSettings(by, 4), {"shuffle": True, "mirror": True, "seed": 3}
+
+    def batches(taken=0):
+        source = TaskStream(shards, settings, **order) if streamed else task_loader(tasks, settings, **order)
+        resumable = ResumableBatches(source)
+        resumable.load_state_dict({"given": taken})
+        resumable.sampler.set_epoch(2)
+        return resumable
+
+    whole = list(batches())
+    assert len(whole) == len(batches())
+    for taken in (1, len(whole) - 1, len(whole)):
+        resumable = batches(taken)
+        rest = list(resumable)
+        expected = whole[taken:] or whole  # after the last one all of the next epoch
+        assert len(rest) == len(expected)
+        assert all(
+            torch.equal(a, b)
+            for one, other in zip(rest, expected, strict=True)
+            for a, b in zip(one, other, strict=True)
+        )
+        assert resumable.state_dict() == {"given": len(whole)}
+        assert len(list(resumable)) == len(whole)
 
 
 def test_a_stream_holds_no_more_shards_than_it_may(shards, monkeypatch):

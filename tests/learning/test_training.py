@@ -7,10 +7,13 @@ import lightning.pytorch as pl
 import numpy as np
 import pytest
 import torch
+from torch.optim.swa_utils import AveragedModel
 
 from hdsp.errors import InputError
 from hdsp.learning import HardwareSettings, LearnedAbstraction, train
+from hdsp.learning.callbacks import AveragedWeights
 from hdsp.learning.metrics import combined_score
+from hdsp.shards import write_shard
 from tests.learning.synthetic import synthetic_tasks, tiny_config
 
 
@@ -95,6 +98,71 @@ def test_an_interrupted_training_ends_like_an_undisturbed_one(tasks, val, tmp_pa
     assert weights[0] == weights[1]
 
 
+class StopWithin(pl.Callback):
+    """Ends the training as an interruption would, within an epoch, after a checkpoint there."""
+
+    def __init__(self, epoch, batch):
+        self.epoch, self.batch = epoch, batch
+
+    def on_train_batch_start(self, trainer, module, batch, index):
+        if (trainer.current_epoch, index) == (self.epoch, self.batch):
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("streamed", [False, True])
+def test_a_training_interrupted_within_an_epoch_ends_like_an_undisturbed_one(tasks, val, tmp_path, streamed):
+    data = tasks
+    if streamed:
+        for number in range(3):
+            write_shard(tmp_path / f"shards/{number}.h5", tasks[number * 32 : number * 32 + 32], {"labels_hash": "x"})
+        data = [tmp_path / "shards"]
+    config = tiny_config(epochs=3, mirror=True, ema=0.9, checkpoint_minutes=1e-7)
+    whole = train(config, data, {"val": val}, tmp_path / "whole", quiet=True)
+    with pytest.raises((KeyboardInterrupt, SystemExit)):
+        train(config, data, {"val": val}, tmp_path / "parts", callbacks=[StopWithin(1, 3)], quiet=True)
+    resumed = train(config, data, {"val": val}, tmp_path / "parts", quiet=True)
+    assert resumed.resumed_from == 1 and resumed.maps == len(tasks)
+    timeless = [[{k: v for k, v in row.items() if k != "seconds"} for row in r.history] for r in (whole, resumed)]
+    assert timeless[0] == timeless[1]
+    weights = [(path.model_dir / "model.safetensors").read_bytes() for path in (whole, resumed)]
+    assert weights[0] == weights[1]
+
+
+def test_the_average_of_the_weights_is_judged_and_saved(tasks, val, tmp_path):
+    plain, averaged = (
+        train(tiny_config(epochs=2, ema=ema), tasks, {"val": val}, tmp_path / str(ema), quiet=True)
+        for ema in (None, 0.99)
+    )
+    assert plain.history[0]["loss/cost"] == averaged.history[0]["loss/cost"]  # training itself is the same
+    assert plain.history[0]["cost_error/val"] != averaged.history[0]["cost_error/val"]
+    hardware = HardwareSettings(**tiny_config()["hardware"])
+    feasible, _ = LearnedAbstraction.from_pretrained(averaged.model_dir, hardware=hardware).predict(
+        val.heights, val.goals
+    )
+    expected = averaged.metrics["feasibility_accuracy/val"]
+    assert (feasible == val.feasible).mean() == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_average_is_what_its_definition_says():
+    averaging, current = AveragedWeights(0.5), torch.nn.Linear(1, 1, bias=False)
+    average = AveragedModel(current, **averaging._kwargs)
+    expected = None
+    for step, value in enumerate([4.0, 1.0, 2.0, 8.0, 1.0] * 3):
+        torch.nn.init.constant_(current.weight, value)
+        average.update_parameters(current)
+        decay = min(0.5, (1 + step) / (10 + step))
+        expected = value if step == 0 else decay * expected + (1 - decay) * value
+        assert average.module.weight.item() == pytest.approx(expected)
+
+
+def test_training_ends_early_where_nothing_gets_better(tasks, val, tmp_path):
+    config = tiny_config(
+        epochs=9, early_stopping=2, optimizer={"name": "adamw", "lr": 0.0}, schedule={"name": "constant"}
+    )
+    result = train(config, tasks[:16], {"val": val}, tmp_path, quiet=True)
+    assert (len(result.history), result.best_epoch) == (3, 0)
+
+
 def test_a_diverged_training_is_named(tasks, val, tmp_path):
     config = tiny_config(epochs=2, optimizer={"name": "sgd", "lr": 1e6}, schedule={"name": "constant"})
     with pytest.raises(InputError, match=r"diverged.*trainer\.optimizer\.lr than 1000000"):
@@ -142,6 +210,11 @@ def test_training_leaves_the_global_random_state_alone(tasks, val, tmp_path):
     [
         ({"selection": {"set": "test"}}, "trainer.selection.set: 'test' is not one of the validation sets val"),
         ({"epochs": 0}, "trainer.epochs: 0 is below 1"),
+        ({"ema": 1.0}, "trainer.ema: 1.0 is not between 0 and 1"),
+        ({"early_stopping": 0}, "trainer.early_stopping: 0 is below 1"),
+        ({"splits": []}, "trainer.splits: it is empty"),
+        ({"share": 0.0}, "trainer.share: 0.0 is not above 0"),
+        ({"stream": True, "residues": [0]}, "trainer.stream: whole splits are streamed"),
         ({"optimiser": {}}, "config.trainer: unknown key 'optimiser'"),
         ({"batch": {"by": "patch"}}, "config.trainer.batch.by: 'patch' is not one of map, task"),
         ({"optimizer": {"lr": "high"}}, "config.trainer.optimizer.lr: need float, got 'high'"),

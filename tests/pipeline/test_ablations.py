@@ -1,0 +1,64 @@
+"""The experiments of conf/experiment/ablation: each differs from the base in what its name says, and nowhere else."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hdsp.errors import InputError
+from hdsp.learning.settings import settings_from
+from hdsp.learning.training import TrainingConfig
+from pipeline.compare import SECTIONS, differences
+from pipeline.config import CONF, compose, flatten, plain
+from pipeline.train import part_of
+from tests.task_sets import random_tasks
+
+NAMES = sorted(path.stem for path in (CONF / "experiment/ablation").glob("*.yaml"))
+#: What an ablation changes, apart from the share of the maps where it keeps their number.
+CHANGED = {
+    "base": set(),
+    "no_mirror": {"trainer.mirror"},
+    "no_residues": {"trainer.residues", "trainer.share"},
+    "no_sensed": {"trainer.splits", "trainer.share"},
+    "half_maps": {"trainer.share"},
+    "twice_maps": {"trainer.share"},
+    "no_ema": {"trainer.ema"},
+    "constant_rate": {"trainer.schedule.name"},
+    "sgd": {"trainer.optimizer.name", "trainer.optimizer.lr", "trainer.schedule.name"},
+    "paper_losses": {"trainer.losses.cost", "trainer.losses.rule"},
+}
+
+
+def flat(config):
+    return flatten({section: config[section] for section in SECTIONS})
+
+
+@pytest.fixture(scope="module")
+def base():
+    return flat(compose(["experiment=ablation/base"]))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_ablation_differs_in_what_its_name_says(name, base):
+    config = compose([f"experiment=ablation/{name}"])
+    assert Path(config.runtime.outputs) == Path("outputs/ablations") / name
+    assert config.profile == "beyond" and config.runtime.inputs == "outputs/beyond"
+    settings_from(TrainingConfig, {"model": plain(config.model), "trainer": plain(config.trainer)}, "config")
+    different = set(differences(base, flat(config)))
+    if name == "paper_network":
+        assert config.model.architecture == "klamt2019"
+        assert {key.split(".")[0] for key in different} == {"model"}
+    else:
+        assert different == CHANGED[name]
+
+
+def test_a_part_of_the_maps_is_the_same_every_time_and_as_large_as_said():
+    tasks = random_tasks(40)
+    half = part_of(tasks, {"share": 0.5})
+    assert len(half) == 20
+    np.testing.assert_array_equal(half.heights, part_of(tasks, {"share": 0.5}).heights)
+    assert part_of(tasks, {}) is tasks
+    straight = part_of(tasks, {"residues": [0]})
+    assert len(straight) == (tasks.heading % 16 == 0).sum()
+    with pytest.raises(InputError, match="no map is left of 40"):
+        part_of(tasks, {"residues": []})
