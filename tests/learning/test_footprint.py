@@ -2,12 +2,16 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
 from hdsp.errors import InputError
+from hdsp.heightmap import HeightMap
+from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, Provenance
 from hdsp.learning.data import mirror_goals, mirror_heights
-from hdsp.learning.networks import build_network
+from hdsp.learning.networks import ModelSettings, build_network
+from hdsp.learning.settings import settings_from
 from tests.learning.test_zoo import model_file, rough_patches
 
 GOALS = torch.tensor([[1.0, 0, 0], [2, -1, 0], [-2, 1, 0], [0, 0, 1], [0, 0, -1], [0.92, 0.38, 0]])
@@ -66,6 +70,22 @@ def test_a_turn_to_the_other_side_is_the_mirrored_turn_of_a_mirrored_network(net
     right = features[1][:, -4 * width :]
     torch.testing.assert_close(left, right, atol=2e-3, rtol=0)
     assert (mirror_goals(goals) == torch.tensor([[0.0, 0, -1]])).all()
+
+
+def test_whole_maps_in_bfloat16(network):
+    heights = rough_patches(1)[0]
+    terrain = HeightMap(np.tile(heights, (2, 2)))
+    region = (8, 8, 12, 12)
+
+    def edges(precision):
+        settings = settings_from(ModelSettings, model_file("footprint"), "model")
+        hardware = HardwareSettings(accelerator="cpu", precision=precision)
+        return LearnedCosts(LearnedAbstraction(network, settings, Provenance(), {}, hardware)).edges(terrain, region)
+
+    exact, rough = edges("32"), edges("bf16")
+    both = np.isfinite(exact) & np.isfinite(rough)
+    assert both.any()
+    np.testing.assert_allclose(rough[both], exact[both], rtol=0.1, atol=0.05)
 
 
 @pytest.mark.parametrize(

@@ -206,7 +206,7 @@ class FootprintTrunk:
         )
         # Cells first: what belongs to one cell then lies side by side, and is copied in one piece.
         straight = self.network._footprints(local, ground)[0].permute(1, 2, 0).contiguous()
-        return local, ground, straight
+        return local.float(), ground, straight.float()
 
     def windows(self, dense: tuple[Tensor, Tensor, Tensor], corners: Tensor) -> Tensor:
         """Features [n, F], as ``map_part`` gives them, of patches with lower corners [n, 2]."""
