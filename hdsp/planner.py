@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,12 +20,13 @@ from hdsp.detailed import anytime
 from hdsp.detailed.estimate import geometric_estimate
 from hdsp.detailed.explain import explain
 from hdsp.detailed.motion import Motion
+from hdsp.detailed.multi import solve_multi
 from hdsp.detailed.proofs import Unreachable, why_unreachable
 from hdsp.detailed.refine import ban, last_step, refine
 from hdsp.detailed.solve import Limits, SearchResult, Status, solve
 from hdsp.detailed.states import action_name
 from hdsp.detailed.validity import in_words, problems
-from hdsp.detailed.world import build_world
+from hdsp.detailed.world import World, build_world
 from hdsp.errors import InputError, RefinementError
 from hdsp.heightmap import HeightMap
 from hdsp.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
@@ -46,7 +48,8 @@ class Plan:
         actions: the n - 1 actions between them, e.g. ``drive``, ``turn_left``, ``step front_left +0.250``.
         action_costs: float64 [n - 1]; they add up to ``cost``.
         stats: expansions, states seen, bytes of memory, seconds (heuristic included), weight, heuristic; below
-            ``lower_bound`` no plan costs, 0 if nothing is known.
+            ``lower_bound`` no plan costs, 0 if nothing is known. With an anchor also ``anchor_weight``, and of the
+            last search's expansions those for the anchor and those for the guide, ``expansions_by``.
         problems: what is wrong with start or goal, or what cuts them off from each other, in words.
         refused: steps of former plans that could not be carried out, in words, if a refinable plan was asked for.
         bound: proved: the plan costs at most so many times the least possible (of plans without the refused steps);
@@ -187,6 +190,7 @@ class Planner:
         goal,
         weight: float = 1.0,
         *,
+        anchor_weight: float | None = None,
         cost: float = np.inf,
         expansions: int = Limits.expansions,
         memory: int = Limits.memory,
@@ -201,6 +205,10 @@ class Planner:
                 to the nearest lattice state. Without feet, the least-cost feet closest to neutral are chosen (T_a->d).
             goal: the same.
             weight: W >= 1 of weighted A*. With an admissible heuristic the cost is at most W times optimal.
+            anchor_weight: W2 >= 1 of multi-heuristic A*: the heuristic, learned or otherwise not admissible, guides,
+                the geometric one is the anchor, and the cost is at most W * W2 times optimal, which ``bound`` says;
+                often it proves less. An admissible heuristic needs no anchor. None: weighted A*, which proves nothing
+                with a heuristic that is not admissible.
             cost: look for no plan that costs more.
             expansions, memory, time: give up after so many expanded states, bytes of states, seconds.
             refinable: refine the plan, and as long as one of its steps cannot be carried out, report that step in
@@ -212,10 +220,12 @@ class Planner:
             stand is reported there.
 
         Raises:
-            InputError: if a value is not a number, a pose lies off the map, or weight < 1.
+            InputError: if a value is not a number, a pose lies off the map, or a weight < 1.
             RefinementError: if ``refinable`` and something other than a step cannot be carried out.
         """
         _check_weight(weight)
+        if anchor_weight is not None:
+            _check_weight(anchor_weight, "anchor_weight")
         began = _now()
         ends, without = self._locate_ends(start, goal, weight)
         if without is not None:
@@ -223,9 +233,13 @@ class Planner:
         kernel_view = self.heuristic.set_goal(ends["goal"])
         prepared = _now() - began
         limits = Limits(cost=cost, expansions=expansions, memory=memory, time=time)
-        plan = self._search_or_proof(ends, kernel_view, weight, limits, progress)
+        if anchor_weight is None or self.heuristic.admissible:
+            search = partial(self._search, ends, kernel_view, weight, progress)
+        else:
+            search = partial(self._search_anchored, ends, kernel_view, weight, anchor_weight, progress)
+        plan = self._search_or_proof(ends, search, limits)
         if refinable:
-            plan = self._refined(plan, ends, kernel_view, weight, limits, progress)
+            plan = self._refined(plan, search, limits)
         plan.stats |= {"heuristic_seconds": prepared, "seconds": _now() - began}
         return plan
 
@@ -281,19 +295,19 @@ class Planner:
         limits = Limits(cost=cost, expansions=expansions, memory=memory, time=time)
         return self._improving(ends, kernel_view, weights, limits, refinable, progress, prepared)
 
-    def _search_or_proof(self, ends, kernel_view, weight: float, limits: Limits, progress) -> Plan:
+    def _search_or_proof(self, ends, search: Callable[[World, Limits], Plan], limits: Limits) -> Plan:
         """Search a little; if that finds no plan, try to prove that there is none, which also says why; else search on.
 
         A proof takes longer than most searches, and searches without a plan would take forever.
         """
         few = replace(limits, expansions=min(limits.expansions, _FEW))
-        plan = self._search(self.world, ends, kernel_view, weight, few, progress)
+        plan = search(self.world, few)
         undecided = plan.status == Status.EXPANSION_LIMIT and limits.expansions > _FEW
         if not undecided and plan.status != Status.INFEASIBLE:
             return plan
         proof = why_unreachable(self.world, ends["start"], ends["goal"])
         if proof is None:
-            return plan if not undecided else self._search(self.world, ends, kernel_view, weight, limits, progress)
+            return plan if not undecided else search(self.world, limits)
         self._note_proof(plan, proof)
         return plan
 
@@ -301,7 +315,7 @@ class Planner:
         plan.status, plan.problems = Status.INFEASIBLE, [in_words(proof, self.world, self.grid)]
         plan.stats["lower_bound"] = np.inf
 
-    def _search(self, world, ends, kernel_view, weight: float, limits: Limits, progress) -> Plan:
+    def _search(self, ends, kernel_view, weight: float, progress, world: World, limits: Limits) -> Plan:
         result = solve(
             world,
             ends["start"],
@@ -318,6 +332,28 @@ class Planner:
             plan.stats["lower_bound"] = plan.cost / weight * (1 - anytime.rounding(world) * plan.cost)
         elif plan.status in (Status.INFEASIBLE, Status.COST_LIMIT):
             plan.stats["lower_bound"] = limits.cost if plan.status == Status.COST_LIMIT else np.inf
+        return plan
+
+    def _search_anchored(self, ends, guide, weight, anchor_weight, progress, world: World, limits: Limits) -> Plan:
+        result = solve_multi(
+            world,
+            ends["start"],
+            ends["goal"],
+            geometric_estimate(world, ends["goal"]),
+            [guide],
+            weight=weight,
+            anchor_weight=anchor_weight,
+            limits=limits,
+            progress=progress,
+        )
+        plan = self._plan_of(result, weight)
+        plan.bound = result.bound
+        anchored, guided = result.expansions_by or (0, 0)
+        plan.stats |= {
+            "lower_bound": result.lower_bound,
+            "anchor_weight": float(anchor_weight),
+            "expansions_by": {"geometric": anchored, self.heuristic.name: guided},
+        }
         return plan
 
     def _plan_of(self, result: SearchResult, weight: float) -> Plan:
@@ -345,7 +381,7 @@ class Planner:
             robot=self.robot,
         )
 
-    def _refined(self, plan: Plan, ends, kernel_view, weight: float, limits: Limits, progress) -> Plan:
+    def _refined(self, plan: Plan, search: Callable[[World, Limits], Plan], limits: Limits) -> Plan:
         """Search again, without the steps that cannot be carried out, until all can; or until there is no other plan.
 
         Raises:
@@ -365,7 +401,7 @@ class Planner:
                 memory=limits.memory,
                 time=limits.time - spent["search_seconds"],
             )
-            plan = self._search(self.world._replace(banned=banned), ends, kernel_view, weight, left, progress)
+            plan = search(self.world._replace(banned=banned), left)
             for name in spent:
                 spent[name] += plan.stats[name]
         plan.refused = refused
@@ -483,9 +519,9 @@ class Planner:
         return state, problems(self.world, self.grid, self.robot, state)
 
 
-def _check_weight(weight) -> None:
+def _check_weight(weight, name: str = "weight") -> None:
     if not (np.isfinite(weight) and weight >= 1):
-        raise InputError(f"weight is {weight}; it must be a finite number >= 1")
+        raise InputError(f"{name} is {weight}; it must be a finite number >= 1")
 
 
 _now = time.perf_counter
