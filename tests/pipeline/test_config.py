@@ -46,6 +46,13 @@ def test_profile_paper_has_the_counts_and_recipe_of_the_paper():
     assert config.trainer.batch == {"by": "task", "size": 1}
 
 
+def test_sets_may_be_added_without_a_plus_and_sections_of_others_not():
+    sets = compose(["evaluation.sets.mine.scans=somewhere"]).evaluation.sets
+    assert sets.mine == {"scans": "somewhere"} and "random" in sets
+    with pytest.raises(InputError, match=r"unknown config key 'evaluation\.mine'"):
+        compose(["evaluation.mine=1"])
+
+
 @pytest.mark.parametrize(
     ("override", "says"),
     [

@@ -27,6 +27,23 @@ def test_each_set_has_figures_of_each_method_or_a_reason(chain):
             assert method["both_feasible"] <= values["feasible"]
 
 
+def test_networks_are_also_judged_by_their_calibration(chain):
+    random = json.loads((chain / "reports/abstraction_quality.json").read_text())["sets"]["random"]
+    assert list(random["calibration"]) == ["learned"]  # the others state no probabilities
+    figures = random["calibration"]["learned"]
+    assert 0 <= figures["ece"] <= 1 and 0 <= figures["ece_adaptive"] <= 1
+    assert sum(figures["bins"]["count"]) == random["tasks"]
+    assert (chain / "reports/figures/reliability.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_folder_of_shards_that_somebody_has_is_judged_with_the_abstraction_of_the_package(chain, tmp_path):
+    overrides = ["evaluation.model=momaro", f"evaluation.sets.mine.scans={chain / 'data/labels/random'}"]
+    said = run_python("pipeline.evaluate", *tiny(chain), f"runtime.outputs={tmp_path}", *overrides).stdout
+    sets = json.loads((tmp_path / "reports/abstraction_quality.json").read_text())["sets"]
+    assert "mine, learned: " in said
+    assert sets["mine"]["methods"] == sets["random"]["methods"]
+
+
 def test_the_flat_baseline_judges_everything_feasible(chain):
     random = json.loads((chain / "reports/abstraction_quality.json").read_text())["sets"]["random"]
     flat = random["methods"]["flat"]
