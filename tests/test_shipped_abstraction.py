@@ -19,7 +19,7 @@ from hdsp.pretrained import presets
 ROOT = Path(__file__).resolve().parents[1]
 MEGABYTES = 8
 
-#: Loads and asks in a process that finds nothing but the wheel, cannot connect, and cannot unpickle.
+#: Loads and asks in a process that finds nothing but the wheel, cannot connect, cannot unpickle, and has no Lightning.
 PROBE = """
 import pickle, socket, sys
 sys.path = [sys.argv[1], *(p for p in sys.path if p and p != sys.argv[2])]
@@ -27,6 +27,7 @@ import hdsp, torch, numpy as np
 assert hdsp.__file__.startswith(sys.argv[1]), hdsp.__file__
 def refuse(*_, **__): raise AssertionError("not here")
 socket.socket.connect = pickle.load = pickle.loads = pickle.Unpickler = torch.load = refuse
+sys.modules["lightning"] = None  # only training needs it
 from hdsp.lattice import robot_frame_goals
 feasible, cost = hdsp.load_abstraction("momaro").predict(np.zeros((1, 72, 72)), robot_frame_goals(0))
 print(feasible.shape, bool(np.isfinite(cost).all()))
