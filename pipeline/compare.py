@@ -2,9 +2,10 @@
 
     python -m pipeline.compare
 
-Runs in `outputs/zoo/NAME` and `outputs/ablations/NAME`, as sweeps leave them, are gathered into `reports/zoo.json` and
-`reports/ablations.json`; without runs those reports stay as they are. The page is made of the reports alone, so that it
-can be made again without training. No stage of dvc.yaml: no stage of it makes these runs.
+Runs in `outputs/zoo/NAME` and `outputs/ablations/NAME`, as sweeps leave them, are gathered into `reports/zoo.json`,
+beside what each model of conf/model takes, and `reports/ablations.json`; without runs those reports stay as they are.
+The page is made of the reports alone, so that it can be made again without training. No stage of dvc.yaml: no stage of
+it makes these runs.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import yaml
 from omegaconf import DictConfig
 
 from hdsp.errors import InputError
-from pipeline.config import CONF, compose, flatten
+from pipeline.config import CONF, compose, flatten, plain
 from pipeline.report import put_between_markers
 from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.tables import EMPTY, markdown
@@ -35,20 +36,23 @@ QUALITY = ("feasibility_accuracy", "cost_error")
 PICTURED = ("random", "val")
 #: States of a map that are evaluated patch by patch to measure the time of all, and their heading; dense evaluation is
 #: measured with all states of that heading.
-SAMPLED, HEADING = 2000, 2
+SAMPLED, HEADING = 500, 2
 SIDE = 400  # cells of a map of 10 m
 
 
 def compare(config: DictConfig, folders: Folders) -> None:
-    zoo = gathered(folders, "zoo", zoo_run)
-    ablations = gathered(folders, "ablations", ablation_run)
+    if runs := runs_of(folders, "zoo"):
+        write_json(folders.write("reports", "zoo.json"), zoo_report(runs))
+    if runs := runs_of(folders, "ablations"):
+        write_json(folders.write("reports", "ablations.json"), ablation_report(runs))
+    reports = {kind: folders.write("reports", f"{kind}.json") for kind in TABLES}
+    shown = {kind: read_json(path) if path.is_file() else {} for kind, path in reports.items()}
+    if trained(shown["zoo"]):
+        picture(trained(shown["zoo"]), folders.write("docs", "figures", "pareto.png"))
     page = folders.outputs / "docs" / PAGE
-    if zoo:
-        check_budgets(zoo)
-        picture(zoo, folders.write("docs", "figures", "pareto.png"))
     if page.is_file():
-        for kind, runs in (("zoo", zoo), ("ablations", ablations)):
-            put_between_markers(page, TABLES[kind](runs) + "\n", *markers(kind))
+        for kind, table in TABLES.items():
+            put_between_markers(page, table(shown[kind]) + "\n", *markers(kind))
 
 
 def markers(name: str) -> tuple[str, str]:
@@ -56,40 +60,69 @@ def markers(name: str) -> tuple[str, str]:
     return f"<!-- {name}: written by `python -m pipeline.compare` -->", f"<!-- end of {name} -->"
 
 
-def gathered(folders: Folders, kind: str, read) -> dict[str, Any]:
-    """Runs by name, from the folder of their kind or else from the report of an earlier call.
-
-    Args:
-        folders: of this stage.
-        kind: `zoo` or `ablations`.
-        read: makes an entry of the folder of a run and its `reports/training.json`.
-    """
+def runs_of(folders: Folders, kind: str) -> dict[str, Path]:
+    """Folders of finished runs by name."""
     places = sorted(folders.read("outputs", kind).glob("*/reports/training.json"))
-    runs = {place.parents[1].name: read(place.parents[1], read_json(place)) for place in places}
-    if runs:
-        write_json(folders.write("reports", f"{kind}.json"), runs)
-    report = folders.write("reports", f"{kind}.json")
-    return read_json(report) if report.is_file() else {}
+    return {place.parents[1].name: place.parents[1] for place in places}
 
 
-def zoo_run(folder: Path, training: Mapping[str, Any]) -> dict[str, Any]:
-    """What the page says about one model of the zoo; the time is measured here."""
-    from hdsp.learning import HardwareSettings, LearnedAbstraction
+def zoo_report(runs: Mapping[str, Path]) -> dict[str, dict[str, Any]]:
+    """By model what it takes, measured here, and where there is a run what it reached.
+
+    Raises:
+        InputError: the runs had different numbers of maps or epochs.
+    """
+    report: dict[str, dict[str, Any]] = {name: measured(settings) for name, settings in models(runs).items()}
+    for name, folder in runs.items():
+        report[name] |= outcome(read_json(folder / "reports" / "training.json"))
+    budgets = {name: (report[name]["maps"], report[name]["epochs"]) for name in runs}
+    if len(set(budgets.values())) > 1:
+        told = ", ".join(f"{name} {maps} maps {epochs} epochs" for name, (maps, epochs) in budgets.items())
+        raise InputError(f"runs of the zoo have different budgets and cannot be compared: {told}")
+    return report
+
+
+def models(runs: Mapping[str, Path]) -> dict[str, Any]:
+    """Settings of every model of conf/model, and of those of runs as they were trained."""
+    found = {path.stem: plain(compose([f"model={path.stem}"]).model) for path in sorted(CONF.glob("model/*.yaml"))}
+    return found | {
+        name: read_json(run / "models" / "abstraction" / "config.json")["model"] for name, run in runs.items()
+    }
+
+
+def measured(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What a model takes; that does not depend on its weights, which are random here."""
+    from hdsp.learning import HardwareSettings, LearnedAbstraction, ModelSettings, build_network, count_parameters
+    from hdsp.learning.settings import settings_from
 
     hardware = HardwareSettings("cpu", threads=1)
     hardware.apply_threads()
-    abstraction = LearnedAbstraction.from_pretrained(folder / "models" / "abstraction", hardware=hardware)
-    return {**outcome(training), "dense": abstraction.network.is_dense(), "map_seconds": map_seconds(abstraction)}
+    model = settings_from(ModelSettings, settings, "model")
+    network = build_network(model)
+    seconds = map_seconds(LearnedAbstraction(network, model, hardware=hardware))
+    return {"parameters": count_parameters(network), "dense": network.is_dense(), "map_seconds": seconds}
 
 
-def ablation_run(folder: Path, training: Mapping[str, Any]) -> dict[str, Any]:
-    """What the page says about one ablation."""
-    return {**outcome(training), "different": differences(experiment_settings(BASE), experiment_settings(folder.name))}
+def ablation_report(runs: Mapping[str, Path]) -> dict[str, dict[str, Any]]:
+    """By ablation what it reached, and the settings in which it differs from the base."""
+    base = experiment_settings(BASE)
+    return {
+        name: {
+            **outcome(read_json(folder / "reports" / "training.json")),
+            "different": differences(base, experiment_settings(name)),
+        }
+        for name, folder in runs.items()
+    }
+
+
+def trained(zoo: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    """The models of the zoo that a run was made with."""
+    return {name: run for name, run in zoo.items() if QUALITY[0] in run}
 
 
 def outcome(training: Mapping[str, Any]) -> dict[str, Any]:
     """What is kept of `reports/training.json`."""
-    return {key: training[key] for key in ("model", "parameters", "maps", "epochs", "best_epoch", "seconds", *QUALITY)}
+    return {key: training[key] for key in ("maps", "epochs", "best_epoch", *QUALITY)}
 
 
 def experiment_settings(name: str) -> dict[str, Any] | None:
@@ -131,21 +164,12 @@ def map_seconds(abstraction) -> float:
     return (time.process_time() - started) * mask.size / mask.sum()
 
 
-def check_budgets(zoo: Mapping[str, Mapping[str, Any]]) -> None:
-    """Raises InputError unless all models have seen the same number of maps and epochs."""
-    budgets = {name: (run["maps"], run["epochs"]) for name, run in zoo.items()}
-    if len(set(budgets.values())) > 1:
-        told = ", ".join(f"{name} {maps} maps {epochs} epochs" for name, (maps, epochs) in budgets.items())
-        raise InputError(f"runs of the zoo have different budgets and cannot be compared: {told}")
-
-
 def zoo_table(zoo: Mapping[str, Mapping[str, Any]]) -> str:
     """Markdown: a model in each line, the fastest first; models on a Pareto front of the picture are in bold."""
-    if not zoo:
+    runs = trained(zoo)
+    if not runs:
         return "No runs yet."
-    sets = sets_of(zoo)
-    best = fronts(zoo)
-    header = ["model", "parameters", "10 x 10 m map, s", "evaluated", *sets, "training, min"]
+    sets, best = sets_of(runs), fronts(runs)
     rows = []
     for name, run in sorted(zoo.items(), key=lambda item: item[1]["map_seconds"]):
         rows.append([
@@ -153,17 +177,16 @@ def zoo_table(zoo: Mapping[str, Mapping[str, Any]]) -> str:
             f"{run['parameters']:,}",
             f"{run['map_seconds']:.1f}",
             "dense" if run["dense"] else "patches",
-            *(quality(run, of) for of in sets),
-            f"{run['seconds'] / 60:.1f}",
+            *(quality(run, of) if name in runs else EMPTY for of in sets),
         ])  # fmt: skip
-    run = next(iter(zoo.values()))
+    run = next(iter(runs.values()))
     note = (
         f"Each trained on {run['maps']:,} maps for {run['epochs']} epochs. Feasibility correct / mean cost error; "
         "bold: on a front of the picture. The time is for all actions of all 160,000 states of a map without equal "
         f"patches, CPU seconds of one core, extrapolated from {SAMPLED:,} patches, or where dense from the states of "
-        "one heading. Minutes of training are those of a busy machine.\n\n![Errors over time](figures/pareto.png)"
+        "one heading.\n\n![Errors over time](figures/pareto.png)"
     )
-    return markdown(header, rows) + "\n\n" + note
+    return markdown(["model", "parameters", "10 x 10 m map, s", "evaluated", *sets], rows) + "\n\n" + note
 
 
 def ablation_table(ablations: Mapping[str, Mapping[str, Any]]) -> str:

@@ -31,6 +31,10 @@ def write_run(folder, report) -> None:
     (folder / "reports/training.json").write_text(json.dumps(report))
 
 
+def takes(name: str) -> dict:
+    return {"parameters": 12345, "dense": False, "map_seconds": float(name[1:])}
+
+
 @pytest.fixture
 def project(tmp_path, monkeypatch):
     """A folder with a page; the time of a model is the number that its folder is named by."""
@@ -38,10 +42,8 @@ def project(tmp_path, monkeypatch):
     blocks = "\n".join("\n".join(markers(kind)) for kind in ("zoo", "ablations"))
     (tmp_path / "docs" / PAGE).write_text(f"before\n{blocks}\nafter\n")
 
-    def read(folder, report):
-        return {**compare.outcome(report), "dense": False, "map_seconds": float(folder.name[1:])}
-
-    monkeypatch.setattr(compare, "zoo_run", read)
+    monkeypatch.setattr(compare, "models", lambda runs: {name: name for name in [*runs, "m99"]})
+    monkeypatch.setattr(compare, "measured", takes)
     return tmp_path
 
 
@@ -57,9 +59,10 @@ def test_runs_become_a_table_and_a_picture_that_need_no_runs_afterwards(project)
     assert page.startswith("before\n")
     assert page.endswith("after\n")
     rows = [line for line in page.splitlines() if line.startswith("| ")]
-    assert [row.split("|")[1].strip() for row in rows[1:]] == ["**m3**", "**m20**", "**m40**"]  # m40 by its cost error
+    assert [row.split("|")[1].strip() for row in rows[1:]] == ["**m3**", "**m20**", "**m40**", "m99"]
     assert "95.00 % / 0.0280" in rows[2]
     assert "12,345" in rows[1]
+    assert rows[4].count("–") == 2  # no run of that model
     assert "No runs yet." in page  # of ablations
     assert (project / "docs/figures/pareto.png").read_bytes().startswith(b"\x89PNG")
     (project / "outputs").rename(project / "elsewhere")
@@ -67,7 +70,7 @@ def test_runs_become_a_table_and_a_picture_that_need_no_runs_afterwards(project)
 
 
 def test_a_figure_that_is_missing_is_left_empty_and_the_set_that_selects_is_not_shown():
-    table = zoo_table({"a": {**compare.outcome(training(0.9, 0.02)), "dense": True, "map_seconds": 12.34}})
+    table = zoo_table({"a": {**compare.outcome(training(0.9, 0.02)), **takes("a12.34"), "dense": True}})
     header, _, row, *_ = table.splitlines()
     assert [cell.strip() for cell in header.split("|")[5:7]] == ["random", "published"]
     assert [cell.strip() for cell in row.split("|")[3:7]] == ["12.3", "dense", "90.00 % / 0.0200", "–"]
@@ -105,7 +108,7 @@ def test_what_an_experiment_changes():
 
 def test_settings_of_an_experiment_of_the_project():
     settings = compare.experiment_settings("klamt2019")
-    assert settings["trainer.batch.by"] == "task"
+    assert settings["model.architecture"] == "klamt2019"
     assert compare.experiment_settings("none_of_that_name") is None
 
 
