@@ -19,7 +19,7 @@ def shared_mha(successors, start, goal, anchor, guides, w1, w2):
         w1, w2: weights >= 1.
     """
     heuristics = [anchor, *guides]
-    g = {start: 0.0, goal: INF}
+    g = {goal: INF, start: 0.0}
     closed_by_anchor, closed_by_guides = set(), set()
 
     def key(state, i):
