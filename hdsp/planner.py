@@ -32,7 +32,7 @@ from hdsp.heightmap import HeightMap
 from hdsp.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
 from hdsp.lattice import RESOLUTION, Grid, heading_index
 from hdsp.pretrained import abstraction_of, load_abstraction
-from hdsp.robot import Robot
+from hdsp.robot import Box, Robot
 
 
 @dataclass
@@ -109,9 +109,11 @@ class Planner:
         heuristic: ``"geometric"``, ``"manual"``, ``"learned"`` (the trained abstraction of this robot that comes with
             the package), ``"learned:FOLDER"`` (one of your own), any ``AbstractCosts`` (learned, manual, ...), or a
             ``Heuristic`` made for the same terrain and robot.
+        margin: m by which the base keeps clear of what it could hit, see ``with_margin``.
 
     Raises:
-        InputError: for another resolution, an unknown robot or heuristic, or an abstraction of another robot.
+        InputError: for another resolution, an unknown robot or heuristic, an abstraction of another robot, or a margin
+            below 0.
     """
 
     def __init__(
@@ -119,8 +121,10 @@ class Planner:
         terrain: HeightMap,
         robot: str | Path | dict | Robot = "momaro",
         heuristic: str | AbstractCosts | Heuristic = "geometric",
+        margin: float = 0.0,
     ):
         self.robot = Robot.load(robot)
+        self._wider = with_margin(self.robot, margin)
         self._take(terrain)
         self.heuristic = self._make_heuristic(heuristic)
 
@@ -129,7 +133,7 @@ class Planner:
             raise InputError(f"terrain has cells of {terrain.resolution:g} m; the planner needs {RESOLUTION:g} m")
         self.terrain = terrain
         self.grid = Grid(terrain.origin, terrain.shape)
-        self.world = build_world(terrain, self.robot)
+        self.world = build_world(terrain, self._wider)
 
     def update(self, terrain: HeightMap, region: Region | None = None) -> Planner:
         """Take over a changed terrain; returns the planner.
@@ -516,7 +520,28 @@ class Planner:
             chosen = feet_at(self.world, (int(state[0]), int(state[1]), int(heading_index(values[2]))))
             if chosen is not None:
                 return chosen, []
-        return state, problems(self.world, self.grid, self.robot, state)
+        return state, problems(self.world, self.grid, self._wider, state)
+
+
+def with_margin(robot: Robot, margin: float) -> Robot:
+    """The robot with its base wider by a margin (m) to all sides.
+
+    The body is tested at the centres of cells. What stands in a cell is up to half its diagonal, 18 mm, from there:
+    with that margin a turned base touches no cell that the map shows as too high. Noise of the map comes on top. Feet
+    keep their own clearance, and the room between the legs stays as it is: on stairs the next edge fills it nearly.
+
+    Raises:
+        InputError: if the margin is not a number >= 0.
+    """
+    if not (np.isfinite(margin) and margin >= 0):
+        raise InputError(f"margin is {margin}; it must be a finite number >= 0, in m")
+    base = max((box.above for box in robot.body.boxes), default=0.0)
+    boxes = tuple(_widened(box, margin) if box.above == base else box for box in robot.body.boxes)
+    return replace(robot, body=replace(robot.body, boxes=boxes))
+
+
+def _widened(box: Box, margin: float) -> Box:
+    return replace(box, x_min=box.x_min - margin, x_max=box.x_max + margin, half_width=box.half_width + margin)
 
 
 def _check_weight(weight, name: str = "weight") -> None:

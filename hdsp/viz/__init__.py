@@ -11,7 +11,7 @@ from hdsp.viz.charts import (
 from hdsp.viz.motion import save_motion
 from hdsp.viz.pareto import pareto_front, save_pareto
 from hdsp.viz.patches import save_example_patches
-from hdsp.viz.path import draw_path, planned_path_figure, save_planned_path
+from hdsp.viz.path import draw_path, planned_path_figure, save_planned_path, save_planned_paths
 from hdsp.viz.robot import draw_pose, draw_robot
 from hdsp.viz.scans import ScanPicture, save_map, save_scan_sheet
 from hdsp.viz.style import draw_terrain
@@ -32,6 +32,7 @@ __all__ = [
     "save_note",
     "save_pareto",
     "save_planned_path",
+    "save_planned_paths",
     "save_planning_bars",
     "save_quality_bars",
     "save_reliability",

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 
 from hdsp.errors import InputError
-from hdsp.viz.style import BLUE, GREEN, GREY, METHODS, NAMES, ORANGE, PURPLE, SKY, VERMILLION, figure, quiet, save
+from hdsp.viz.style import BLACK, BLUE, GREEN, GREY, METHODS, NAMES, ORANGE, PURPLE, SKY, VERMILLION, figure, quiet, save
 
 _SETS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
 
@@ -171,7 +171,8 @@ def save_reliability(sets: Mapping[str, Mapping[str, Any]], path: str | os.PathL
 def save_planning_bars(runs: Sequence[Mapping[str, Any]], path: str | os.PathLike) -> Path:
     """Planning times (logarithmic) and path costs of each task, heuristic and weight: the paper's figure of Sec. VI-B.
 
-    A search without a path is marked × in place of its cost, and ≥ if a limit ended it: its time is a lower bound then.
+    A search without a path is marked × in place of its cost. If a limit ended it, its time is a lower bound: its bar is
+    hatched and has an arrow that points beyond it.
 
     Args:
         runs: mappings with `pair`, `heuristic`, `weight`, `status`, `seconds`, `cost` (None if unsolved).
@@ -194,18 +195,23 @@ def save_planning_bars(runs: Sequence[Mapping[str, Any]], path: str | os.PathLik
             run = found.get((pair, heuristic, weight))
             if run is None:
                 continue
-            solved = run["status"] == "solved"
             label = f"{NAMES.get(heuristic, heuristic)}, W = {weight:g}" if place == 0 else None
             x = place + (index - (len(series) - 1) / 2) * width
             look = {"color": color, "edgecolor": "black", "linewidth": 0.4}
-            time.bar(x, run["seconds"], width * 0.92, label=label, **look)
-            if solved:
+            bars = time.bar(x, run["seconds"], width * 0.92, label=label, **look)
+            if run["status"] == "solved":
                 cost.bar(x, run["cost"], width * 0.92, **look)
-            else:
-                if run["status"].endswith("_limit"):
-                    time.text(x, run["seconds"], "≥", ha="center", va="bottom", fontsize=9)
-                cost.text(x, 0, "×", ha="center", va="bottom", fontsize=9)
+                continue
+            cost.text(x, 0, "×", ha="center", va="bottom", fontsize=9)
+            if run["status"].endswith("_limit"):
+                bars[0].set(hatch="////", edgecolor=GREY)
+                time.annotate(
+                    "", (x, run["seconds"]), (0, 11), textcoords="offset points", annotation_clip=False,
+                    arrowprops={"arrowstyle": "<|-", "color": BLACK, "linewidth": 0.8, "mutation_scale": 6,
+                                "shrinkA": 0, "shrinkB": 0},
+                )  # fmt: skip
     time.set_yscale("log")
+    time.margins(y=0.12)
     time.set_ylabel("planning time (s)")
     cost.set_ylabel("path cost (unitless)")
     cost.set_xlabel("task")
@@ -213,7 +219,8 @@ def save_planning_bars(runs: Sequence[Mapping[str, Any]], path: str | os.PathLik
     for axes in (time, cost):
         quiet(axes)
     all_solved = all(run["status"] == "solved" for run in runs)
-    _legend_above(made, 3, None if all_solved else "×: no path; ≥: ended by a limit, the time is a lower bound")
+    notes = "×: no path; hatched, with an arrow: ended by a limit, the time is a lower bound (≥)"
+    _legend_above(made, 3, None if all_solved else notes)
     return save(made, path)
 
 

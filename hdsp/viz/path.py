@@ -1,8 +1,9 @@
-"""A planned path on its height map."""
+"""Planned paths on their height map."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,10 +14,28 @@ from hdsp.heightmap import HeightMap
 from hdsp.robot import FEET as FOOT_NAMES
 from hdsp.robot import Robot
 from hdsp.viz.robot import draw_pose, draw_robot
-from hdsp.viz.style import BLACK, FEET, GOAL, GREY, START, VERMILLION, draw_terrain, figure, save
+from hdsp.viz.style import (
+    BLACK,
+    BLUE,
+    FEET,
+    GOAL,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    START,
+    VERMILLION,
+    YELLOW,
+    draw_terrain,
+    figure,
+    save,
+)
 
 if TYPE_CHECKING:
     from hdsp.planner import Plan
+
+_TRACKS = (VERMILLION, BLUE, GREEN, PURPLE, ORANGE, SKY, YELLOW)
 
 
 def save_planned_path(
@@ -70,6 +89,58 @@ def planned_path_figure(terrain: HeightMap, plan: Plan, robot: Robot, title: str
     bar.ax.tick_params(labelsize=8)
     made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     return made
+
+
+def save_planned_paths(
+    terrain: HeightMap,
+    plans: Mapping[str, Plan],
+    tasks: Mapping[str, tuple],
+    robot: Robot,
+    path: str | os.PathLike,
+    title: str | None = None,
+) -> Path:
+    """Draws the plans of several tasks on one map, each in a colour of its own: base tracks, landings of steps, goals.
+
+    Args:
+        terrain: the map they were planned on.
+        plans: by the name of the task; one without states is named in the legend as having no path.
+        tasks: (start, goal) by name; poses (x, y, theta) in m and rad.
+        robot: whose plans they are.
+        path: of the PNG.
+        title: above the picture.
+
+    Raises:
+        InputError: there is no task.
+    """
+    if not tasks:
+        raise InputError("picture of paths: there is no task")
+    made = figure(*_page(*terrain.size))
+    axes = made.subplots()
+    image = draw_terrain(axes, terrain)
+    for number, (name, (start, goal)) in enumerate(tasks.items()):
+        color = _TRACKS[number % len(_TRACKS)]
+        states = np.asarray(plans[name].states, float).reshape(-1, 7)
+        label = f"{name}: cost {plans[name].cost:.2f}" if len(states) else f"{name}: no path"
+        # A hair aside, so that paths on the same ground can be told apart.
+        axes.plot(*(states[:, :2].T + 0.012 * (number % 3 - 1)), color=color, linewidth=1.8, zorder=4, label=label)
+        feet = robot.foot_positions(states)
+        for index, action in enumerate(plans[name].actions):
+            if action.startswith("step "):
+                foot = FOOT_NAMES.index(action.split()[1])
+                axes.plot(*feet[index + 1, foot], "*", color=color, markersize=6, markeredgewidth=0, zorder=7)
+        if len(states):
+            draw_robot(axes, states[-1], robot, color)
+        draw_pose(axes, start, START)
+        draw_pose(axes, goal, color)
+        look = {"textcoords": "offset points", "color": color, "fontsize": 10, "fontweight": "bold", "zorder": 9}
+        axes.annotate(name, goal[:2], (7, -10), **look)
+    axes.plot([], [], "*", color=BLACK, label="landing of a step", linestyle="none")
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+    axes.set_title(title or "", fontsize=10)
+    made.colorbar(image, ax=axes, shrink=0.6, pad=0.02).set_label("height (m)", fontsize=9)
+    made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    return save(made, path)
 
 
 def draw_path(axes, states: np.ndarray, actions: list[str], robot: Robot, spacing: float = 0.6) -> None:
