@@ -21,6 +21,7 @@ from hdsp.detailed.estimate import geometric_estimate
 from hdsp.detailed.explain import explain
 from hdsp.detailed.motion import Motion
 from hdsp.detailed.multi import solve_multi
+from hdsp.detailed.once import solve_once
 from hdsp.detailed.proofs import Unreachable, why_unreachable
 from hdsp.detailed.refine import ban, last_step, refine
 from hdsp.detailed.solve import Limits, SearchResult, Status, solve
@@ -320,16 +321,12 @@ class Planner:
         plan.stats["lower_bound"] = np.inf
 
     def _search(self, ends, kernel_view, weight: float, progress, world: World, limits: Limits) -> Plan:
-        result = solve(
-            world,
-            ends["start"],
-            ends["goal"][None],
-            kernel_view,
-            weight=weight,
-            admissible=self.heuristic.admissible,
-            limits=limits,
-            progress=progress,
-        )
+        start, goal = ends["start"], ends["goal"]
+        guide = {"weight": weight, "limits": limits, "progress": progress}
+        if weight > 1 and limits.cost == np.inf and self._may_expand_once():
+            result = solve_once(world, start, goal, kernel_view, **guide)
+        else:
+            result = solve(world, start, goal[None], kernel_view, admissible=self.heuristic.admissible, **guide)
         plan = self._plan_of(result, weight)
         if plan.solved and self.heuristic.admissible:
             plan.bound = float(weight)
@@ -337,6 +334,10 @@ class Planner:
         elif plan.status in (Status.INFEASIBLE, Status.COST_LIMIT):
             plan.stats["lower_bound"] = limits.cost if plan.status == Status.COST_LIMIT else np.inf
         return plan
+
+    def _may_expand_once(self) -> bool:
+        """Whether no bound is lost if no state is expanded twice: the heuristic is consistent, or proves none."""
+        return isinstance(self.heuristic, GeometricHeuristic) or not self.heuristic.admissible
 
     def _search_anchored(self, ends, guide, weight, anchor_weight, progress, world: World, limits: Limits) -> Plan:
         result = solve_multi(

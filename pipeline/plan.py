@@ -86,7 +86,7 @@ def plan(config: DictConfig, folders: Folders) -> None:
 
 
 def read_ground(arena: DictConfig, folders: Folders) -> Ground:
-    """The map that `arena.source` asks for. Where the arena was not scanned, its own heights take the place of the scan.
+    """The map that `arena.source` asks for; where the arena could not be scanned, its own heights.
 
     Raises:
         InputError: unknown source, or an arena that cannot be made.

@@ -105,8 +105,10 @@ def _tasks(planning: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
         cells = [_task(found[heuristic, weight, pair]) for pair in pairs]
         rows.append([HEURISTIC_NAMES.get(heuristic, heuristic), f"{weight:g}", *cells])
     best = planning["best_known"]
-    rows.append(["best known", "", *(f"{best[str(pair)]['cost']:.2f}" if str(pair) in best else EMPTY for pair in pairs)])
-    return ["heuristic", "W", *map(str, pairs)], rows
+    rows.append(
+        ["best known", "", *(f"{best[str(pair)]['cost']:.2f}" if str(pair) in best else EMPTY for pair in pairs)]
+    )
+    return ["heuristic", "W", *pairs], rows
 
 
 def _task(run: Mapping[str, Any]) -> str:

@@ -204,6 +204,18 @@ def test_feet_that_stand_on_each_other_are_no_valid_state(flat):
     assert "left" in plan.explain()
 
 
+def test_a_margin_keeps_the_base_off_walls_but_not_off_the_ground():
+    wall = HeightMap(np.where(np.arange(100)[:, None] >= 60, 1.0, 0.0).astype(np.float32) * np.ones((1, 100)))
+    near = (60 * RESOLUTION - 0.2875 - 0.05, 1.25, math.pi / 2)
+    assert Planner(wall).valid(near) and Planner(wall, margin=0.03).valid(near)
+    assert not Planner(wall, margin=0.06).valid(near)
+    low = HeightMap(np.where(np.arange(100)[:, None] >= 60, 0.5, 0.0).astype(np.float32) * np.ones((1, 100)))
+    assert Planner(low, margin=0.06).valid(near)  # it is lower than the base
+    for margin in (-0.01, math.nan):
+        with pytest.raises(InputError, match="margin is"):
+            Planner(wall, margin=margin)
+
+
 def test_progress_is_reported(flat):
     seen = []
     flat.plan(*FAR, progress=lambda expansions, seconds: seen.append((expansions, seconds)))

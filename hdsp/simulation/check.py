@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 #: A foot is a disc of this radius, m.
 FOOT_RADIUS = 0.05
 
-#: What a map of cells leaves open about the place of an edge, m.
+#: What a map of cells leaves open about the place of an edge, m: a cell is as high as its centre, so what stands there
+#: may reach half a cell further than the map shows. That body and feet are tested at centres of cells is no excuse:
+#: a planner has a margin for it (``hdsp.planner.with_margin``), and feet their clearance.
 CELL_TOLERANCE = RESOLUTION / 2
 
 _INCREMENT = 0.01  # m between two poses that are tested

@@ -11,7 +11,21 @@ import numpy as np
 from matplotlib.colors import to_rgb
 
 from hdsp.errors import InputError
-from hdsp.viz.style import BLACK, BLUE, GREEN, GREY, METHODS, NAMES, ORANGE, PURPLE, SKY, VERMILLION, figure, quiet, save
+from hdsp.viz.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    METHODS,
+    NAMES,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    figure,
+    quiet,
+    save,
+)
 
 _SETS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
 

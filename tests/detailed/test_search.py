@@ -10,6 +10,7 @@ from hdsp.detailed import search
 from hdsp.detailed import solve as solving
 from hdsp.detailed.actions import Rules
 from hdsp.detailed.estimate import geometric_estimate, pose_estimate
+from hdsp.detailed.once import solve_once
 from hdsp.detailed.solve import Limits, Status, solve
 from hdsp.detailed.world import build_world
 from hdsp.heightmap import HeightMap
@@ -58,6 +59,19 @@ def test_weighted_search_stays_within_its_bound(category):
             assert task.cost - 1e-6 <= result.cost[0] * (1 + 1e-6) and result.cost[0] <= weight * task.cost + 1e-6
             expansions[weight] += result.expansions
     assert expansions[3.0] < expansions[1.25] < expansions[1.0]
+
+
+@by_category
+def test_a_search_that_expands_no_state_twice_stays_within_its_bound_too(category):
+    for task in search_tasks(category):
+        goal = np.array(task.goal)
+        for weight in (1.25, 3.0):
+            guide = geometric_estimate(task.world, goal)
+            result = solve_once(task.world, np.array(task.start), goal, guide, weight=weight)
+            assert result.status == [Status.SOLVED]
+            assert result.expansions <= result.seen
+            assert task.cost - 1e-6 <= result.cost[0] * (1 + 1e-6) and result.cost[0] <= weight * task.cost + 1e-6
+            assert result.cost[0] == result.edge_costs[0].sum() and len(result.states[0]) == len(result.actions[0]) + 1
 
 
 def exhausted(category):

@@ -78,7 +78,10 @@ def test_each_pair_is_planned_with_each_heuristic_and_weight(chain):
         assert run["status"] in STATUSES
         assert (run["cost"] is not None) == (run["status"] == "solved")
         assert run["seconds"] > 0
+        assert run["collision_free"] is None  # of a generated arena only the heights are known
     assert any(run["status"] == "solved" for run in runs)
+    assert planning["arena"]["source"] == "a generated arena"
+    assert planning["best_known"]["near"]["cost"] == min(run["cost"] for run in runs if run["cost"] is not None)
 
 
 def test_at_weight_one_no_heuristic_beats_the_admissible_one(chain):
@@ -92,5 +95,12 @@ def test_at_weight_one_no_heuristic_beats_the_admissible_one(chain):
 
 
 def test_pictures_are_pictures(chain):
-    for name in ("training_curves", "abstraction_quality", "example_patches", "planned_path"):
+    for name in (
+        "training_curves",
+        "abstraction_quality",
+        "example_patches",
+        "planned_path",
+        "planned_paths",
+        "planning",
+    ):
         assert (chain / f"reports/figures/{name}.png").read_bytes().startswith(b"\x89PNG"), name

@@ -3,7 +3,7 @@
 import pytest
 
 from pipeline.paper import HEURISTIC_PERFORMANCE
-from pipeline.speedup import summarise
+from pipeline.speedup import best_known, is_bound, summarise
 
 # Seconds and costs that the paper plots for its goals I to VII, geometric W = 1 and learned W = 1.25.
 GEOMETRIC = [(6.63, 4.54), (3.42, 5.77), (794, 9.61), (5.18, 7.22), (130.9, 8.42), (5932, 10.81), (4.73, 3.79)]
@@ -12,6 +12,7 @@ LEARNED = [(0.10, 5.06), (0.23, 6.37), (23.88, 10.12), (0.12, 7.86), (4.25, 9.15
 
 def run(pair, heuristic, weight, seconds, cost, status="solved"):
     base = {"pair": pair, "heuristic": heuristic, "weight": weight, "expansions": 10, "status": status}
+    base["stats"] = {"memory": 1000 * (pair + 1)}
     return base | {"seconds": seconds, "cost": cost if status == "solved" else None}
 
 
@@ -35,3 +36,32 @@ def test_searches_that_failed_count_as_unsolved():
     runs = [run(0, "geometric", 1.0, 3.0, 4.0), run(0, "learned", 1.0, 1.0, None, "infeasible")]
     entry = summarise(runs)["learned"]["1.0"]
     assert (entry["pairs"], entry["solved"], entry["speedup"]) == (1, 0, None)
+
+
+def test_costs_are_compared_with_the_least_that_any_search_found():
+    runs = [
+        run(0, "geometric", 1.0, 40.0, None, "time_limit"),
+        run(0, "manual", 1.0, 3.0, 4.0),
+        run(0, "learned", 1.25, 1.0, 5.0),
+        run(1, "geometric", 1.0, 40.0, 8.0),
+        run(1, "learned", 1.25, 1.0, 8.8),
+        run(2, "learned", 1.25, 1.0, None, "infeasible"),
+    ]
+    assert best_known(runs) == {
+        0: {"cost": 4.0, "heuristic": "manual", "weight": 1.0},
+        1: {"cost": 8.0, "heuristic": "geometric", "weight": 1.0},
+    }
+    learned, geometric = summarise(runs)["learned"]["1.25"], summarise(runs)["geometric"]["1.0"]
+    assert learned["cost_above_best"] == pytest.approx((0.25 + 0.1) / 2)
+    assert learned["cost_increase"] == pytest.approx(0.1)
+    assert (learned["speedup"], learned["speedup_least"], learned["speedup_is_lower_bound"]) == (40.0, 40.0, True)
+    assert geometric["seconds_is_lower_bound"] and not learned["seconds_is_lower_bound"]
+    assert learned["memory_max"] == 3000
+
+
+@pytest.mark.parametrize("status", ["time_limit", "expansion_limit", "memory_limit"])
+def test_what_a_limit_ended_is_a_bound(status):
+    assert is_bound(run(0, "geometric", 1.0, 1.0, None, status))
+    assert not is_bound(run(0, "geometric", 1.0, 1.0, 2.0)) and not is_bound(
+        run(0, "geometric", 1.0, 1.0, None, "infeasible")
+    )

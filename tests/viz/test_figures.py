@@ -12,6 +12,7 @@ from hdsp.viz import (
     draw_terrain,
     save_example_patches,
     save_planned_path,
+    save_planned_paths,
     save_planning_bars,
     save_quality_bars,
     save_training_curves,
@@ -110,6 +111,18 @@ def test_planning_bars_show_solved_and_unsolved_searches(tmp_path):
     assert is_picture(save_planning_bars(runs, tmp_path / "planning.png"))
     with pytest.raises(InputError, match="no runs"):
         save_planning_bars([], tmp_path / "none.png")
+
+
+def test_all_paths_of_an_arena_are_drawn_and_tasks_without_one_are_named(tmp_path):
+    states = np.array([[1.0, 1.0, 0.0, 0, 0, 0, 0], [1.1, 1.0, 0.0, 0, 0, 0, 0], [1.1, 1.0, 0.0, 0.2, 0, 0, 0]])
+    found = SimpleNamespace(states=states, actions=["drive", "step front_left +0.200"], cost=0.4)
+    none = SimpleNamespace(states=np.empty((0, 7)), actions=[], cost=np.inf)
+    tasks = {"I": ((1.0, 1.0, 0.0), (1.1, 1.0, 0.0)), "II": ((1.0, 1.0, 0.0), (1.8, 1.5, 1.0))}
+    terrain = HeightMap.flat((80, 80))
+    picture = save_planned_paths(terrain, {"I": found, "II": none}, tasks, MOMARO, tmp_path / "paths.png", "learned")
+    assert is_picture(picture)
+    with pytest.raises(InputError, match="no task"):
+        save_planned_paths(terrain, {}, {}, MOMARO, tmp_path / "none.png")
 
 
 @pytest.mark.parametrize("count", [1, 3])

@@ -1,0 +1,74 @@
+"""The ground of the planning experiment, and what it says of each search."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hdsp.arena import read_arena
+from hdsp.errors import InputError
+from hdsp.heightmap import HeightMap
+from hdsp.planner import Planner
+from hdsp.robot import Robot
+from pipeline.config import compose, plain
+from pipeline.plan import checked, collisions, describe, in_words, read_ground, read_tasks, series_to_show, timed
+from pipeline.stage import Folders
+
+ROBOT = Robot.load("momaro")
+
+
+@pytest.fixture(scope="module")
+def config():
+    return compose(["planner.repeats=3"])
+
+
+def test_the_scan_is_planned_on_and_the_description_is_the_truth(config, tmp_path):
+    (tmp_path / "data/arena").mkdir(parents=True)
+    scan = HeightMap.flat((400, 400))
+    scan.save(tmp_path / "data/arena/scanned.npz")
+    ground = read_ground(config.arena, Folders(tmp_path, tmp_path))
+    np.testing.assert_array_equal(ground.terrain.heights, scan.heights)
+    assert ground.about == "the scanned arena"
+    assert ground.truth == read_arena(plain(config.arena))
+
+
+def test_without_a_scan_the_arena_itself_is_planned_on(config, tmp_path):
+    (tmp_path / "data/arena").mkdir(parents=True)
+    (tmp_path / "data/arena/absent.json").write_text(json.dumps({"reason": "no MuJoCo"}))
+    ground = read_ground(config.arena, Folders(tmp_path, tmp_path))
+    np.testing.assert_array_equal(ground.terrain.heights, ground.truth.height_map().heights)
+    assert "not scanned (no MuJoCo)" in ground.about
+
+
+def test_before_the_scan_and_with_another_source_there_is_no_ground(config, tmp_path):
+    with pytest.raises(InputError, match=r"scanned\.npz"):
+        read_ground(config.arena, Folders(tmp_path, tmp_path))
+    with pytest.raises(InputError, match="'elsewhere': allowed are scanned, random"):
+        read_ground(compose(["arena.source=elsewhere"]).arena, Folders(tmp_path, tmp_path))
+
+
+def test_a_path_of_the_arena_is_checked_against_its_blocks(config):
+    arena = read_arena(plain(config.arena))
+    planner = Planner(arena.height_map(), ROBOT, margin=config.planner.margin)
+    tasks = read_tasks(planner, config.arena.tasks)
+    assert list(tasks) == ["I", "II", "III", "IV", "V", "VI", "VII"]
+    result, seconds = timed(planner, *tasks["VII"], 2.0, config.planner)
+    assert result.solved and seconds > 0
+    run = describe("VII", "geometric", 2.0, result, seconds) | checked(arena, result, ROBOT)
+    assert run["collision_free"] is True and run["body_clearance"] > 0
+    assert in_words(run).startswith("VII, geometric, W = 2: solved, cost") and in_words(run).endswith(", free")
+
+    states = np.array([[5.2, y, np.pi / 2, 0, 0, 0, 0] for y in np.arange(5.0, 9.99, 0.1)])
+    through = SimpleNamespace(**{**vars(result), "states": states, "actions": ["drive"] * 49, "solved": True})
+    wall = describe("I", "manual", 2.0, through, 1.0) | checked(arena, through, ROBOT)
+    assert wall["collision_free"] is False and "1.20 m high" in wall["collisions"][0]
+    assert "COLLIDES: " in in_words(wall)
+    found = collisions([run, wall, {"collision_free": None}])
+    assert (found["checked"], found["free"]) == (2, 1)
+    assert found["least_body_clearance"] == wall["body_clearance"] < 0
+
+
+def test_the_picture_of_all_paths_shows_the_last_heuristic_at_the_papers_weight():
+    runs = [{"heuristic": name, "weight": weight} for name in ("geometric", "learned") for weight in (1.0, 1.25, 2.0)]
+    assert series_to_show(runs) == ("learned", 1.25)
