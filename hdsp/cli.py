@@ -1,8 +1,9 @@
-"""The command `hdsp`: maps from point clouds, and what a file holds."""
+"""The command `hdsp`: maps from point clouds, plans on them, and what a file holds."""
 
 from __future__ import annotations
 
 import argparse
+import csv
 import sys
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -11,22 +12,26 @@ from pathlib import Path
 import numpy as np
 
 from hdsp.errors import InputError
+from hdsp.files import replacing
 from hdsp.heightmap import HeightMap
 from hdsp.map_files import is_map
 from hdsp.pointcloud import FORMATS, FloorSettings, MapSettings, fit_floor, height_map, read_points
+from hdsp.robot import FEET
+
+#: Exit status where there is no plan.
+NO_PLAN = 3
 
 _POINT_FILES = f"points ({', '.join(FORMATS)}; also with .gz or .bz2)"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command line; returns the exit status. Bad input gives one line and status 1."""
+    """Runs the command line; returns the exit status. Bad input gives one line and status 1, no plan status 3."""
     chosen = _parser().parse_args(arguments)
     try:
-        chosen.run(chosen)
+        return chosen.run(chosen) or 0
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    return 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -57,11 +62,32 @@ def _parser() -> argparse.ArgumentParser:
         value = getattr(default, name)
         made.add_argument(f"--{name}", type=type(value), default=value, help=f"{meaning} (default: {value})")
     made.set_defaults(run=_map)
+    _add_planning(commands.add_parser("plan", help="plan a path on a height map", description=_plan.__doc__))
     told = commands.add_parser("info", help="say what a file holds", description=_info.__doc__)
     told.add_argument("file", metavar="FILE", help=f"a height map, a shard of labels, or {_POINT_FILES}")
     _add_reading(told)
     told.set_defaults(run=_info)
     return parser
+
+
+def _add_planning(parser: argparse.ArgumentParser) -> None:
+    pose = {"nargs": 3, "type": float, "required": True, "metavar": ("X", "Y", "DEGREES")}
+    parser.add_argument("map", metavar="MAP", help="a height map with cells of 0.025 m: .npz, .h5")
+    parser.add_argument("--start", help="base position in m, heading against the x axis", **pose)
+    parser.add_argument("--goal", help="the same", **pose)
+    parser.add_argument("--robot", default="momaro", help="a preset or a YAML file (default: momaro)")
+    parser.add_argument(
+        "--heuristic", default="manual", help="geometric, manual, or learned:FOLDER with a trained abstraction "
+        "(default: manual)",
+    )  # fmt: skip
+    parser.add_argument("--weight", type=float, default=1.25, help="how much speed counts, from 1 on (default: 1.25)")
+    parser.add_argument(
+        "--margin", type=float, default=0.0, help="m that the base keeps clear of obstacles (default: 0)"
+    )
+    parser.add_argument("--time", type=float, default=60.0, help="s after which the search gives up (default: 60)")
+    parser.add_argument("--out", help="a CSV file of the states (m, rad) and of the actions that lead to them")
+    parser.add_argument("--picture", help="a PNG of the path")
+    parser.set_defaults(run=_plan)
 
 
 def _add_reading(parser: argparse.ArgumentParser) -> None:
@@ -90,6 +116,35 @@ def _map(chosen: argparse.Namespace) -> None:
 
         save_map(terrain, chosen.picture, ", ".join(Path(path).name for path in chosen.files))
         print(f"{chosen.picture}: picture")
+
+
+def _plan(chosen: argparse.Namespace) -> int:
+    """Plans a path and says what it does and costs, or why there is none (exit status 3)."""
+    from hdsp.planner import Planner
+
+    planner = Planner(HeightMap.load(chosen.map), chosen.robot, chosen.heuristic, chosen.margin)
+    start, goal = (np.array([x, y, np.deg2rad(degrees)]) for x, y, degrees in (chosen.start, chosen.goal))
+    plan = planner.prepare().plan(start, goal, chosen.weight, time=chosen.time)
+    print(plan.explain())
+    if not plan.solved:
+        return NO_PLAN
+    print(f"{plan.stats['expansions']:,} states expanded in {plan.stats['seconds']:.2f} s")
+    if chosen.out:
+        with replacing(chosen.out) as temporary:
+            _write_states(plan, temporary)
+        print(f"{chosen.out}: {len(plan.states)} states")
+    if chosen.picture:
+        plan.show(chosen.picture)
+        print(f"{chosen.picture}: picture")
+    return 0
+
+
+def _write_states(plan, path: Path) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(["action", "x", "y", "heading", *FEET])
+        for action, state in zip(["", *plan.actions], plan.states, strict=True):
+            table.writerow([action, *(f"{value:.6g}" for value in state)])
 
 
 def _info(chosen: argparse.Namespace) -> None:

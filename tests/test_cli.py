@@ -1,7 +1,9 @@
+import csv
+
 import numpy as np
 import pytest
 
-from hdsp.cli import main
+from hdsp.cli import NO_PLAN, main
 from hdsp.heightmap import HeightMap
 from hdsp.shards import write_shard
 from tests.pointcloud.clouds import moved, room
@@ -55,9 +57,36 @@ def test_the_axes_of_a_file_are_named_with_an_equals_sign(tmp_path, cloud):
     assert HeightMap.load(tmp_path / "map.npz").size == pytest.approx((4, 3), abs=0.06)
 
 
+def plan_on(tmp_path, heights, *more):
+    HeightMap(heights.astype(np.float32)).save(tmp_path / "map.npz")
+    ends = ["--start", "0.9", "0.9", "0", "--goal", "1.6", "1.1", "-20"]
+    return main(["plan", str(tmp_path / "map.npz"), *ends, *more])
+
+
+def test_a_plan_is_told_and_written(tmp_path, capsys):
+    out, picture = tmp_path / "plan.csv", tmp_path / "plan.png"
+    more = "--heuristic", "geometric", "--weight", "1.5", "--margin", "0.02", "--out", str(out)
+    assert plan_on(tmp_path, np.zeros((100, 100)), *more, "--picture", str(picture)) == 0
+    told = capsys.readouterr().out
+    assert "solved: drives" in told and "states expanded" in told and f"{picture}: picture" in told
+    rows = list(csv.DictReader(out.open()))
+    assert rows[0]["action"] == "" and {row["action"] for row in rows[1:]} <= {"drive", "turn_left", "turn_right"}
+    x, y, heading = (float(rows[-1][name]) for name in ("x", "y", "heading"))
+    assert (x, y, np.sin(heading)) == pytest.approx((1.6, 1.1, np.sin(np.deg2rad(-20))), abs=0.05)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_where_there_is_no_plan_the_reason_is_told(tmp_path, capsys):
+    wall = np.zeros((100, 100))
+    wall[48:52] = 1.0
+    assert plan_on(tmp_path, wall, "--heuristic", "geometric") == NO_PLAN
+    assert "there is no way: " in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (["plan", "none.npz", "--start", "0", "0", "0", "--goal", "1", "1", "0"], "none.npz: no such file"),
         (["info", "none.pcd"], "none.pcd: no such file"),
         (["info", "none.h5"], "none.h5: no such file"),
         (["info", "{}/none.docx"], "suffix '.docx'; need one of .pcd"),
