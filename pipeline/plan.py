@@ -202,7 +202,8 @@ def collisions(runs: list[dict[str, Any]]) -> dict[str, Any]:
 def in_words(run: dict[str, Any]) -> str:
     """One line about a search."""
     cost = "no path" if run["cost"] is None else f"cost {run['cost']:.3f}"
-    verdict = {True: ", free", False: f", COLLIDES: {'; '.join(run.get('collisions', ()))}", None: ""}
+    hits = run.get("collisions") or [""]
+    verdict = {True: ", free", False: f", COLLIDES {len(hits)} times: {hits[0]}", None: ""}
     return (
         f"{run['pair']}, {run['heuristic']}, W = {run['weight']:g}: {run['status']}, {cost}, {run['seconds']:.3f} s, "
         f"{run['expansions']:,} expansions, {run['stats']['memory'] / 1e6:.0f} MB{verdict[run['collision_free']]}"

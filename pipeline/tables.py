@@ -86,8 +86,8 @@ def heuristic_table(planning: Mapping[str, Any]) -> str:
     )
     if checked["checked"]:
         note += (
-            f" Checked against the true geometry of the arena: {checked['free']} of {checked['checked']} paths keep "
-            f"clear of it, the body by {1000 * checked['least_body_clearance']:.0f} mm at least."
+            f" Checked against the true geometry of the arena: {checked['free']} of {checked['checked']} paths are "
+            f"free of collisions{_clearance(checked['least_body_clearance'])}."
         )
     return "\n\n".join([markdown(header, rows), note, markdown(*_tasks(planning)), _TASKS_NOTE])
 
@@ -121,6 +121,10 @@ def _limits(limits: Mapping[str, float]) -> str:
         f"{limits['time']:g} s, {limits['expansions'] / 1e6:g} million expansions, or {limits['memory'] / 1e9:g} GB "
         "of memory"
     )
+
+
+def _clearance(least: float | None) -> str:
+    return "" if least is None else f"; least distance of the body from anything, {1000 * least:.0f} mm"
 
 
 def _bound(is_lower: bool) -> str:

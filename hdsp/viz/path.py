@@ -26,7 +26,6 @@ from hdsp.viz.style import (
     SKY,
     START,
     VERMILLION,
-    YELLOW,
     draw_terrain,
     figure,
     save,
@@ -35,7 +34,7 @@ from hdsp.viz.style import (
 if TYPE_CHECKING:
     from hdsp.planner import Plan
 
-_TRACKS = (VERMILLION, BLUE, GREEN, PURPLE, ORANGE, SKY, YELLOW)
+_TRACKS = (VERMILLION, BLUE, GREEN, PURPLE, ORANGE, SKY, BLACK)
 
 
 def save_planned_path(
@@ -133,7 +132,7 @@ def save_planned_paths(
         draw_pose(axes, start, START)
         draw_pose(axes, goal, color)
         look = {"textcoords": "offset points", "color": color, "fontsize": 10, "fontweight": "bold", "zorder": 9}
-        axes.annotate(name, goal[:2], (7, -10), **look)
+        axes.annotate(name, goal[:2], (22, -8), **look)
     axes.plot([], [], "*", color=BLACK, label="landing of a step", linestyle="none")
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")

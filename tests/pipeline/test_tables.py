@@ -79,7 +79,9 @@ def test_each_task_has_its_time_and_cost():
 
 
 def test_the_check_against_the_truth_is_told_where_there_is_one():
-    assert "4 of 5 paths keep clear of it, the body by 21 mm" in heuristic_table(PLANNING)
+    assert "4 of 5 paths are free of collisions; least distance of the body from anything, 21 mm." in heuristic_table(
+        PLANNING
+    )
     unchecked = {**PLANNING, "collisions": {"checked": 0, "free": 0, "least_body_clearance": None}}
     assert "Checked" not in heuristic_table(unchecked)
 
