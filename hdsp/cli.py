@@ -77,7 +77,8 @@ def _add_planning(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--goal", help="the same", **pose)
     parser.add_argument("--robot", default="momaro", help="a preset or a YAML file (default: momaro)")
     parser.add_argument(
-        "--heuristic", default="manual", help="geometric, manual, or learned:FOLDER with a trained abstraction "
+        "--heuristic", default="manual",
+        help="geometric, manual, learned (the abstraction that comes with the package) or learned:FOLDER "
         "(default: manual)",
     )  # fmt: skip
     parser.add_argument("--weight", type=float, default=1.25, help="how much speed counts, from 1 on (default: 1.25)")
