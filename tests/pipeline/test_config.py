@@ -116,7 +116,7 @@ def test_the_configured_label_rule_is_that_of_the_published_labels():
 
 
 def test_the_configured_arena_is_the_default_of_the_library():
-    assert settings(ArenaSettings, compose().arena.contents, "arena.contents") == ArenaSettings()
+    assert settings(ArenaSettings, compose(["arena=small"]).arena.contents, "arena.contents") == ArenaSettings()
 
 
 def test_an_unknown_key_of_a_settings_group_is_named():
