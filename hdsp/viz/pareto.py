@@ -52,7 +52,7 @@ def save_pareto(
             axes.plot(*point, "o", color=color, markersize=5)
             axes.annotate(name, point, (5, 4), textcoords="offset points", fontsize=8, color=color)
         axes.set_xscale("log")
-        axes.set_ylim(bottom=0)
+        axes.set_ylim(0, 1.15 * max(errors[name] for name in seconds))
         axes.margins(x=0.2)
         axes.set_xlabel("costs of all actions of a 10 x 10 m map (s of one core)")
         axes.set_ylabel(label)
