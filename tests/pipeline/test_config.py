@@ -40,7 +40,9 @@ def test_each_profile_composes_with_each_model(profile, model):
 def test_profile_paper_has_the_counts_and_recipe_of_the_paper():
     config = compose(["profile=paper"])
     splits = {name: split.maps_per_category for name, split in config.labelling.splits.items()}
-    assert splits == {"train": 2000, "val": 100, "random": 200}
+    assert {name: splits[name] for name in ("train", "val", "random")} == {"train": 2000, "val": 100, "random": 200}
+    assert not any(config.labelling.splits[name].get("sensing") for name in ("train", "val", "random"))
+    assert (config.trainer.splits, config.trainer.val_splits) == (["train"], ["val"])
     assert config.model.architecture == "klamt2019"
     assert (config.trainer.epochs, config.trainer.optimizer.lr, config.trainer.optimizer.momentum) == (100, 1e-4, 0.9)
     assert config.trainer.batch == {"by": "task", "size": 1}
@@ -120,5 +122,5 @@ def test_the_configured_arena_is_the_default_of_the_library():
 
 
 def test_an_unknown_key_of_a_settings_group_is_named():
-    with pytest.raises(InputError, match=r"unknown config key terrain.cuboid_sides; allowed are area, cuboid_height"):
+    with pytest.raises(InputError, match=r"unknown config key terrain.cuboid_sides; allowed are area, clutter_height"):
         settings(TerrainSettings, {"cuboid_sides": [1, 2]}, "terrain")
