@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.search import far_apart
 from hdsp.abstract.costs import close_states
-from hdsp.arena import random_arena
+from hdsp.arena import ArenaSettings, random_arena
 from hdsp.errors import InputError
 from hdsp.heuristics import standing_states
 from hdsp.lattice import ABSTRACT_HEADINGS, robot_frame_goals
@@ -65,7 +65,7 @@ def main(argv: list[str] | None = None) -> dict:
 
 def on_arena(abstraction: LearnedAbstraction, seed: int, arguments: argparse.Namespace) -> list[dict]:
     """One search with each heuristic."""
-    reference = Planner(random_arena(seed, arguments.size))
+    reference = Planner(random_arena(seed, arguments.size, ArenaSettings(blocks=2, least_free_share=0.1)))
     start, goal = far_apart(reference, seed)
     edges = LearnedCosts(abstraction).edges(reference.terrain, mask=standing_states(reference.world))
     levels = {AS_SAID: edges} | {f"q{level:g}": at_level(abstraction, edges, level) for level in arguments.quantiles}
