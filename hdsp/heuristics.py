@@ -12,12 +12,12 @@ import numpy as np
 
 from hdsp.abstract.costs import AbstractCosts, LocalCosts, Region
 from hdsp.abstract.dijkstra import PreparedGraph
-from hdsp.abstract.transform import best_feet
 from hdsp.detailed.actions import Rules
 from hdsp.detailed.estimate import Estimate, estimate, geometric_estimate, least_foot_cost, with_footing
 from hdsp.detailed.footing import Footing, efforts_to, find_footing
+from hdsp.detailed.state_costs import foot_row
 from hdsp.detailed.states import pack_states
-from hdsp.detailed.world import World
+from hdsp.detailed.world import World, body_is_free, cell_index
 from hdsp.errors import InputError
 from hdsp.heightmap import HeightMap
 from hdsp.jit import njit
@@ -213,13 +213,35 @@ def standing_states(world: World) -> np.ndarray:
 @njit()
 def _standing_states(world, nx, ny):
     result = np.zeros((ABSTRACT_HEADINGS, nx, ny), dtype=np.bool_)
+    standable, feet, samples, n = world.standable, world.tables.feet, world.tables.n_samples, world.tables.n_offsets
+    apart = 2 * world.constants.neutral_x - world.constants.min_separation
     for k in range(ABSTRACT_HEADINGS):
+        heading = k * HEADINGS_PER_ABSTRACT
+        left_front, left_rear, right_rear, right_front = [foot_row(world.tables, heading, i, 0) for i in range(4)]
         for a in range(nx):
             for b in range(ny):
                 ix, iy = CELLS_PER_ABSTRACT * a + ABSTRACT_ANCHOR, CELLS_PER_ABSTRACT * b + ABSTRACT_ANCHOR
-                cost, _ = best_feet(world, ix, iy, k * HEADINGS_PER_ABSTRACT)
-                result[k, a, b] = cost < np.inf
+                p = cell_index(world, ix, iy)
+                result[k, a, b] = (
+                    side_stands(standable, feet, samples, n, p, left_front, left_rear, apart)
+                    and side_stands(standable, feet, samples, n, p, right_front, right_rear, apart)
+                    and body_is_free(world, heading, p)
+                )
     return result
+
+
+@njit(inline="always")
+def side_stands(standable, feet, n_samples, n_offsets, p, front, rear, apart):
+    """Whether front and rear foot of a side, given by their rows in ``feet``, find ground far enough from each other.
+
+    They are farthest from each other with the front foot as far ahead as it can be, and the rear one behind.
+    """
+    ahead, behind = n_offsets - 1, 0
+    while ahead >= 0 and not standable[p + feet[front + ahead * n_samples]]:
+        ahead -= 1
+    while behind < n_offsets and not standable[p + feet[rear + behind * n_samples]]:
+        behind += 1
+    return ahead >= 0 and behind < n_offsets and behind - ahead <= apart
 
 
 @njit()

@@ -28,9 +28,10 @@ from hdsp.detailed.solve import Limits, SearchResult, Status, solve
 from hdsp.detailed.states import action_name
 from hdsp.detailed.validity import in_words, problems
 from hdsp.detailed.world import World, build_world
+from hdsp.detailed.world_update import updated_world
 from hdsp.errors import InputError, RefinementError
 from hdsp.heightmap import HeightMap
-from hdsp.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
+from hdsp.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic, changed_cells
 from hdsp.lattice import RESOLUTION, Grid, heading_index
 from hdsp.pretrained import abstraction_of, load_abstraction
 from hdsp.robot import Box, Robot
@@ -126,20 +127,21 @@ class Planner:
     ):
         self.robot = Robot.load(robot)
         self._wider = with_margin(self.robot, margin)
-        self._take(terrain)
-        self.heuristic = self._make_heuristic(heuristic)
-
-    def _take(self, terrain: HeightMap) -> None:
-        if abs(terrain.resolution - RESOLUTION) > 1e-9:
-            raise InputError(f"terrain has cells of {terrain.resolution:g} m; the planner needs {RESOLUTION:g} m")
-        self.terrain = terrain
+        self.terrain = self._check(terrain)
         self.grid = Grid(terrain.origin, terrain.shape)
         self.world = build_world(terrain, self._wider)
+        self.heuristic = self._make_heuristic(heuristic)
+
+    def _check(self, terrain: HeightMap) -> HeightMap:
+        if abs(terrain.resolution - RESOLUTION) > 1e-9:
+            raise InputError(f"terrain has cells of {terrain.resolution:g} m; the planner needs {RESOLUTION:g} m")
+        return terrain
 
     def update(self, terrain: HeightMap, region: Region | None = None) -> Planner:
-        """Take over a changed terrain; returns the planner.
+        """Take over a changed terrain; returns the planner. Plans are then those of a new planner.
 
-        The learned heuristic computes again only what the changed cells touch. Plans are those of a new planner.
+        Computed again is only what the changed cells touch: costs of the terrain, edges of the abstraction, and
+        costs-to-go of the last goal. Where the map has another shape or origin than before, all is.
 
         Args:
             terrain: the whole height map as it is now.
@@ -149,7 +151,12 @@ class Planner:
         Raises:
             InputError: for another resolution, or a region that does not lie within the map.
         """
-        self._take(terrain)
+        changed = changed_cells(self.terrain, self._check(terrain), region)
+        if changed is None:
+            self.grid, self.world = Grid(terrain.origin, terrain.shape), build_world(terrain, self._wider)
+        else:
+            self.world = updated_world(self.world, terrain, self._wider, changed)
+        self.terrain = terrain
         self.heuristic.update(self.world, terrain, region)
         return self
 

@@ -5,7 +5,9 @@ import pytest
 
 import hdsp
 from hdsp import HeightMap, InputError, Planner, Status
-from hdsp.abstract import FlatCosts
+from hdsp.abstract import FlatCosts, ManualCosts
+from hdsp.detailed import world_update
+from hdsp.detailed.world import build_world
 from hdsp.heuristics import GeometricHeuristic
 from hdsp.lattice import RESOLUTION
 from tests.detailed.instances import toy
@@ -173,6 +175,56 @@ def test_a_planner_refuses_what_it_cannot_plan_on_or_with(flat):
         Planner(HeightMap(np.zeros((80, 80), np.float32), resolution=0.05))
     with pytest.raises(InputError, match="unknown robot 'spot'"):
         Planner(flat.terrain, robot="spot")
+
+
+class Counting(ManualCosts):
+    """Manual costs that count the states they are asked for."""
+
+    asked = 0
+
+    def edges(self, height_map, region=None, mask=None):
+        self.asked += int(mask.sum())
+        return super().edges(height_map, region, mask)
+
+
+def with_doors(*doors):
+    """A map of 8 x 6 m: a wall at x = 4 m with doors, each from y to y in cells."""
+    heights = np.zeros((320, 240), np.float32)
+    heights[158:162] = 1.0
+    for first, end in doors:
+        heights[158:162, first:end] = 0.0
+    return HeightMap(heights)
+
+
+def test_a_door_closed_in_the_map(monkeypatch):
+    """With another door the planner goes there, without one it says why not; all without beginning anew."""
+    start, goal = (3.2, 1.4, 0.0), (4.8, 1.4, 0.0)
+    near, far = (32, 80), (160, 208)
+    costs, compiled = Counting("momaro"), []
+    planner = Planner(with_doors(near, far), heuristic=costs)
+    monkeypatch.setattr(world_update, "build_world", lambda part, of: compiled.append(part) or build_world(part, of))
+    before = planner.plan(start, goal, 1.5)
+    assert before.solved and before.states[:, 1].max() < 2.5
+    asked = costs.asked
+
+    planner.update(with_doors(far))
+    assert 0 < costs.asked - asked < asked / 3
+    around = planner.plan(start, goal, 1.5)
+    fresh = Planner(with_doors(far), heuristic=ManualCosts("momaro")).plan(start, goal, 1.5)
+    assert around.solved and around.states[:, 1].max() > 4.2
+    assert around.cost == fresh.cost > before.cost
+    np.testing.assert_array_equal(around.states, fresh.states)
+
+    planner.update(with_doors())
+    closed = planner.plan(start, goal, 1.5)
+    assert closed.status == Status.INFEASIBLE
+    assert "gets nowhere from" in closed.explain() and "up to 1.00 m" in closed.explain()
+    assert costs.asked - asked < asked
+    assert len(compiled) == 2 and max(part.heights.size for part in compiled) < planner.terrain.heights.size / 2
+
+    # A map opened again is the map of before.
+    again = planner.update(with_doors(near, far)).plan(start, goal, 1.5)
+    np.testing.assert_array_equal(again.states, before.states)
 
 
 @pytest.mark.parametrize("heuristic", ["geometric", "manual"])

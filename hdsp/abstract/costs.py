@@ -108,7 +108,7 @@ class TaskPredictor(Protocol):
 class FlatCosts:
     """The flat-ground baseline: every action is feasible and costs what it costs on flat ground, whatever the terrain.
 
-    What an abstraction adds to this is what it knows about terrain. Implements `AbstractCosts` and `TaskPredictor`.
+    What an abstraction adds to this is what it knows about terrain. Implements `LocalCosts` and `TaskPredictor`.
     """
 
     def __init__(self, robot: Robot | str):
@@ -125,6 +125,10 @@ class FlatCosts:
         close_states(edges, mask)
         close_exits(edges, height_map, region)
         return edges
+
+    def affected(self, changed: np.ndarray) -> np.ndarray:
+        """See `LocalCosts.affected`: none."""
+        return np.zeros((ABSTRACT_HEADINGS, *abstract_shape(np.shape(changed))), bool)
 
     def predict(self, patches: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `TaskPredictor.predict`."""

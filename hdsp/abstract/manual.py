@@ -41,6 +41,7 @@ from hdsp.lattice import (
     ABSTRACT_HEADINGS,
     CELLS_PER_ABSTRACT,
     PATCH_CENTER,
+    abstract_shape,
     abstract_steps,
     heading_angle,
     robot_frame_goals,
@@ -92,7 +93,7 @@ class _Poses(NamedTuple):
 
 
 class ManualCosts:
-    """The manually tuned abstraction for one robot. Implements `AbstractCosts` and `TaskPredictor`."""
+    """The manually tuned abstraction for one robot. Implements `LocalCosts` and `TaskPredictor`."""
 
     def __init__(self, robot: Robot | str, settings: ManualSettings | None = None):
         """`robot` is a robot, or what `Robot.load` takes."""
@@ -103,21 +104,49 @@ class ManualCosts:
     def edges(self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None) -> np.ndarray:
         """See `AbstractCosts.edges`."""
         first_x, first_y, end_x, end_y = checked_region(height_map, region)
+        reach = self._reach()
+        # Around the region all that its states see.
+        low_x, low_y = max(first_x - reach, 0), max(first_y - reach, 0)
         features = coarse_features(height_map.heights)
+        features = Features(*(values[low_x : end_x + reach, low_y : end_y + reach] for values in features))
         poses = [self._poses(features, heading) for heading in range(ABSTRACT_HEADINGS)]
         edges = np.empty((ABSTRACT_HEADINGS, *features.ground.shape, len(ABSTRACT_ACTIONS)), np.float32)
         for heading in range(ABSTRACT_HEADINGS):
             for action, goal in enumerate(robot_frame_goals(heading)):
                 dx, dy, turn = ABSTRACT_ACTIONS[action].tolist()
-                # What is rolled in from the other side belongs to actions that lead off the map; they are closed below.
+                # What is rolled in from the other side belongs to actions that lead off the map, closed below, or to
+                # states outside the region.
                 met = [_take(poses[heading], np.roll, (-x, -y), (-2, -1)) for x, y in _cells_on_the_way(dx, dy)]
                 if turn:
                     met.append(poses[(heading + turn) % ABSTRACT_HEADINGS])
                 edges[heading, :, :, action] = self._cost(goal, met)
-        edges = np.ascontiguousarray(edges[:, first_x:end_x, first_y:end_y])
+        edges = np.ascontiguousarray(edges[:, first_x - low_x : end_x - low_x, first_y - low_y : end_y - low_y])
         close_states(edges, mask)
         close_exits(edges, height_map, region)
         return edges
+
+    def affected(self, changed: np.ndarray) -> np.ndarray:
+        """See `LocalCosts.affected`: a square around what has changed, whatever the heading."""
+        from scipy.ndimage import maximum_filter  # half a second to import
+
+        size = CELLS_PER_ABSTRACT
+        nx, ny = abstract_shape(np.shape(changed))
+        # A cell's range of heights looks one height map cell beyond it.
+        near = maximum_filter(np.asarray(changed, bool), 3, mode="constant", cval=False)
+        touched = near[: nx * size, : ny * size].reshape(nx, size, ny, size).any(axis=(1, 3))
+        seen = maximum_filter(touched, 2 * self._reach() + 1, mode="constant", cval=False)
+        return np.repeat(seen[None], ABSTRACT_HEADINGS, axis=0)
+
+    def _reach(self) -> int:
+        """Cells of 10 cm beyond which nothing matters to the actions of a state."""
+        return _margin_cells(self._pose_reach()) + int(np.abs(ABSTRACT_ACTIONS[:, :2]).max())
+
+    def _pose_reach(self) -> float:
+        """Distance (m) from the base beyond which nothing matters to a pose."""
+        feet = np.abs(self.robot.neutral_feet()).max(axis=0)
+        corners = [(max(abs(box.x_min), abs(box.x_max)), box.half_width) for box in self.robot.body.boxes]
+        corners += [feet + self.settings.margin, feet + (self.settings.foot_reach, 0.0)]
+        return max(math.hypot(*corner) for corner in corners)
 
     def predict(self, patches: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `TaskPredictor.predict`.
@@ -159,7 +188,7 @@ class ManualCosts:
         """What the robot meets with its base in each cell, at one heading (index of 16)."""
         robot, settings = self.robot, self.settings
         turned = rotation(float(heading_angle(heading, ABSTRACT_HEADINGS)))
-        margin = _Margin(features, robot.reach() + settings.margin + settings.foot_reach)
+        margin = _Margin(features, self._pose_reach())
 
         walls = margin.of(_is_wall(features, robot), outside=True)
         edges = margin.of(features.height_range > robot.drive.max_height_difference, outside=True)
@@ -243,6 +272,10 @@ def _in_cells(length: float) -> float:
     return float(abstract_steps((length, 0.0, 0.0))[0])
 
 
+def _margin_cells(reach: float) -> int:
+    return math.ceil(_in_cells(reach)) + 1
+
+
 def _take(poses: _Poses, take, *arguments) -> _Poses:
     return _Poses(*(take(values, *arguments) for values in poses))
 
@@ -251,7 +284,7 @@ class _Margin:
     """Reads maps at an offset from each cell, with a margin for what lies outside."""
 
     def __init__(self, features: Features, reach: float):
-        self.cells = math.ceil(_in_cells(reach)) + 1
+        self.cells = _margin_cells(reach)
         self.shape = features.ground.shape[-2:]
 
     def of(self, values: np.ndarray, outside) -> np.ndarray:

@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hdsp.abstract import AbstractCosts, FlatCosts, ManualCosts, ManualSettings, TaskPredictor, cost_to_go
+from hdsp.abstract import AbstractCosts, FlatCosts, LocalCosts, ManualCosts, ManualSettings, TaskPredictor, cost_to_go
 from hdsp.errors import InputError
 from hdsp.heightmap import HeightMap, crop_patches
 from hdsp.lattice import ABSTRACT_ACTIONS, abstract_anchor, robot_frame_goals
@@ -42,7 +42,7 @@ def inside(shape):
 
 def test_both_fulfil_the_contracts(flat, manual):
     for costs in (flat, manual):
-        assert isinstance(costs, AbstractCosts) and isinstance(costs, TaskPredictor)
+        assert isinstance(costs, AbstractCosts) and isinstance(costs, TaskPredictor) and isinstance(costs, LocalCosts)
 
 
 def test_flat_costs_are_the_published_ones(flat):
@@ -88,6 +88,25 @@ def test_a_region_is_cut_out_of_the_whole(costs, request):
     for region in [(0, 0, 26, 20), (5, 5, 5, 9), (-1, 0, 5, 5)]:
         with pytest.raises(InputError, match="region"):
             costs.edges(terrain, region)
+
+
+@pytest.mark.parametrize("costs", ["flat", "manual"])
+@pytest.mark.parametrize("place", [(30, 90), (0, 0), (119, 161), (63, 64)])
+def test_only_affected_costs_change(costs, place, request):
+    costs = request.getfixturevalue(costs)
+    rng = np.random.default_rng(3)
+    before = rng.choice([0.0, 0.04, 0.2], (30, 41)).repeat(4, axis=0).repeat(4, axis=1).astype(np.float32)[:, :163]
+    changed = np.zeros(before.shape, bool)
+    changed[place[0] : place[0] + 3, place[1] : place[1] + 2] = True
+    affected = costs.affected(changed)
+    assert affected.shape == (16, 30, 40) and affected.mean() < 0.5
+    old = costs.edges(HeightMap(before))
+    touched = np.zeros(affected.shape, bool)
+    for height in (0.1, 1.0, -1.0, np.nan):
+        new = costs.edges(HeightMap(np.where(changed, np.float32(height), before)))
+        touched |= (new != old).any(axis=-1)
+    assert not (touched & ~affected).any()
+    assert touched.any() == (costs is request.getfixturevalue("manual"))
 
 
 def test_map_and_patch_agree_at_heading_zero(manual):
