@@ -9,7 +9,8 @@ equality depends on training. No two patches of the map are equal, so that none 
 trunk evaluation for 22 actions, times states / sample. On the sample the two are compared: `largest_difference` of
 costs, and the share of actions that only one of them calls feasible. `update_ratio` compares an update after the
 heights of 1 m2 in the middle of the map changed, edges, graph and Dijkstra, to the same for the whole map;
-`update_identical` says whether both lead to the same bits.
+`update_identical` says whether both lead to the same bits. `*_cpu_s` are processor seconds of all threads, which other
+work on the machine hardly changes; `cpu_ratio` and `update_cpu_ratio` compare these.
 
 `padded_*`: dense evaluation of the published network, an approximation, against its exact evaluation in the middle of
 the map: that goes on where the patch has zeros, and the base stands up to half a cell off. Again the share of actions
@@ -18,10 +19,9 @@ judged differently, and the mean difference of costs relative to the mean cost.
 
 import argparse
 import json
+import time
 
 import numpy as np
-
-from benchmarks.dijkstra import timed
 
 CELLS_PER_METRE = 40
 
@@ -55,10 +55,10 @@ def main(argv=None) -> dict:
     update(dense, small, small.heights > 0.19, PreparedGraph.from_edges(dense.edges(small)), (0, 0, 0))
     patches.edges(small, mask=sample[:, :25, :25])
 
-    dense_s, edges = timed(np.inf, lambda: dense.edges(before))
+    dense_s, dense_cpu_s, edges = timed(lambda: dense.edges(before))
     found = edges[sample]
-    sample_s, expected = timed(np.inf, lambda: patches.edges(before, mask=sample))
-    patches_s = sample_s * sample.size / sample.sum()
+    sample_s, sample_cpu_s, expected = timed(lambda: patches.edges(before, mask=sample))
+    patches_s, patches_cpu_s = (seconds * sample.size / sample.sum() for seconds in (sample_s, sample_cpu_s))
 
     changed = np.zeros(before.shape, bool)
     low = (before.shape[0] - CELLS_PER_METRE) // 2
@@ -66,27 +66,37 @@ def main(argv=None) -> dict:
     after = HeightMap(np.where(changed, before.heights.T + np.float32(0.1), before.heights))
     graph = PreparedGraph.from_edges(edges)
     distances = graph.distances(goal)
-    update_s, (updated, repaired) = timed(np.inf, lambda: update(dense, after, changed, graph, goal, distances))
-    whole_edges_s, edges = timed(np.inf, lambda: dense.edges(after))
-    whole_search_s, (whole, anew) = timed(np.inf, lambda: search(edges, goal))
+    update_s, update_cpu_s, (updated, repaired) = timed(lambda: update(dense, after, changed, graph, goal, distances))
+    whole_s, whole_cpu_s, (whole, anew) = timed(lambda: search(dense.edges(after), goal))
     result = {
         "size": arguments.size,
         "states": int(sample.size),
         "precision": arguments.precision,
         "dense_s": dense_s,
+        "dense_cpu_s": dense_cpu_s,
         "patches_s": patches_s,
+        "patches_cpu_s": patches_cpu_s,
         "sampled_states": int(sample.sum()),
         "ratio": patches_s / dense_s,
+        "cpu_ratio": patches_cpu_s / dense_cpu_s,
         **differences(found, expected[sample]),
         "affected_states": float(dense.affected(changed).mean()),
         "update_s": update_s,
-        "whole_s": whole_edges_s + whole_search_s,
-        "update_ratio": update_s / (whole_edges_s + whole_search_s),
+        "whole_s": whole_s,
+        "update_ratio": update_s / whole_s,
+        "update_cpu_ratio": update_cpu_s / whole_cpu_s,
         "update_identical": bool(np.array_equal(updated.incoming, whole.incoming) and np.array_equal(repaired, anew)),
         **approximation(hardware, before),
     }
     print(json.dumps({key: round(value, 7) if isinstance(value, float) else value for key, value in result.items()}))
     return result
+
+
+def timed(compute):
+    """Seconds, processor seconds of all threads, and what was computed."""
+    began, began_cpu = time.perf_counter(), time.process_time()
+    result = compute()
+    return time.perf_counter() - began, time.process_time() - began_cpu, result
 
 
 def update(costs, terrain, changed: np.ndarray, graph, goal, distances=None):

@@ -16,8 +16,8 @@ from hdsp.learning.turned import TurnedMap
 #: Patches cropped at once, 85 MB.
 CHUNK = 4096
 #: Side in cells of the tiles of dense evaluation. Larger ones share more between patches; smaller ones let a change of
-#: the map touch less. A tile takes some megabytes, whatever the size of the map.
-TILE = 48
+#: the map touch less. A tile takes some tens of megabytes, whatever the size of the map.
+TILE = 96
 
 
 class LearnedCosts:

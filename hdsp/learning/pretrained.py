@@ -30,7 +30,7 @@ from hdsp.learning.calibration import Calibration, calibration_figures, fit_cali
 from hdsp.learning.hardware import HardwareSettings, autocast
 from hdsp.learning.metrics import MINIMUM_COST
 from hdsp.learning.networks import ModelSettings, TaskNetwork, build_network
-from hdsp.learning.networks.dense import DenseTrunk
+from hdsp.learning.networks.dense import DenseEvaluation
 from hdsp.learning.settings import settings_from
 from hdsp.robot import Robot
 
@@ -192,7 +192,7 @@ class LearnedAbstraction:
 
     @torch.inference_mode()
     def predict_windows(
-        self, trunk: DenseTrunk, heights: np.ndarray, corners: np.ndarray, wanted: np.ndarray, goals: np.ndarray
+        self, trunk: DenseEvaluation, heights: np.ndarray, corners: np.ndarray, wanted: np.ndarray, goals: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """As ``predict`` with the same goals for all, for patches that are windows of one array.
 

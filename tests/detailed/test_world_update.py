@@ -73,10 +73,12 @@ def test_only_a_part_is_compiled_anew(monkeypatch):
     before = rough(np.random.default_rng(0), (300, 240))
     after = before.copy()
     after[120:126, 100:140] = 1.0
+    changed = np.zeros(before.shape, bool)
+    changed[120:126, 100:140] = True
     world = build_world(HeightMap(before), robot)
     compiled = []
     monkeypatch.setattr(world_update, "build_world", lambda part, of: compiled.append(part) or build_world(part, of))
-    updated = updated_world(world, HeightMap(after), robot, before != after)
+    updated = updated_world(world, HeightMap(after), robot, changed)
     (part,) = compiled
     reach = influence(robot)
     assert part.shape == (6 + 4 * reach, 40 + 4 * reach)

@@ -5,7 +5,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hdsp.learning.encoding import HeightEncoding
-from hdsp.learning.networks.dense import DenseTrunk
+from hdsp.learning.networks.dense import DenseEvaluation
 
 
 class TaskNetwork(nn.Module):
@@ -28,7 +28,7 @@ class TaskNetwork(nn.Module):
         """Cost [B, G] and feasibility logits [B, G] of features [B, F] and goals [B, G, 3]."""
         raise NotImplementedError
 
-    def dense_trunk(self) -> DenseTrunk | None:
+    def dense_trunk(self) -> DenseEvaluation | None:
         """What computes ``map_part`` for all patches of a map at once; None if the architecture has no such trunk."""
         return None
 

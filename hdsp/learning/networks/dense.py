@@ -6,6 +6,8 @@ computes them once: pooling with a stride becomes pooling at every cell, and wha
 patch is then a window of the dense result with that dilation as step.
 """
 
+from typing import Any, Protocol
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -14,8 +16,39 @@ from hdsp.errors import InputError
 from hdsp.lattice import PATCH_CELLS
 
 
+class DenseEvaluation(Protocol):
+    """What gives the features of all patches of a map at once; it shares the weights of the network.
+
+    Attributes:
+        exact: whether they are the features of each patch alone.
+        margin: cells that it looks beyond a patch, on each side.
+    """
+
+    exact: bool
+    margin: int
+
+    def __call__(self, encoded: Tensor) -> Any:
+        """All that patches share, from the encoded window of a turned map.
+
+        Args:
+            encoded: float [1, channels, nx, ny], with ``margin`` cells around the patches in question. The network may
+                run under autocast here.
+        """
+        ...
+
+    def windows(self, dense: Any, corners: Tensor) -> Tensor:
+        """Features of patches, float [n, F], as ``TaskNetwork.map_part`` gives them.
+
+        Args:
+            dense: what a call returned.
+            corners: int64 [n, 2], lower corners (x, y) of the patches: the one at (x, y) begins at cell (x + margin, y
+                + margin) of ``encoded``.
+        """
+        ...
+
+
 class DenseTrunk:
-    """Dense evaluation of a trunk of convolutions, ReLUs and poolings. It shares the weights of that trunk.
+    """Dense evaluation of a trunk of convolutions, ReLUs and poolings.
 
     Attributes:
         exact: whether a window of the dense result equals the features of the patch. Zero padding makes the features
