@@ -91,11 +91,11 @@ def test_a_region_is_cut_out_of_the_whole(costs, request):
 
 
 @pytest.mark.parametrize("costs", ["flat", "manual"])
-@pytest.mark.parametrize("place", [(30, 90), (0, 0), (119, 161), (63, 64)])
+@pytest.mark.parametrize("place", [(30, 90), (0, 0), (118, 158), (63, 64)])
 def test_only_affected_costs_change(costs, place, request):
     costs = request.getfixturevalue(costs)
     rng = np.random.default_rng(3)
-    before = rng.choice([0.0, 0.04, 0.2], (30, 41)).repeat(4, axis=0).repeat(4, axis=1).astype(np.float32)[:, :163]
+    before = rng.choice([0.0, 0.01], (30, 41)).repeat(4, axis=0).repeat(4, axis=1).astype(np.float32)[:, :163]
     changed = np.zeros(before.shape, bool)
     changed[place[0] : place[0] + 3, place[1] : place[1] + 2] = True
     affected = costs.affected(changed)
