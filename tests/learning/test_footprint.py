@@ -11,6 +11,7 @@ from hdsp.heightmap import HeightMap
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, Provenance
 from hdsp.learning.data import mirror_goals, mirror_heights
 from hdsp.learning.networks import ModelSettings, build_network
+from hdsp.learning.networks.footprint import POSES
 from hdsp.learning.settings import settings_from
 from tests.learning.test_zoo import model_file, rough_patches
 
@@ -55,20 +56,20 @@ def test_a_turn_to_the_other_side_is_the_mirrored_turn_of_a_mirrored_network(net
     symmetric = build_network(model_file("footprint")).eval()
     symmetric.load_state_dict(network.state_dict())
     with torch.no_grad():
-        for kernel in (m.weight for m in [*symmetric.local, symmetric.of_local] if hasattr(m, "weight")):
+        layers = [*symmetric.near, *symmetric.local, symmetric.of_local]
+        for kernel in (layer.weight for layer in layers if hasattr(layer, "weight")):
             kernel.copy_((kernel + kernel.flip(-1)) / 2)
         # The channel slope_y changes its sign in a mirror.
         names = [symmetric.encoding.channels[i] for i in symmetric.trunk_channels]
-        symmetric.local[0].weight[:, names.index("slope_y")] = 0
+        symmetric.near[0].weight[:, names.index("slope_y")] = 0
         taps = symmetric.of_ground.weight.view(-1, *symmetric.options.taps, symmetric.ground_channels)
         taps.copy_((taps + taps.flip(2)) / 2)
     mirrored = mirror_heights(patches)
     goals = torch.tensor([[0.0, 0, 1]])
     features = [symmetric.map_part(symmetric.encoding(h)) for h in (patches, mirrored)]
     width = symmetric.options.features
-    left = features[0][:, -8 * width : -4 * width]
-    right = features[1][:, -4 * width :]
-    torch.testing.assert_close(left, right, atol=2e-3, rtol=0)
+    left, right = (slice((POSES**2 + n) * width, (POSES**2 + n + 4) * width) for n in (0, 4))
+    torch.testing.assert_close(features[0][:, left], features[1][:, right], atol=2e-3, rtol=0)
     assert (mirror_goals(goals) == torch.tensor([[0.0, 0, -1]])).all()
 
 

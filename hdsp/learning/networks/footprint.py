@@ -19,6 +19,17 @@ REACH = 9
 POSES = 2 * REACH + 1
 #: Poses on the way to a goal, start and goal included.
 SAMPLES = 5
+#: Where the network looks for feet at the start, in cells from the base; what it sees there is wide, so that this need not
+#: be to the cell where the feet of a robot are. Signs of the four: (along x, along y).
+FOOT_X, FOOT_Y = 13, 10
+FEET = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+#: Cells ahead of each foot and behind it where features and heights are read: how far feet reach, and a goal's way.
+LINE = tuple(range(-15, 16, 3))
+PROFILE = tuple(range(-18, 19, 3))
+LINE_RADIUS = 3
+SIDES = (slice(2 * LINE_RADIUS + 1), slice(-2 * LINE_RADIUS - 1, None))  # lines of the feet to the right, and to the left
+#: Radius in cells of the first convolution.
+NEAR_RADIUS = 2
 #: Radius in cells of the ground around each tap whose highest and lowest points are compared with that at the base.
 GROUND_RADIUS = 2
 
@@ -35,6 +46,7 @@ class FootprintOptions:
         hidden: width of the first layer that sees a whole footprint.
         features: width of what is kept of a footprint.
         context: width of the summary of all footprints around the start; detours need it.
+        feet: width of the summary of what lies ahead of and behind each foot at the start; steps need it.
         head: width of the layers that judge a way.
     """
 
@@ -45,10 +57,11 @@ class FootprintOptions:
     hidden: int = 96
     features: int = 48
     context: int = 64
+    feet: int = 128
     head: int = 128
 
     def __post_init__(self):
-        if 2 + sum(self.dilations) > 9 or min(self.dilations, default=1) < 1:
+        if sum(self.dilations) > 7 or min(self.dilations, default=1) < 1:
             raise InputError(
                 f"model.options.dilations: {list(self.dilations)} have to be at least 1 and add up to <= 7"
             )
@@ -81,17 +94,20 @@ class Footprint(TaskNetwork):
         ]
         self.ground_channels = 3 if "unevenness" in names else 2
         self.options = options
-        layers: list[nn.Module] = [nn.Conv2d(len(self.trunk_channels), width, 5), nn.ReLU()]
+        self.near = nn.Sequential(nn.Conv2d(len(self.trunk_channels), width, 2 * NEAR_RADIUS + 1), nn.ReLU())
+        layers: list[nn.Module] = []
         for dilation in options.dilations:
             layers += [nn.Conv2d(width, width, 3, dilation=dilation), nn.ReLU()]
         self.local = nn.Sequential(*layers)
-        self.radius = 2 + sum(options.dilations)
+        self.radius = sum(options.dilations)
         self.margins = tuple(n // 2 * options.spacing for n in options.taps)
         self.of_local = nn.Conv2d(width, hidden, options.taps, dilation=options.spacing)
         self.of_ground = nn.Linear(self.ground_channels * math.prod(options.taps), hidden, bias=False)
         self.footprint = nn.Linear(hidden, options.features)
         self.context = nn.Linear(7 * 7 * options.features, options.context)
-        way = (SAMPLES + 2) * options.features + options.context + GOAL_FEATURES
+        self.of_line = nn.Sequential(nn.Conv2d(width, width, 2 * LINE_RADIUS + 1), nn.ReLU())
+        self.feet = nn.Linear(4 * (len(LINE) * width + len(PROFILE) * 2), options.feet)
+        way = (SAMPLES + 2) * options.features + options.context + options.feet + GOAL_FEATURES
         self.rest = nn.Sequential(
             nn.Linear(way, options.head), nn.ReLU(), nn.Linear(options.head, options.head // 2), nn.ReLU()
         )
@@ -103,40 +119,65 @@ class Footprint(TaskNetwork):
         self.register_buffer("turns", torch.cat([share, -share]), persistent=False)
 
     def map_part(self, encoded: Tensor) -> Tensor:
+        near, ground = self._first(encoded)
+        # Only where footprints are judged; and of what feet may reach, the two lines on which they stand.
         x, y = (PATCH_CENTER - REACH - n for n in self.margins)
-        local, ground = self._maps(encoded, (x, PATCH_CELLS - x + 1), (y, PATCH_CELLS - y + 1))
-        centre = torch.tensor([[PATCH_CENTER - x, PATCH_CENTER - y]], device=encoded.device)
-        return _packed(self._footprints(local, ground), self._turned(local, ground, centre)[:, 0])
+        local = self.local(_cut(near, x - self.radius, y - self.radius))
+        under = _cut(ground, x, y)
+        centre = torch.tensor([[PATCH_CENTER, PATCH_CENTER]], device=encoded.device)
+        straight = self._footprints(local, under).permute(0, 2, 3, 1).flatten(1)
+        turned = self._turned(local, under, centre - torch.tensor([x, y], device=centre.device)).flatten(1)
+        first = PATCH_CENTER - FOOT_X - LINE[-1]
+        strips = (_cut(near, first - LINE_RADIUS, PATCH_CENTER - FOOT_Y - LINE_RADIUS)[..., side] for side in SIDES)
+        line = torch.cat([self.of_line(strip) for strip in strips], dim=-1)
+        at = self._line_cells(centre)
+        at = torch.stack([at[..., 0] - first, (at[..., 1] > PATCH_CENTER).long()], dim=-1)
+        return torch.cat([straight, turned, self._feet(line, at, ground, centre - NEAR_RADIUS)[:, 0]], dim=1)
 
     def dense_trunk(self) -> "FootprintTrunk":
         return FootprintTrunk(self)
 
     def is_dense(self) -> bool:
         # What the network reads of a patch lies so far from its rim that what is beyond has no part in it.
-        within = {name: self.radius for name in self.encoding.channels} | {"height": GROUND_RADIUS, "unevenness": 0}
-        beyond = max(radius + self.encoding.radius(name) for name, radius in within.items())
-        return self.encoding.reference == "none" and max(self.margins) + REACH + beyond < PATCH_CELLS - PATCH_CENTER
+        footprint = max(self.margins) + REACH
+        line = FOOT_X + max(LINE[-1] + LINE_RADIUS + NEAR_RADIUS, PROFILE[-1] + GROUND_RADIUS)
+        within = dict.fromkeys(self.encoding.channels, max(footprint + self.radius + NEAR_RADIUS, line))
+        within |= {"height": max(footprint + GROUND_RADIUS, line), "unevenness": footprint}
+        beyond = max(reach + self.encoding.radius(name) for name, reach in within.items())
+        return self.encoding.reference == "none" and beyond < PATCH_CELLS - PATCH_CENTER
 
-    def _maps(self, encoded: Tensor, x: tuple[int, int], y: tuple[int, int]) -> tuple[Tensor, Tensor]:
-        """Local features [B, width, nx, ny] of ranges of cells, and of their ground [B, 3 or 4, nx, ny] the height of
-        the cell itself (NaN if unknown), the highest and lowest around, and the unevenness if that is a channel."""
-
-        def cut(radius: int, channels) -> Tensor:
-            return encoded[:, channels, x[0] - radius : x[1] + radius, y[0] - radius : y[1] + radius]
-
+    def _first(self, encoded: Tensor) -> tuple[Tensor, Tensor]:
+        """What all else is made of, at the cells that are not within NEAR_RADIUS of the rim: features [B, width, ...];
+        of the ground [B, 3 or 4, ...] the height of the cell itself (NaN if unknown), the highest and lowest around,
+        and the unevenness if that is a channel."""
         names = self.encoding.channels
-        local = self.local(cut(self.radius, self.trunk_channels))
-        height = cut(GROUND_RADIUS, [names.index("height")]).float()
-        known = "unknown" not in names
-        unknown = (
-            torch.zeros_like(height, dtype=torch.bool) if known else cut(GROUND_RADIUS, [names.index("unknown")]) > 0
-        )
-        inner = slice(GROUND_RADIUS, -GROUND_RADIUS)
+        near = self.near(encoded[:, self.trunk_channels])
+        height = encoded[:, names.index("height"), None].float()
+        unknown = torch.zeros_like(height, dtype=torch.bool)
+        if "unknown" in names:
+            unknown = encoded[:, names.index("unknown"), None] > 0
         highest = _highest(height.masked_fill(unknown, -math.inf), 2 * GROUND_RADIUS + 1)
         lowest = -_highest((-height).masked_fill(unknown, -math.inf), 2 * GROUND_RADIUS + 1)
+        inner = slice(NEAR_RADIUS, -NEAR_RADIUS)
         own = height.masked_fill(unknown, math.nan)[..., inner, inner]
-        unevenness = [cut(0, [i]).float() for i, name in enumerate(names) if name == "unevenness"]
-        return local, torch.cat([own, highest, lowest, *unevenness], dim=1)
+        unevenness = [encoded[:, i, None, inner, inner].float() for i, name in enumerate(names) if name == "unevenness"]
+        return near, torch.cat([own, highest, lowest, *unevenness], dim=1)
+
+    @staticmethod
+    def _line_cells(bases: Tensor, offsets: tuple[int, ...] = LINE) -> Tensor:
+        """Cells [n, 4, offsets, 2] ahead of the four feet and behind them, of bases [n, 2]."""
+        feet = bases[:, None] + bases.new_tensor([(i * FOOT_X, j * FOOT_Y) for i, j in FEET])
+        along = torch.stack([bases.new_tensor(offsets), bases.new_zeros(len(offsets))], dim=-1)
+        return feet[:, :, None] + along
+
+    def _feet(self, line: Tensor, at: Tensor, ground: Tensor, bases: Tensor) -> Tensor:
+        """What lies ahead of the feet and behind them, [B, n, feet], of line features at cells [n, 4, offsets, 2] and
+        ground around bases [n, 2]."""
+        profile = self._line_cells(bases, PROFILE)
+        seen = line[:, :, at[..., 0], at[..., 1]].permute(0, 2, 3, 4, 1).flatten(2)
+        heights = ground[:, 1:3, profile[..., 0], profile[..., 1]].permute(0, 2, 3, 4, 1)
+        base = ground[:, 0, bases[:, 0], bases[:, 1]][:, :, None, None, None]
+        return torch.relu(self.feet(torch.cat([seen.float(), _relative(heights, base).flatten(2)], dim=-1)))
 
     def _footprints(self, local: Tensor, ground: Tensor) -> Tensor:
         """Footprints [B, features, mx, my] at all positions whose taps lie within the maps."""
@@ -171,7 +212,8 @@ class Footprint(TaskNetwork):
     def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
         width = self.options.features
         goals = goals.expand(len(features), -1, -1)
-        straight, turned = features.split([POSES * POSES * width, 2 * (SAMPLES - 1) * width], dim=1)
+        sizes = [POSES * POSES * width, 2 * (SAMPLES - 1) * width, self.options.feet]
+        straight, turned, feet = features.split(sizes, dim=1)
         straight = straight.reshape(-1, POSES, POSES, width)
         turned = turned.reshape(-1, 2, SAMPLES - 1, width)
         share = torch.linspace(0, 1, SAMPLES, device=goals.device)[1:, None]
@@ -182,7 +224,8 @@ class Footprint(TaskNetwork):
         way = torch.where(turning[..., None, None], chosen, way)
         start = straight[:, None, REACH, REACH].expand(-1, goals.shape[1], -1)
         way = torch.cat([start[:, :, None], way], dim=2)
-        around = torch.relu(self.context(straight[:, ::3, ::3].flatten(1)))[:, None].expand(-1, goals.shape[1], -1)
+        around = torch.relu(self.context(straight[:, ::3, ::3].flatten(1)))
+        around = torch.cat([around, feet], dim=1)[:, None].expand(-1, goals.shape[1], -1)
         known = goal_features(goals)
         seen = torch.cat([way.flatten(2), way.mean(2), way.amax(2), around, known], dim=-1)
         excess, logits = self.heads(self.rest(seen)).unbind(-1)
@@ -198,34 +241,37 @@ class FootprintTrunk:
     def __init__(self, network: Footprint):
         self.network = network
 
-    def __call__(self, encoded: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Local features, ground and footprints of all cells of [1, channels, nx, ny] that have their surroundings."""
-        radius = self.network.radius
-        local, ground = self.network._maps(
-            encoded, (radius, encoded.shape[-2] - radius), (radius, encoded.shape[-1] - radius)
-        )
+    def __call__(self, encoded: Tensor) -> tuple[Tensor, ...]:
+        """Local features, ground under them, footprints, features of lines, and all ground, at all cells of [1,
+        channels, nx, ny] that have the surroundings they need."""
+        network, inner = self.network, slice(self.network.radius, -self.network.radius)
+        near, ground = network._first(encoded)
+        local, under = network.local(near), ground[..., inner, inner]
         # Cells first: what belongs to one cell then lies side by side, and is copied in one piece.
-        straight = self.network._footprints(local, ground)[0].permute(1, 2, 0).contiguous()
-        return local.float(), ground, straight.float()
+        straight = network._footprints(local, under)[0].permute(1, 2, 0).contiguous()
+        return local.float(), under, straight.float(), network.of_line(near).float(), ground
 
-    def windows(self, dense: tuple[Tensor, Tensor, Tensor], corners: Tensor) -> Tensor:
+    def windows(self, dense: tuple[Tensor, ...], corners: Tensor) -> Tensor:
         """Features [n, F], as ``map_part`` gives them, of patches with lower corners [n, 2]."""
-        local, ground, straight = dense
-        radius = self.network.radius
-        turned = self.network._turned(local, ground, corners + (PATCH_CENTER - radius))[0]
-        first_x, first_y = (
-            corners + (PATCH_CENTER - radius - REACH) - corners.new_tensor(self.network.margins)
-        ).unbind(1)
+        local, under, straight, line, ground = dense
+        network = self.network
+        bases = corners + (PATCH_CENTER - NEAR_RADIUS)
+        turned = network._turned(local, under, bases - network.radius)[0]
+        feet = network._feet(line, network._line_cells(bases - LINE_RADIUS), ground, bases)[0]
+        first_x, first_y = (bases - network.radius - REACH - corners.new_tensor(network.margins)).unbind(1)
         inside = torch.arange(POSES, device=corners.device)
         width = straight.shape[1]
         index = ((first_x * width + first_y)[:, None, None] + inside[:, None] * width + inside).flatten()
         windows = straight.flatten(0, 1)[index].view(len(corners), POSES, POSES, -1)
-        return torch.cat([windows.flatten(1), turned.flatten(1)], dim=1)
+        return torch.cat([windows.flatten(1), turned.flatten(1), feet], dim=1)
 
 
-def _packed(straight: Tensor, turned: Tensor) -> Tensor:
-    """Footprints [B, features, POSES, POSES] and turned ones [B, turns, features] as features [B, F]."""
-    return torch.cat([straight.permute(0, 2, 3, 1).flatten(1), turned.flatten(1)], dim=1)
+def _cut(maps: Tensor, x: int, y: int) -> Tensor:
+    """Of maps of the cells of a patch that are not within NEAR_RADIUS of its rim: those from (x, y) to the cells as far
+    from the base on its other side. The base stands on cell 36 of 72."""
+    first_x, first_y = x - NEAR_RADIUS, y - NEAR_RADIUS
+    span_x, span_y = (2 * (PATCH_CENTER - n) + 1 for n in (x, y))
+    return maps[..., first_x : first_x + span_x, first_y : first_y + span_y]
 
 
 def _relative(heights: Tensor, base: Tensor) -> Tensor:
