@@ -1,0 +1,203 @@
+"""Multi-heuristic A* against weighted A*: what a proved bound costs with a heuristic that is not admissible.
+
+    python -m benchmarks.multi_heuristic [--seeds 4] [--size 5] [--bounds 1.25 1.5 2] [--expansions 2000000]
+                                         [--guides manual learned] [--arena] [--json FILE]
+                                         [--page docs/guarantees.md]
+
+On random arenas (start and goal far apart) and, with `--arena`, on the paper's arena with its tasks (as scanned, if
+data/arena/scanned.npz is there, else its true heights). For each bound W:
+
+- `geometric`: weighted A* with the admissible heuristic, W: its bound is proved;
+- `plain`: weighted A* with the manual or learned heuristic, W: nothing is proved;
+- `anchored 1 x W` and `anchored W^1/2 x W^1/2`: multi-heuristic A*, W1 x W2, same guide, geometric anchor.
+
+Times are seconds of the processor for the search alone. Prints the runs and their summary as one JSON line last: means
+of ratios are geometric, over the tasks that the anchored search solved; tasks that no search solved are left out. Where
+the geometric search ends at the limit on expansions, its ratio is a lower bound (`geometric_capped` counts these).
+"""
+
+import argparse
+import json
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from benchmarks.page import table, write_block
+from benchmarks.search import far_apart
+from hdsp.arena import random_arena, read_arena
+from hdsp.detailed.estimate import geometric_estimate
+from hdsp.detailed.multi import solve_multi
+from hdsp.detailed.solve import Limits, Status, solve
+from hdsp.heightmap import HeightMap
+from hdsp.planner import Planner
+
+PAPER = Path("conf/arena/paper.yaml")
+SCANNED = Path("data/arena/scanned.npz")
+
+
+def main(argv=None) -> dict:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=4, help="number of random arenas")
+    parser.add_argument("--size", type=float, default=5.0, help="their side, m")
+    parser.add_argument("--bounds", type=float, nargs="+", default=[1.25, 1.5, 2.0])
+    parser.add_argument("--expansions", type=int, default=2_000_000, help="limit of each search")
+    parser.add_argument("--guides", nargs="+", default=["manual", "learned"], help="heuristics, as Planner takes them")
+    parser.add_argument("--arena", action="store_true", help="the paper's arena too")
+    parser.add_argument("--json", type=Path, help="where to write the result")
+    parser.add_argument("--page", type=Path, help="page of docs into which to write the summary")
+    arguments = parser.parse_args(argv)
+
+    limits = Limits(expansions=arguments.expansions)
+    runs = []
+    for name, planners, tasks in places(arguments):
+        for task, start, goal in tasks:
+            found = compare(planners, start, goal, arguments.bounds, limits)
+            runs += [{"place": name, "task": task, **run} for run in found]
+            print(f"{name}, {task}: {len(found)} searches, {sum(run['cpu_s'] for run in found):.1f} s", flush=True)
+    result = {"runs": runs, "summary": summary(runs)}
+    if arguments.json:
+        arguments.json.write_text(json.dumps(result, indent=1) + "\n")
+    if arguments.page:
+        write_block(arguments.page, "benchmarks.multi_heuristic", text(result, arguments.expansions))
+    print(json.dumps(result))
+    return result
+
+
+def places(arguments):
+    """Name, a planner for each guide, and tasks (name, start, goal in lattice units), of each terrain."""
+    for seed in range(arguments.seeds):
+        planners = prepared(random_arena(seed, arguments.size), arguments.guides)
+        yield f"random {seed}", planners, [("far", *far_apart(planners[0], seed))]
+    if arguments.arena:
+        description = yaml.safe_load(PAPER.read_text())
+        scanned = SCANNED.exists()
+        terrain = HeightMap.load(SCANNED) if scanned else read_arena(description).height_map()
+        planners = prepared(terrain, arguments.guides)
+        grid = planners[0].grid
+        ends = [
+            (task["name"], *(grid.to_lattice(task[end]) for end in ("start", "goal"))) for task in description["tasks"]
+        ]
+        yield "arena, scanned" if scanned else "arena, true heights", planners, ends
+
+
+def prepared(terrain, guides) -> list[Planner]:
+    return [Planner(terrain, heuristic=guide).prepare() for guide in guides]
+
+
+def compare(planners, start, goal, bounds, limits) -> list[dict]:
+    """All searches for one task."""
+    world = planners[0].world
+    anchor = geometric_estimate(world, goal)
+    views = {planner.heuristic.name: planner.heuristic.set_goal(goal) for planner in planners}
+    solve(world, start, goal[None], anchor, limits=Limits(expansions=10))  # compiled, and loaded, before it is timed
+    solve_multi(world, start, goal, anchor, [anchor], limits=Limits(expansions=10))
+    runs = []
+    for bound in bounds:
+        result, seconds = timed(solve, world, start, goal[None], anchor, weight=bound, limits=limits)
+        runs.append(run_of("geometric", None, bound, result, seconds, bound))
+        for name, view in views.items():
+            result, seconds = timed(
+                solve, world, start, goal[None], view, weight=bound, admissible=False, limits=limits
+            )
+            runs.append(run_of("plain", name, bound, result, seconds, math.inf))
+            for split, w1, w2 in (("1 x W", 1.0, bound), ("W^1/2 x W^1/2", math.sqrt(bound), math.sqrt(bound))):
+                result, seconds = timed(
+                    solve_multi, world, start, goal, anchor, [view], weight=w1, anchor_weight=w2, limits=limits
+                )
+                runs.append(run_of(f"anchored {split}", name, bound, result, seconds, result.bound))
+    return runs
+
+
+def timed(search, *arguments, **options):
+    began = time.process_time()
+    result = search(*arguments, **options)
+    return result, time.process_time() - began
+
+
+def run_of(search: str, guide: str | None, wanted: float, result, seconds: float, proved: float) -> dict:
+    solved = result.status[0] == Status.SOLVED
+    by = getattr(result, "expansions_by", [])
+    return {
+        "search": search,
+        "guide": guide,
+        "bound": wanted,
+        "status": str(result.status[0]),
+        "cost": round(float(result.cost[0]), 4) if solved else None,
+        "proved": round(proved, 4) if solved and np.isfinite(proved) else None,
+        "expansions": result.expansions,
+        "expansions_anchor": by[0] if by else None,
+        "cpu_s": round(seconds, 4),
+        "memory_mb": round(result.memory / 2**20, 1),
+    }
+
+
+def solvable(runs: list[dict]) -> list[tuple[str, str]]:
+    """Place and name of the tasks that some search solved."""
+    return sorted({(r["place"], r["task"]) for r in runs if r["status"] == "solved"})
+
+
+def summary(runs: list[dict]) -> list[dict]:
+    """For each guide, bound and split: the anchored search beside the others, over all tasks."""
+    at = {(r["place"], r["task"], r["search"], r["guide"], r["bound"]): r for r in runs}
+    groups = sorted({(r["guide"], r["bound"], r["search"]) for r in runs if r["search"].startswith("anchored")})
+    rows = []
+    for guide, bound, search in groups:
+        tasks = solvable(runs)
+        solved = [task for task in tasks if at[*task, search, guide, bound]["status"] == "solved"]
+        anchored = [at[*task, search, guide, bound] for task in solved]
+        geometric = [at[*task, "geometric", None, bound] for task in solved]
+        plain = [at[*task, "plain", guide, bound] for task in solved]
+        rows.append({
+            "guide": guide,
+            "bound": bound,
+            "search": search,
+            "tasks": len(tasks),
+            "solved": len(solved),
+            "geometric_capped": sum(r["status"] != "solved" for r in geometric),
+            "expansions_geometric_to_anchored": mean_ratio(geometric, anchored, "expansions"),
+            "cpu_geometric_to_anchored": mean_ratio(geometric, anchored, "cpu_s"),
+            "expansions_anchored_to_plain": mean_ratio(anchored, plain, "expansions"),
+            "cpu_anchored_to_plain": mean_ratio(anchored, plain, "cpu_s"),
+            "cost_anchored_to_plain": mean_ratio(anchored, plain, "cost"),
+            "proved_mean": round(float(np.mean([r["proved"] for r in anchored])), 3) if anchored else None,
+        })  # fmt: skip
+    return rows
+
+
+def text(result: dict, limit: int) -> str:
+    """The summary as it stands in the page."""
+    head = [
+        "guide", "bound W", "W1 x W2", "solved", "proved on average", "expansions: geometric / anchored",
+        "time: geometric / anchored", "expansions: anchored / plain", "cost: anchored / plain",
+    ]  # fmt: skip
+    lines = []
+    for row in result["summary"]:
+        capped = ">= " if row["geometric_capped"] else ""
+        lines.append([
+            row["guide"], f"{row['bound']:g}", row["search"].removeprefix("anchored "),
+            f"{row['solved']} of {row['tasks']}", row["proved_mean"],
+            f"{capped}{row['expansions_geometric_to_anchored']}", f"{capped}{row['cpu_geometric_to_anchored']}",
+            row["expansions_anchored_to_plain"], row["cost_anchored_to_plain"],
+        ])  # fmt: skip
+    tasks = {(run["place"], run["task"]) for run in result["runs"]}
+    left_out = len(tasks) - len(solvable(result["runs"]))
+    ends = f"Limit: {limit:,} expansions each; {left_out} of {len(tasks)} tasks, which no search solved, left out."
+    return f"{table(head, lines)}\n\n{ends}"
+
+
+def mean_ratio(over: list[dict], under: list[dict], what: str) -> float | None:
+    """Geometric mean; tasks are left out for which one of the two has no such number."""
+    pairs = [
+        (a[what], b[what]) for a, b in zip(over, under, strict=True) if a[what] is not None and b[what] is not None
+    ]
+    if not pairs:
+        return None
+    # No search is faster than the clock can tell.
+    return round(math.exp(np.mean([math.log(max(a, 1e-4) / max(b, 1e-4)) for a, b in pairs])), 3)
+
+
+if __name__ == "__main__":
+    main()
