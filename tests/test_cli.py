@@ -57,9 +57,9 @@ def test_the_axes_of_a_file_are_named_with_an_equals_sign(tmp_path, cloud):
     assert HeightMap.load(tmp_path / "map.npz").size == pytest.approx((4, 3), abs=0.06)
 
 
-def plan_on(tmp_path, heights, *more):
+def plan_on(tmp_path, heights, *more, goal="1.6"):
     HeightMap(heights.astype(np.float32)).save(tmp_path / "map.npz")
-    ends = ["--start", "0.9", "0.9", "0", "--goal", "1.6", "1.1", "-20"]
+    ends = ["--start", "0.9", "0.9", "0", "--goal", goal, "1.1", "-20"]
     return main(["plan", str(tmp_path / "map.npz"), *ends, *more])
 
 
@@ -77,9 +77,9 @@ def test_a_plan_is_told_and_written(tmp_path, capsys):
 
 
 def test_where_there_is_no_plan_the_reason_is_told(tmp_path, capsys):
-    wall = np.zeros((100, 100))
-    wall[48:52] = 1.0
-    assert plan_on(tmp_path, wall, "--heuristic", "geometric") == NO_PLAN
+    wall = np.zeros((150, 100))
+    wall[70:74] = 1.0
+    assert plan_on(tmp_path, wall, "--heuristic", "geometric", goal="2.8") == NO_PLAN
     assert "there is no way: " in capsys.readouterr().out
 
 
