@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
@@ -14,18 +15,30 @@ from pipeline.stage import Folders
 if TYPE_CHECKING:
     from hdsp.abstract import AbstractCosts, TaskPredictor
 
-METHODS = ("learned", "manual", "flat")
+METHODS = ("learned", "pretrained", "pretrained-NAME", "manual", "flat")
 
 
 #: Where the stage `train` leaves the learned abstraction.
 TRAINED = "models/abstraction"
+#: How names of the abstractions of the package begin.
+PRETRAINED = "pretrained"
+
+
+def available(names: Iterable[str], robot: Robot) -> list[str]:
+    """The names without those of abstractions that do not come with the package for this robot, which are printed."""
+    from hdsp.pretrained import presets
+
+    absent = [n for n in names if n.startswith(PRETRAINED) and robot.name + n.removeprefix(PRETRAINED) not in presets()]
+    for name in absent:
+        print(f"{name}: skipped, nothing of this name comes with the package for {robot.name}")
+    return [name for name in names if name not in absent]
 
 
 def task_predictor(name: str, config: DictConfig, folders: Folders, model: str = TRAINED) -> TaskPredictor:
     """The abstraction `name` as a judge of single tasks.
 
     Args:
-        name: one of `METHODS`.
+        name: one of `METHODS`; `pretrained`: what comes with the package for the robot, of that name if there is one.
         config: of the stage.
         folders: of the stage.
         model: of the learned one: a folder, or the name of one that comes with the package.
@@ -34,7 +47,7 @@ def task_predictor(name: str, config: DictConfig, folders: Folders, model: str =
         InputError: there is no abstraction of that name; the learned one is not trained yet, or for another robot.
     """
     robot = Robot.load(plain(config.robot))
-    if name == "learned":
+    if name == "learned" or name.startswith(PRETRAINED):
         from hdsp.learning.hardware import HardwareSettings
         from hdsp.learning.pretrained import LearnedAbstraction
         from hdsp.learning.settings import settings_from
@@ -42,6 +55,10 @@ def task_predictor(name: str, config: DictConfig, folders: Folders, model: str =
 
         hardware = settings_from(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
         hardware.apply_threads()
+        if name.startswith(PRETRAINED):
+            model = robot.name + name.removeprefix(PRETRAINED)
+            if model not in presets():
+                raise InputError(f"{name}: {model!r} is not one of the package's abstractions, {', '.join(presets())}")
         if model in presets():
             return load_abstraction(model, robot, hardware)
         return LearnedAbstraction.from_pretrained(folders.read(model), robot, hardware)
@@ -59,7 +76,7 @@ def task_predictor(name: str, config: DictConfig, folders: Folders, model: str =
 def abstract_costs(name: str, config: DictConfig, folders: Folders) -> AbstractCosts:
     """The abstraction `name` as costs of all abstract actions of a map; raises as `task_predictor`."""
     predictor = task_predictor(name, config, folders)
-    if name == "learned":
+    if name == "learned" or name.startswith(PRETRAINED):
         from hdsp.learning.costs import LearnedCosts
 
         return LearnedCosts(predictor)

@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 from hdsp.errors import InputError
 from hdsp.files import replacing
 from hdsp.robot import Robot
-from pipeline.abstractions import task_predictor
+from pipeline.abstractions import available, task_predictor
 from pipeline.config import plain
 from pipeline.data import read_evaluation_set
 from pipeline.stage import Folders, run_stage, write_json
@@ -25,7 +25,8 @@ def evaluate(config: DictConfig, folders: Folders) -> None:
     from hdsp.viz import save_example_patches, save_quality_bars, save_reliability
 
     model = config.evaluation.model
-    predictors = {name: task_predictor(name, config, folders, model) for name in config.evaluation.methods}
+    methods = available(config.evaluation.methods, Robot.load(plain(config.robot)))
+    predictors = {name: task_predictor(name, config, folders, model) for name in methods}
     sets: dict[str, Any] = {}
     example = None
     for name, entry in plain(config.evaluation.sets).items():

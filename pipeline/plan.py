@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from hdsp.errors import InputError
 from hdsp.robot import Robot
-from pipeline.abstractions import abstract_costs
+from pipeline.abstractions import abstract_costs, available
 from pipeline.config import plain, settings
 from pipeline.data import ABSENT
 from pipeline.speedup import best_known, summarise
@@ -113,7 +113,7 @@ def prepare(
 
     planners: dict[str, Planner] = {}
     edges_seconds: dict[str, float] = {}
-    for name in config.planner.heuristics:
+    for name in available(config.planner.heuristics, robot):
         began = time.perf_counter()
         heuristic = "geometric" if name == "geometric" else abstract_costs(name, config, folders)
         planners[name] = Planner(terrain, robot, heuristic, margin=config.planner.margin).prepare()

@@ -3,8 +3,8 @@
     python -m pipeline.publish_model models/abstraction
 
 It is calibrated on the validation set and judged on every set of `evaluation.sets` as it will be loaded, after its
-weights were rounded. Writes `hdsp/pretrained/ROBOT/`. With overrides add `runtime.outputs=.`, or it lands in
-outputs/.
+weights were rounded. Writes `hdsp/pretrained/ROBOT/`, or ROBOT-NAME with `runtime.variant=NAME`. With overrides add
+`runtime.outputs=.`, or it lands in outputs/.
 """
 
 from __future__ import annotations
@@ -64,7 +64,8 @@ def publish_model(config: DictConfig, folders: Folders, source: str) -> None:
         for metric in ("feasibility_accuracy", "cost_error", "ece")
         if values[metric] is not None
     }
-    target = folders.write("hdsp", "pretrained", robot.name)
+    variant = config.runtime.variant
+    target = folders.write("hdsp", "pretrained", robot.name + (f"-{variant}" if variant else ""))
     card = model_card(abstraction, robot, precision, figures, missing, config)
     abstraction.save_pretrained(target, precision, beside={"README.md": card})
     size = (target / "model.safetensors").stat().st_size / 1e6

@@ -9,8 +9,22 @@ from typing import Any
 from pipeline.paper import ABSTRACTION_QUALITY, HEURISTIC_PERFORMANCE
 from pipeline.speedup import is_bound
 
-METHOD_NAMES = {"learned": "learned", "manual": "manually tuned", "flat": "flat ground"}
-HEURISTIC_NAMES = {"geometric": "geometric", "manual": "manual abstraction", "learned": "learned abstraction"}
+METHOD_NAMES = {
+    "learned": "learned",
+    "pretrained": "shipped",
+    "pretrained-klamt2019": "paper's network",
+    "manual": "manually tuned",
+    "flat": "flat ground",
+}
+#: Methods beside which the paper's figures of another stand.
+AS_PAPER = {"pretrained": "learned", "pretrained-klamt2019": "learned"}
+HEURISTIC_NAMES = {
+    "geometric": "geometric",
+    "manual": "manual abstraction",
+    "learned": "learned abstraction",
+    "pretrained": "shipped abstraction",
+    "pretrained-klamt2019": "paper's network",
+}
 EMPTY = "–"
 
 
@@ -25,6 +39,7 @@ def abstraction_quality_table(quality: Mapping[str, Any], training: Mapping[str,
     header, columns = ["ours / paper"], []
     for name, values in sets.items():
         paper = ABSTRACTION_QUALITY.get(values["paper"], {}) if values.get("paper") else {}
+        paper = paper | {method: paper[other] for method, other in AS_PAPER.items() if other in paper}
         columns.append((values if values["available"] else None, paper))
         header.append(name if values.get("paper") in (None, name) else f"{name} (paper: {values['paper']})")
     rows = [
@@ -60,7 +75,7 @@ def heuristic_table(planning: Mapping[str, Any]) -> str:
     rows = []
     for heuristic, by_weight in planning["summary"].items():
         for weight, ours in by_weight.items():
-            theirs = HEURISTIC_PERFORMANCE.get(heuristic, {}).get(float(weight), {})
+            theirs = HEURISTIC_PERFORMANCE.get(AS_PAPER.get(heuristic, heuristic), {}).get(float(weight), {})
             rows.append([
                 HEURISTIC_NAMES.get(heuristic, heuristic),
                 f"{float(weight):g}",

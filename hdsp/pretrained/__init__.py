@@ -1,5 +1,6 @@
-"""Trained abstractions that come with the package, one folder for each robot: ``config.json``, ``model.safetensors``
-and a model card, ``README.md``. ``python -m pipeline.publish_model`` writes them.
+"""Trained abstractions that come with the package, one folder for each: ``config.json``, ``model.safetensors`` and a
+model card, ``README.md``. ``python -m pipeline.publish_model`` writes them. A folder has the name of its robot, or
+ROBOT-NAME if it is not the one that planners take by default.
 
 Importing this module imports no torch; loading an abstraction does.
 """
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def presets() -> list[str]:
-    """Names of the abstractions that come with the package: those of their robots."""
+    """Names of the abstractions that come with the package: ROBOT, or ROBOT-NAME."""
     places = resources.files(__name__).iterdir()
     return sorted(place.name for place in places if place.joinpath("config.json").is_file())
 
@@ -50,7 +51,7 @@ def load_abstraction(
         raise InputError(f"learned abstractions need {error.name}: pip install 'hdsp[learning]'") from None
     folder = Path(str(resources.files(__name__).joinpath(str(source)))) if is_preset else Path(source)
     if robot is None and is_preset:
-        robot = str(source)
+        robot = str(source).partition("-")[0]
     return LearnedAbstraction.from_pretrained(folder, None if robot is None else Robot.load(robot), hardware)
 
 

@@ -22,8 +22,23 @@ YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
 GREY = "#8A8A8A"
 
 START, GOAL = BLUE, VERMILLION
-METHODS = {"learned": BLUE, "manual": ORANGE, "flat": GREY, "geometric": BLACK, "paper": "#FFFFFF"}
-NAMES = {"learned": "learned", "manual": "manually tuned", "flat": "flat ground", "geometric": "geometric"}
+METHODS = {
+    "learned": BLUE,
+    "pretrained": GREEN,
+    "pretrained-klamt2019": PURPLE,
+    "manual": ORANGE,
+    "flat": GREY,
+    "geometric": BLACK,
+    "paper": "#FFFFFF",
+}
+NAMES = {
+    "learned": "learned",
+    "pretrained": "shipped",
+    "pretrained-klamt2019": "paper's network",
+    "manual": "manually tuned",
+    "flat": "flat ground",
+    "geometric": "geometric",
+}
 FEET = (SKY, GREEN, YELLOW, PURPLE)
 
 UNKNOWN = "#F3D9E4"

@@ -19,15 +19,18 @@ REACH = 9
 POSES = 2 * REACH + 1
 #: Poses on the way to a goal, start and goal included.
 SAMPLES = 5
-#: Where the network looks for feet at the start, in cells from the base; what it sees there is wide, so that this need not
-#: be to the cell where the feet of a robot are. Signs of the four: (along x, along y).
+#: Where the network looks for feet at the start, in cells from the base; what it sees there is wide, so that this need
+#: not be to the cell where the feet of a robot are. Signs of the four: (along x, along y).
 FOOT_X, FOOT_Y = 13, 10
 FEET = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 #: Cells ahead of each foot and behind it where features and heights are read: how far feet reach, and a goal's way.
 LINE = tuple(range(-15, 16, 3))
 PROFILE = tuple(range(-18, 19, 3))
 LINE_RADIUS = 3
-SIDES = (slice(2 * LINE_RADIUS + 1), slice(-2 * LINE_RADIUS - 1, None))  # lines of the feet to the right, and to the left
+SIDES = (
+    slice(2 * LINE_RADIUS + 1),
+    slice(-2 * LINE_RADIUS - 1, None),
+)  # lines of the feet to the right, and to the left
 #: Radius in cells of the first convolution.
 NEAR_RADIUS = 2
 #: Radius in cells of the ground around each tap whose highest and lowest points are compared with that at the base.
