@@ -27,6 +27,7 @@ def model_card(
     figures: Mapping[str, Mapping[str, Any]],
     missing: Mapping[str, str],
     config: DictConfig,
+    name: str,
 ) -> str:
     """The card as Markdown.
 
@@ -38,9 +39,10 @@ def model_card(
             figures stand beside.
         missing: by set without data, why.
         config: says what training maps hold, and the recipe where the abstraction itself does not.
+        name: in the package.
     """
     parts = [
-        _head(robot),
+        _head(robot, name),
         _model(abstraction, precision),
         _data(abstraction, robot, config),
         _recipe(abstraction, config),
@@ -52,8 +54,9 @@ def model_card(
     return "\n\n".join(parts) + "\n"
 
 
-def _head(robot: Robot) -> str:
-    return f"""# The learned abstraction of {robot.name}
+def _head(robot: Robot, name: str) -> str:
+    source = "learned" if name == robot.name else f"learned:{name}"
+    return f"""# The learned abstraction {name}
 
 Written by `python -m pipeline.publish_model`; do not edit. Judges the 22 abstract actions of a hybrid
 driving-stepping robot from a height map around it: can it be done, and what does it cost? (Klamt & Behnke, ICRA 2019)
@@ -61,8 +64,8 @@ driving-stepping robot from a height map around it: can it be done, and what doe
 ```python
 import hdsp
 
-planner = hdsp.Planner(terrain, robot="{robot.name}", heuristic="learned")      # or, on its own:
-feasible, cost = hdsp.load_abstraction("{robot.name}").predict(patches, goals)
+planner = hdsp.Planner(terrain, robot="{robot.name}", heuristic="{source}")      # or, on its own:
+feasible, cost = hdsp.load_abstraction("{name}").predict(patches, goals)
 ```"""
 
 
@@ -129,6 +132,8 @@ def _recipe(abstraction: LearnedAbstraction, config: DictConfig) -> str:
     rows = [(f"`{key}`", str(value)) for key, value in flatten(recorded or config.trainer).items()]
     if "profile" in notes:
         rows.insert(0, ("`profile`", str(notes["profile"])))
+    if "epoch" in notes:
+        rows.insert(0, ("state", str(notes["epoch"])))
     return f"## Training recipe\n\nThe section `trainer` of the configuration, {source}.\n\n" + markdown(
         ("setting", "value"), rows
     )

@@ -2,6 +2,7 @@
 
     python -m pipeline.publish_model models/abstraction
 
+The folder of a training in progress (`models/training`) does too; its overrides say what is being trained.
 It is calibrated on the validation set and judged on every set of `evaluation.sets` as it will be loaded, after its
 weights were rounded. Writes `hdsp/pretrained/ROBOT/`, or ROBOT-NAME with `runtime.variant=NAME`. With overrides add
 `runtime.outputs=.`, or it lands in outputs/.
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 #: Bytes; larger weights are rounded to half floats.
 LARGEST = 4_000_000
+#: What a training in progress has in its folder.
+CHECKPOINT = "checkpoints/best.ckpt"
 #: Levels of the cost errors that the card states.
 ERROR_LEVELS = (0.5, 0.9, 0.99, 1.0)
 
@@ -42,8 +45,12 @@ def publish_model(config: DictConfig, folders: Folders, source: str) -> None:
     robot = Robot.load(plain(config.robot))
     hardware = settings_from(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
     hardware.apply_threads()
-    trained = LearnedAbstraction.from_pretrained(source, robot, hardware)
-    precision = "float16" if (Path(source) / "model.safetensors").stat().st_size > LARGEST else "float32"
+    if (Path(source) / CHECKPOINT).is_file():
+        trained = in_progress(Path(source), robot, config, folders)
+    else:
+        trained = LearnedAbstraction.from_pretrained(source, robot, hardware)
+    size = sum(value.nbytes for value in trained.network.state_dict().values())
+    precision = "float16" if size > LARGEST else "float32"
     with tempfile.TemporaryDirectory() as folder:
         trained.save_pretrained(Path(folder) / "model", precision)
         abstraction = LearnedAbstraction.from_pretrained(Path(folder) / "model", robot, hardware)
@@ -65,14 +72,36 @@ def publish_model(config: DictConfig, folders: Folders, source: str) -> None:
         if values[metric] is not None
     }
     variant = config.runtime.variant
-    target = folders.write("hdsp", "pretrained", robot.name + (f"-{variant}" if variant else ""))
-    card = model_card(abstraction, robot, precision, figures, missing, config)
+    name = robot.name + (f"-{variant}" if variant else "")
+    target = folders.write("hdsp", "pretrained", name)
+    card = model_card(abstraction, robot, precision, figures, missing, config, name)
     abstraction.save_pretrained(target, precision, beside={"README.md": card})
     size = (target / "model.safetensors").stat().st_size / 1e6
     print(f"{target}: {abstraction.model.architecture}, {precision}, {size:.2f} MB")
     for name, values in figures.items():
         error = "none" if values["cost_error"] is None else f"{values['cost_error']:.4f}"
         print(f"{name}: {100 * values['feasibility_accuracy']:.2f} %, cost error {error}, ECE {values['ece']:.4f}")
+
+
+def in_progress(source: Path, robot: Robot, config: DictConfig, folders: Folders) -> LearnedAbstraction:
+    """The best epoch so far of the training of `config.model` in a folder that holds checkpoints."""
+    import torch
+
+    from hdsp.learning import LearnedAbstraction, Provenance
+    from hdsp.learning.networks import ModelSettings, build_network
+    from hdsp.learning.settings import settings_from
+    from pipeline.train import folder_hash
+
+    model = settings_from(ModelSettings, plain(config.model), "model")
+    network = build_network(model)
+    state = torch.load(source / CHECKPOINT, map_location="cpu", weights_only=False)
+    prefix = "network."
+    network.load_state_dict({k.removeprefix(prefix): v for k, v in state["state_dict"].items() if k.startswith(prefix)})
+    hashes = [folder_hash(folders.read("data", "labels", name)) for name in config.trainer.splits]
+    epoch = f"epoch {state['epoch'] + 1} of {config.trainer.epochs}, the best of those done when it was published"
+    return LearnedAbstraction(
+        network, model, Provenance.of(robot, " ".join(hashes), profile=config.profile, epoch=epoch)
+    )
 
 
 def _validation(trainer: Mapping[str, Any], folders: Folders) -> TaskSet:
