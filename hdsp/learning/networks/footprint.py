@@ -27,10 +27,8 @@ FEET = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 LINE = tuple(range(-15, 16, 3))
 PROFILE = tuple(range(-18, 19, 3))
 LINE_RADIUS = 3
-SIDES = (
-    slice(2 * LINE_RADIUS + 1),
-    slice(-2 * LINE_RADIUS - 1, None),
-)  # lines of the feet to the right, and to the left
+#: Of the rows between the two lines on which feet stand: those around the right one, and around the left one.
+SIDES = (slice(2 * LINE_RADIUS + 1), slice(-2 * LINE_RADIUS - 1, None))
 #: Radius in cells of the first convolution.
 NEAR_RADIUS = 2
 #: Radius in cells of the ground around each tap whose highest and lowest points are compared with that at the base.
@@ -92,9 +90,8 @@ class Footprint(TaskNetwork):
         if "height" not in names:
             raise InputError(f"model.encoding.channels: {list(names)} lacks height, which the footprint network needs")
         # The trunk sees differences; the height itself only where there is nothing else.
-        self.trunk_channels = [i for i, c in enumerate(names) if c not in ("height", "unevenness")] or [
-            names.index("height")
-        ]
+        self.trunk_channels = [i for i, c in enumerate(names) if c not in ("height", "unevenness")]
+        self.trunk_channels = self.trunk_channels or [names.index("height")]
         self.ground_channels = 3 if "unevenness" in names else 2
         self.options = options
         self.near = nn.Sequential(nn.Conv2d(len(self.trunk_channels), width, 2 * NEAR_RADIUS + 1), nn.ReLU())
