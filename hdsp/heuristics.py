@@ -68,6 +68,10 @@ class Heuristic(ABC):
             raise InputError(f"{self.name} heuristic: call set_goal first")
         return _estimates(self._estimate, pack_states(states, self.world.tables.lowest))
 
+    def forget(self) -> None:
+        """Drop what was computed for the last goal; it has to be set again."""
+        self._estimate = None
+
     def update(self, world: World, terrain: HeightMap, region: Region | None = None) -> None:
         """Take over a changed terrain; the goal has to be set again.
 
@@ -130,6 +134,10 @@ class AbstractHeuristic(Heuristic):
         if self._footing is None:
             self._footing = find_footing(self.world, Rules(), least_foot_cost(self.world))
         return self._footing
+
+    def forget(self) -> None:
+        super().forget()
+        self._reached = None
 
     def prepare(self) -> None:
         """Compute what the heuristic needs of the whole map, whatever the goal."""

@@ -188,6 +188,12 @@ class Planner:
             self.heuristic.prepare()
         return self
 
+    def forget(self) -> None:
+        """Drop what earlier questions left behind: poses that were looked at, costs-to-go of the last goal. What holds
+        for the whole map stays. For measurements: the next question takes as long as a first one."""
+        self.world.base[:] = 0
+        self.heuristic.forget()
+
     def valid(self, pose) -> bool:
         """Whether the robot can stand at a world pose (x, y, theta) with some feet, or in a state of 7 values.
 
