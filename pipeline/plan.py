@@ -126,8 +126,8 @@ def prepare(
 def timed(planner: Planner, start: Pose, goal: Pose, weight: float, section: DictConfig) -> tuple[Plan, float]:
     """A plan, and the seconds it took from the question on; the median of several runs where they are short.
 
-    Each run is as the first question on a new map: what earlier ones left is forgotten, so that it includes the Dijkstra
-    search to its goal.
+    Each run is as the first question on a new map: what earlier ones left is forgotten, so that it includes the
+    Dijkstra search to its goal.
     """
     times: list[float] = []
     while True:
