@@ -222,10 +222,11 @@ def best_to_show(runs: list[dict[str, Any]]) -> tuple[str, str, float]:
 
 
 def series_to_show(runs: list[dict[str, Any]], weight: float = 1.25) -> tuple[str, float]:
-    """Heuristic and weight for the picture of all paths: the last heuristic (learned) and the weight nearest to the
-    paper's."""
-    last = runs[-1]["heuristic"]
-    return last, min((run["weight"] for run in runs if run["heuristic"] == last), key=lambda w: abs(w - weight))
+    """Heuristic and weight for the picture of all paths: the learned one, or else the last, and the weight nearest to
+    the paper's."""
+    names = [run["heuristic"] for run in runs]
+    chosen = "learned" if "learned" in names else names[-1]
+    return chosen, min((run["weight"] for run in runs if run["heuristic"] == chosen), key=lambda w: abs(w - weight))
 
 
 if __name__ == "__main__":
