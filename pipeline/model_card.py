@@ -101,13 +101,17 @@ def _data(abstraction: LearnedAbstraction, robot: Robot, config: DictConfig) -> 
     if "maps" in notes:
         rows.append(("training maps", f"{notes['maps']:,} with 22 tasks each"))
     data = _data_notes(abstraction, config)
-    rows += [(f"random maps `{name}`", _inline(split)) for name, split in data["splits"].items()]
+    rows += [
+        (f"{'scanned courses' if name in _scanned(data) else 'random maps'} `{name}`", _inline(split))
+        for name, split in data["splits"].items()
+    ]
     rows.append(("contents of a map", _inline(data["terrain"])))
     if _sensed(data):
         rows.append(("maps as sensors see them", _inline(data["sensing"])))
     return (
-        "## Training data\n\nRandom height maps (`hdsp/terrain.py`, `hdsp/sensing.py`), labelled by the optimal "
-        "detailed planner. Maps where the robot cannot stand are dropped.\n\n" + markdown(("what", "value"), rows)
+        "## Training data\n\nRandom height maps (`hdsp/terrain.py`, `hdsp/sensing.py`), and patches of simulated scans "
+        "where listed (`hdsp/simulation/patches.py`), labelled by the optimal detailed planner. Maps where the robot "
+        "cannot stand are dropped.\n\n" + markdown(("what", "value"), rows)
     )
 
 
@@ -123,6 +127,11 @@ def _data_notes(abstraction: LearnedAbstraction, config: DictConfig) -> dict[str
 def _sensed(data: Mapping[str, Any]) -> list[str]:
     """The splits whose maps are such as sensors see them."""
     return [name for name, split in data["splits"].items() if split.get("sensing")]
+
+
+def _scanned(data: Mapping[str, Any]) -> list[str]:
+    """The splits whose maps are patches of simulated scans."""
+    return [name for name, split in data["splits"].items() if "courses" in split]
 
 
 def _recipe(abstraction: LearnedAbstraction, config: DictConfig) -> str:
@@ -204,16 +213,21 @@ def _limits(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, 
     data = _data_notes(abstraction, config)
     terrain = data["terrain"]
     highest = max(_largest(value) for key, value in terrain.items() if key.endswith(("height", "rise")))
-    kinds = dict.fromkeys(kind for split in data["splits"].values() for kind in split.get("categories", CATEGORIES))
-    sensed = _sensed(data)
+    scanned, sensed = _scanned(data), _sensed(data)
+    random_maps = [split for name, split in data["splits"].items() if name not in scanned]
+    kinds = dict.fromkeys(kind for split in random_maps for kind in split.get("categories", CATEGORIES))
     lines += [
-        f"- Trained on these kinds of random terrain alone: {', '.join(kinds)}. It never saw round or soft things, "
-        f"stairs of more than {_largest(terrain['staircase_steps']):g} steps, or anything higher than {highest:g} m.",
+        f"- Trained on these kinds of random terrain{'' if scanned else ' alone'}: {', '.join(kinds)}. It never "
+        f"saw round or soft things, stairs of more than {_largest(terrain['staircase_steps']):g} steps, "
+        f"or anything higher than {highest:g} m.",
         f"- Noise, unknown cells and rounded edges, as sensors make them, it saw in the maps of {', '.join(sensed)}, "
         "by a model of them and not by a sensor."
         if sensed
         else "- It never saw what sensors do to maps: noise, unknown cells, rounded edges.",
-        "- The figures of `simulated` and `real` show what it makes of scans.",
+        "- It saw simulated scans of courses such as those of the set `simulated`, of other seeds "
+        f"({', '.join(scanned)}): only the figures of `real` show what it makes of scans of another kind."
+        if scanned
+        else "- The figures of `simulated` and `real` show what it makes of scans.",
         f"- Holds for this robot with these constants and cost model version {COST_MODEL_VERSION}; loading it for "
         "another one is an error. The labels are the planner's, which no robot has driven.",
         "- A heuristic may be wrong without harm to validity: every plan is made of actions that the detailed planner "

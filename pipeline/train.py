@@ -103,8 +103,9 @@ def notes(config: DictConfig, tasks: TaskSet | list[Path]) -> dict[str, Any]:
 
 def data_notes(config: DictConfig, splits: Sequence[str]) -> dict[str, Any]:
     """What training maps hold."""
+    known = {**config.labelling.splits, **config.simulation.splits}
     return {
-        "splits": {name: plain(config.labelling.splits[name]) for name in splits},
+        "splits": {name: plain(known[name]) for name in splits},
         "sensing": plain(config.labelling.sensing),
         "terrain": plain(config.terrain),
     }

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -43,7 +43,8 @@ class PatchSettings:
     Attributes:
         seed: of the courses, their scans and the choice of places.
         courses: how many.
-        patches_per_course: how many at most; a place where no start is valid gives none.
+        patches_per_course: how many at most; a place where no start is valid gives none, another one several where
+            there are fewer places than that.
         heading_residues: abstract headings within a quarter turn, [0, 4), that starts have in turn; 0: only multiples
             of 90 degrees, at which all goals lie on the grid of the abstract states.
 
@@ -83,6 +84,10 @@ class PatchRun:
     def hash(self) -> str:
         return hashlib.sha256(json.dumps(self.inputs(), sort_keys=True).encode()).hexdigest()
 
+    def course_hash(self) -> str:
+        """Hash of what one course depends on: all but how many there are."""
+        return replace(self, patches=replace(self.patches, courses=1)).hash()
+
 
 class Patch(NamedTuple):
     """A place of a course, the start chosen near it (x, y in m; detailed heading), and its labels."""
@@ -101,19 +106,23 @@ class ScannedCourse(NamedTuple):
     patches: list[Patch]
 
 
-def simulated_courses(run: PatchRun, cluster: ClusterSettings | None = None) -> Iterator[ScannedCourse]:
-    """All courses in order, scanned, cut and labelled.
+def simulated_courses(
+    run: PatchRun, cluster: ClusterSettings | None = None, numbers: Sequence[int] | None = None
+) -> Iterator[ScannedCourse]:
+    """Courses in order, scanned, cut and labelled.
 
     Args:
         run: what they are.
         cluster: which processes do the work; None = this one.
+        numbers: which of them; None = all.
 
     Raises:
         InputError: if MuJoCo is missing, or a worker was killed.
     """
+    numbers = range(run.patches.courses) if numbers is None else numbers
     # The first one here: it fills the cache of compiled kernels before several processes read it.
-    yield scan_course(run, 0)
-    rest = range(1, run.patches.courses)
+    yield from (scan_course(run, index) for index in numbers[:1])
+    rest = numbers[1:]
     if cluster is None or cluster.processes(len(rest)) == 1:
         yield from (scan_course(run, index) for index in rest)
         return
@@ -130,7 +139,7 @@ def scan_course(run: PatchRun, index: int) -> ScannedCourse:
     random = np.random.default_rng(np.random.SeedSequence([run.patches.seed, index, 1]))
     found: list[Patch] = []
     taken: list[tuple[float, float, int]] = []
-    for place in _mixed(course.places, random):
+    for place in _visits(course.places, random, found):
         if len(found) == run.patches.patches_per_course:
             break
         residue = run.patches.heading_residues[len(found) % len(run.patches.heading_residues)]
@@ -163,6 +172,14 @@ def task_set(run: PatchRun, courses: list[ScannedCourse]) -> TaskSet:
         heading=np.array([patch.start[2] % _QUARTER for _, patch in rows]),
         seed=np.full(len(rows), run.patches.seed),
     )
+
+
+def _visits(places: tuple[Place, ...], random: np.random.Generator, found: list[Patch]) -> Iterator[Place]:
+    """All places once, and again as long as a round adds to what is found."""
+    before = -1
+    while len(found) > before:
+        before = len(found)
+        yield from _mixed(places, random)
 
 
 def _mixed(places: tuple[Place, ...], random: np.random.Generator) -> list[Place]:

@@ -20,6 +20,7 @@ CHANGED = {
     "no_mirror": {"trainer.mirror"},
     "no_residues": {"trainer.residues", "trainer.share"},
     "no_sensed": {"trainer.splits", "trainer.share"},
+    "no_courses": {"trainer.splits", "trainer.share"},
     "half_maps": {"trainer.share"},
     "twice_maps": {"trainer.share"},
     "no_ema": {"trainer.ema"},

@@ -7,11 +7,13 @@ import sys
 import numpy as np
 import pytest
 
+from hdsp.errors import InputError
 from hdsp.heightmap import HeightMap
 from hdsp.shards import read_shard
 from pipeline.config import compose
 from pipeline.data import read_set
 from pipeline.scan_arena import PICTURES, scan_arena
+from pipeline.scan_courses import scan_courses
 from pipeline.stage import Folders
 from tests.pipeline.conftest import run_python, tiny
 
@@ -32,6 +34,30 @@ def test_the_stage_writes_maps_patches_report_and_pictures(tmp_path):
     assert list(report["arena"]["valid"]) == ["I", "II", "III", "IV", "V", "VI", "VII"]
     for picture in PICTURES:
         assert (tmp_path / "reports/figures" / picture).read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="needs MuJoCo")
+def test_courses_to_learn_from_are_shards_that_stay_where_they_hold(tmp_path):
+    folder = tmp_path / "data/labels/courses"
+    folder.mkdir(parents=True)
+    (folder / "00000-0123456789ab.h5").write_bytes(b"of another code")
+    run_python("pipeline.scan_courses", "courses", *tiny(tmp_path))
+    (path,) = folder.iterdir()
+    written = path.stat().st_mtime_ns
+    tasks, _ = read_shard(path)
+    assert 10 < len(tasks) <= 20 and set(tasks.index) == {0}
+    assert "simulated" not in {entry.name for entry in (tmp_path / "data").iterdir()}
+    run_python("pipeline.scan_courses", "courses", *tiny(tmp_path), "simulation.splits.courses.courses=2")
+    assert path.stat().st_mtime_ns == written, "more courses leave those that are there as they are"
+    assert len(list(folder.iterdir())) == 2
+    path.write_bytes(path.read_bytes()[:-9])
+    run_python("pipeline.scan_courses", "courses", *tiny(tmp_path))
+    assert [shard.name for shard in folder.iterdir()] == [path.name] and len(read_shard(path).tasks) == len(tasks)
+
+
+def test_an_unknown_split_of_courses_is_named(tmp_path):
+    with pytest.raises(InputError, match="unknown split 'lawn'"):
+        scan_courses(compose(["profile=tiny"]), Folders(tmp_path, tmp_path), "lawn")
 
 
 def test_without_mujoco_the_stage_says_so_and_later_stages_go_without(tmp_path, monkeypatch):

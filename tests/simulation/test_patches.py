@@ -1,5 +1,7 @@
 """Random courses and the patches that are cut from their scans."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,5 +52,11 @@ def test_patches_are_cut_from_the_scan_and_labelled():
     for patch, heights in zip(course.patches, tasks.heights, strict=True):
         cell = np.floor(np.array(patch.start[:2]) / 0.025).astype(int)
         np.testing.assert_array_equal(course.terrain.crop_cells(*cell, patch.start[2]).heights, heights)
+    more = replace(run, patches=replace(run.patches, courses=2, patches_per_course=30))
+    (again,) = simulated_courses(more, numbers=[0])
+    assert len(again.course.places) < len(again.patches) <= 30, "places give several"
+    assert [patch.start for patch in again.patches[:4]] == [patch.start for patch in course.patches]
+    longer = replace(more, patches=replace(more.patches, courses=7))
+    assert longer.course_hash() == more.course_hash() != run.course_hash()
     assert run.hash() != PatchRun(PatchSettings(2, 1, 4), run.courses, lidar, run.robot, labels).hash()
     assert len(task_set(run, [])) == 0

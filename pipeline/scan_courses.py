@@ -1,0 +1,77 @@
+"""`python -m pipeline.scan_courses SPLIT`: labelled patches of scanned random courses to learn from, in shards.
+
+The splits are those of `simulation.splits`. A shard holds the patches of a course; those that are there and still hold
+stay, so that an interrupted run goes on, and more courses add shards.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from hdsp.errors import InputError
+from pipeline.config import plain, settings
+from pipeline.stage import Folders, run_stage
+
+
+def scan_courses(config: DictConfig, folders: Folders, split: str) -> None:
+    from tqdm import tqdm
+
+    from hdsp.labelling import LabelSettings
+    from hdsp.robot import Robot
+    from hdsp.shards import SUFFIX, write_shard
+    from hdsp.simulation.courses import CourseSettings
+    from hdsp.simulation.lidar import Lidar
+    from hdsp.simulation.patches import PatchRun, PatchSettings, simulated_courses, task_set
+    from hdsp.workers import ClusterSettings
+
+    splits = config.simulation.splits
+    if split not in splits:
+        raise InputError(f"unknown split {split!r}; simulation.splits has {', '.join(splits) or 'none'}")
+    run = PatchRun(
+        settings(PatchSettings, splits[split], f"simulation.splits.{split}"),
+        settings(CourseSettings, config.simulation.courses, "simulation.courses"),
+        settings(Lidar, config.simulation.lidar, "simulation.lidar"),
+        Robot.load(plain(config.robot)),
+        settings(LabelSettings, config.labelling.settings, "labelling.settings"),
+    )
+    digest = run.course_hash()
+    paths = {
+        index: folders.write("data", "labels", split, f"{index:05d}-{digest[:12]}{SUFFIX}")
+        for index in range(run.patches.courses)
+    }
+    _remove_others(set(paths.values()), folders.write("data", "labels", split, "shard").parent)
+    missing = [index for index, path in paths.items() if not _is_valid(path, digest)]
+    runtime = config.runtime
+    cluster = ClusterSettings(runtime.workers, dashboard=runtime.dashboard, memory=runtime.memory)
+    maps = 0
+    with tqdm(total=len(missing), desc=f"{split}: courses", disable=not runtime.progress) as bar:
+        for course in simulated_courses(run, cluster, missing):
+            tasks = task_set(run, [course])
+            write_shard(paths[course.index], tasks, {"labels_hash": digest, "maps": len(tasks)})
+            maps += len(tasks)
+            bar.set_postfix(patches=maps)
+            bar.update()
+
+
+def _is_valid(path: Path, digest: str) -> bool:
+    from hdsp.shards import read_shard
+
+    try:
+        return read_shard(path).attributes.get("labels_hash") == digest
+    except InputError:
+        return False
+
+
+def _remove_others(wanted: set[Path], folder: Path) -> None:
+    """Shards of courses that are no longer part of the split, or made otherwise."""
+    from hdsp.shards import SUFFIX
+
+    for path in folder.glob(f"*-*{SUFFIX}"):
+        if path not in wanted:
+            path.unlink()
+
+
+if __name__ == "__main__":
+    run_stage(scan_courses, "scan_courses", positional=["split"])
