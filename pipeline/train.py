@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import math
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -36,7 +37,7 @@ def train(config: DictConfig, folders: Folders) -> None:
     chosen = {role: config.trainer.get(role) or [default] for role, default in ROLES.items()}
     splits = {name: folders.read("data", "labels", name) for names in chosen.values() for name in names}
     learnt, deciding = ([splits[name] for name in names] for names in chosen.values())
-    train_tasks = learnt if config.trainer.get("stream") else part_of(_required(learnt), config.trainer)
+    train_tasks = learnt if config.trainer.get("stream") else part_of(learnt, config.trainer)
     val_tasks = _required(deciding)
     sets = {"val": val_tasks}
     for name in config.evaluation.watched:
@@ -111,19 +112,34 @@ def data_notes(config: DictConfig, splits: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def part_of(tasks: TaskSet, trainer: Mapping[str, Any]) -> TaskSet:
-    """The maps that `trainer.share` and `trainer.residues` leave; a function of these alone.
+def part_of(folders: Sequence[Path], trainer: Mapping[str, Any]) -> TaskSet:
+    """The maps of splits that `trainer.share` and `trainer.residues` leave; a function of these and the labels alone.
+
+    Only as many shards are read as hold that share; a shard is a sample of its split.
 
     Raises:
-        InputError: if none is left.
+        InputError: if a split is not there, or no map is left.
     """
     import numpy as np
 
     from hdsp.lattice import HEADINGS, HEADINGS_PER_ABSTRACT
+    from hdsp.shards import read_tasks, shard_paths
+    from hdsp.tasks import TaskSet
 
+    share = trainer.get("share", 1.0)
+    if share == 1:
+        tasks = _required(folders)
+    else:
+        parts, random = [], np.random.default_rng(0)
+        for folder in folders:
+            shards = shard_paths(folder) if folder.is_dir() else []
+            wanted = share * len(shards)
+            read = [read_tasks(shards[k]) for k in sorted(random.permutation(len(shards))[: math.ceil(wanted)])]
+            found = TaskSet.concatenate(read) if read else _required([folder])
+            left = round(len(found) * wanted / max(len(read), 1))
+            parts.append(found[np.sort(random.permutation(len(found))[:left])])
+        tasks = TaskSet.concatenate(parts)
     kept = np.ones(len(tasks), bool)
-    if (share := trainer.get("share", 1.0)) < 1:
-        kept[np.random.default_rng(0).permutation(len(tasks))[round(share * len(tasks)) :]] = False
     if (residues := trainer.get("residues")) is not None:
         kept &= np.isin(tasks.heading % (HEADINGS // 4), HEADINGS_PER_ABSTRACT * np.array(residues, int))
     if not kept.any():
@@ -151,7 +167,7 @@ def write_history(path: Path, rows: list[dict[str, Any]]) -> None:
         writer.writerows(rows)
 
 
-def _required(paths: list[Path]) -> TaskSet:
+def _required(paths: Sequence[Path]) -> TaskSet:
     """The tasks of several splits as one set."""
     from hdsp.tasks import TaskSet
 

@@ -8,6 +8,7 @@ import pytest
 from hdsp.errors import InputError
 from hdsp.learning.settings import settings_from
 from hdsp.learning.training import TrainingConfig
+from hdsp.shards import write_shard
 from pipeline.compare import SECTIONS, differences
 from pipeline.config import CONF, compose, flatten, plain
 from pipeline.train import part_of
@@ -53,13 +54,21 @@ def test_an_ablation_differs_in_what_its_name_says(name, base):
         assert different == CHANGED[name]
 
 
-def test_a_part_of_the_maps_is_the_same_every_time_and_as_large_as_said():
-    tasks = random_tasks(40)
-    half = part_of(tasks, {"share": 0.5})
-    assert len(half) == 20
-    np.testing.assert_array_equal(half.heights, part_of(tasks, {"share": 0.5}).heights)
-    assert part_of(tasks, {}) is tasks
-    straight = part_of(tasks, {"residues": [0]})
+def test_a_part_of_the_maps_is_the_same_every_time_and_as_large_as_said(tmp_path):
+    folders, tasks = [tmp_path / "a", tmp_path / "b"], random_tasks(50)
+    for number, shard in enumerate([tasks[:10], tasks[10:20], tasks[20:30], tasks[30:40]]):
+        write_shard(folders[0] / f"{number}.h5", shard, {"labels_hash": "0" * 64, "maps": 10})
+    write_shard(folders[1] / "0.h5", tasks[40:], {"labels_hash": "0" * 64, "maps": 10})
+    half = part_of(folders, {"share": 0.5})
+    assert len(half) == 25
+    seen = {heights.tobytes() for heights in half.heights}
+    assert len(seen) == 25 and seen < {heights.tobytes() for heights in tasks.heights}, "each once"
+    np.testing.assert_array_equal(half.heights, part_of(folders, {"share": 0.5}).heights)
+    assert len(part_of(folders, {"share": 0.3})) == 12 + 3
+    np.testing.assert_array_equal(part_of(folders, {}).heights, tasks.heights)
+    straight = part_of(folders, {"residues": [0]})
     assert len(straight) == (tasks.heading % 16 == 0).sum()
-    with pytest.raises(InputError, match="no map is left of 40"):
-        part_of(tasks, {"residues": []})
+    with pytest.raises(InputError, match="no map is left of 50"):
+        part_of(folders, {"residues": []})
+    with pytest.raises(InputError, match="nowhere is not there yet"):
+        part_of([folders[0], tmp_path / "nowhere"], {"share": 0.5})
