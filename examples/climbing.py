@@ -18,7 +18,7 @@ import numpy as np
 
 from hdsp import HeightMap, Planner
 from hdsp.lattice import RESOLUTION, Grid
-from hdsp.planner import Plan
+from hdsp.plan import Plan
 from hdsp.terrain import Block, Scene
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"

@@ -15,7 +15,8 @@ from hdsp.detailed.motion import Motion
 from hdsp.detailed.solve import Status
 from hdsp.errors import InputError, RefinementError
 from hdsp.heightmap import HeightMap
-from hdsp.planner import Plan, Planner
+from hdsp.plan import Plan
+from hdsp.planner import Planner
 from hdsp.pretrained import load_abstraction
 from hdsp.robot import Robot
 from hdsp.shards import read_tasks

@@ -19,7 +19,8 @@ from pipeline.stage import Folders, read_json, run_stage, write_json
 if TYPE_CHECKING:
     from hdsp.arena import Arena
     from hdsp.heightmap import HeightMap
-    from hdsp.planner import Plan, Planner
+    from hdsp.plan import Plan
+    from hdsp.planner import Planner
 
 Pose = tuple[float, float, float]
 Tasks = dict[str, tuple[Pose, Pose]]

@@ -10,7 +10,7 @@ from hdsp.detailed.solve import Status
 from hdsp.robot import FEET
 
 if TYPE_CHECKING:
-    from hdsp.planner import Plan
+    from hdsp.plan import Plan
 
 #: How the kinds of action are summed up; in the order in which they are told.
 _KINDS = {

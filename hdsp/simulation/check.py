@@ -22,7 +22,7 @@ from hdsp.robot import FEET, Robot
 from hdsp.terrain import Block, Ramp
 
 if TYPE_CHECKING:
-    from hdsp.planner import Plan
+    from hdsp.plan import Plan
 
 #: A foot is a disc of this radius, m.
 FOOT_RADIUS = 0.05

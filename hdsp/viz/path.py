@@ -32,7 +32,7 @@ from hdsp.viz.style import (
 )
 
 if TYPE_CHECKING:
-    from hdsp.planner import Plan
+    from hdsp.plan import Plan
 
 _TRACKS = (VERMILLION, BLUE, GREEN, PURPLE, ORANGE, SKY, BLACK)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-import hdsp.planner
+import hdsp.plan
 from hdsp import Planner, RefinementError, Status
 from hdsp.detailed.refine import ban, last_step
 from hdsp.detailed.state_costs import foot_row
@@ -26,7 +26,7 @@ def steps_of(plan):
 
 def refusing(refused_steps, monkeypatch):
     """Lets refinement refuse certain steps, and counts how often it was asked."""
-    refine, asked = hdsp.planner.refine, []
+    refine, asked = hdsp.plan.refine, []
 
     def strict(terrain, robot, states, actions):
         asked.append(actions)
@@ -35,7 +35,7 @@ def refusing(refused_steps, monkeypatch):
                 raise RefinementError(k, f"{action} cannot be carried out: the test says so")
         return refine(terrain, robot, states, actions)
 
-    monkeypatch.setattr(hdsp.planner, "refine", strict)
+    monkeypatch.setattr(hdsp.plan, "refine", strict)
     return asked
 
 
@@ -62,7 +62,7 @@ def test_what_cannot_be_carried_out_without_a_step_to_blame_is_an_error(planner,
     def refuse(*_):
         raise RefinementError(0, "drive cannot be carried out")
 
-    monkeypatch.setattr(hdsp.planner, "refine", refuse)
+    monkeypatch.setattr(hdsp.plan, "refine", refuse)
     with pytest.raises(RefinementError, match="drive"):
         planner.plan(START, GOAL, weight=2, refinable=True)
 
