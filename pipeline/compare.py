@@ -23,7 +23,7 @@ from hdsp.errors import InputError
 from pipeline.config import CONF, compose, flatten, plain
 from pipeline.report import put_between_markers
 from pipeline.stage import Folders, read_json, run_stage, write_json
-from pipeline.tables import EMPTY, markdown
+from pipeline.tables import EMPTY, markdown, percent
 
 PAGE = "architectures.md"
 #: Sections of the configuration in which experiments may differ.
@@ -215,7 +215,7 @@ def sets_of(runs: Mapping[str, Mapping[str, Any]]) -> list[str]:
 def quality(run: Mapping[str, Any], of: str) -> str:
     """Feasibility accuracy and cost error on a set."""
     accuracy, error = (run[key].get(of) for key in QUALITY)
-    return EMPTY if accuracy is None or error is None else f"{100 * accuracy:.2f} % / {error:.4f}"
+    return EMPTY if accuracy is None or error is None else f"{percent(accuracy)} / {error:.4f}"
 
 
 def change(run: Mapping[str, Any], base: Mapping[str, Any], of: str) -> str:

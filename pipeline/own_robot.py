@@ -24,7 +24,7 @@ from pipeline.label import label
 from pipeline.plan import plan
 from pipeline.report import put_between_markers
 from pipeline.stage import Folders, read_json, run_stage
-from pipeline.tables import markdown
+from pipeline.tables import markdown, percent
 from pipeline.train import train
 
 PAGE = Path("docs/own-robot.md")
@@ -33,8 +33,7 @@ BEGIN, END = "<!-- written by pipeline.own_robot: begin -->", "<!-- written by p
 
 def own_robot(config: DictConfig, folders: Folders) -> None:
     robot = Robot.load(plain(config.robot))
-    place = Path(config.runtime.outputs or f"outputs/robots/{robot.name}")
-    folders = Folders(place, place)
+    folders = Folders(folders.outputs, folders.outputs)  # what a stage writes, the next one reads
     for split in (*config.trainer.splits, *config.trainer.val_splits, "random"):
         label(config, folders, split)
     train(config, folders)
@@ -50,6 +49,11 @@ def own_robot(config: DictConfig, folders: Folders) -> None:
         put_between_markers(PAGE, f"{text}\n![A path of {robot.name}](figures/{picture.name})\n", BEGIN, END)
 
 
+def place(config: DictConfig) -> str:
+    """The folder of this robot, where a second call finds what the first one did."""
+    return f"outputs/robots/{Robot.load(plain(config.robot)).name}"
+
+
 def read_reports(folders: Folders) -> dict[str, Any]:
     names = ("training", "abstraction_quality", "planning")
     return {name: read_json(folders.read("reports", f"{name}.json")) for name in names}
@@ -62,7 +66,7 @@ def section(robot: Robot, profile: str, reports: dict[str, Any]) -> str:
     if not random["available"]:
         raise InputError(f"own robot: no random set: {random['reason']}")
     quality = [
-        (method, f"{100 * values['feasibility_accuracy']:.2f} %", _digits(values["cost_error"]))
+        (method, percent(values["feasibility_accuracy"]), _digits(values["cost_error"]))
         for method, values in random["methods"].items()
     ]
     runs = [
@@ -89,4 +93,4 @@ def _digits(value: float | None) -> str:
 
 
 if __name__ == "__main__":
-    run_stage(own_robot, "own_robot")
+    run_stage(own_robot, "own_robot", place=place)

@@ -20,7 +20,7 @@ from pipeline.compare import PAGE, markers
 from pipeline.config import compose
 from pipeline.report import put_between_markers
 from pipeline.stage import Folders, read_json, run_stage, write_json
-from pipeline.tables import markdown
+from pipeline.tables import markdown, percent
 
 RUN = ("outputs", "paper")
 #: Where a training in progress keeps its history, and where a finished one has left it.
@@ -79,7 +79,7 @@ def table(ours: Sequence[Mapping[str, Any]], theirs: Sequence[Mapping[str, Any]]
         return min(rows, key=lambda row: 1 - row[accuracy] + row[error])
 
     def shown(row, suffix=""):
-        return f"{row[f'feasibility_accuracy{suffix}']:.2%} / {row[f'cost_error{suffix}']:.4f}"
+        return f"{percent(row[f'feasibility_accuracy{suffix}'])} / {row[f'cost_error{suffix}']:.4f}"
 
     sets = sorted(name.partition("/")[2] for name in ours[0] if name.startswith("cost_error/"))
     chosen, published = best(ours, "feasibility_accuracy/val", "cost_error/val"), best(theirs, *METRICS)

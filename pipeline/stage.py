@@ -47,11 +47,13 @@ def run_stage(
     name: str,
     positional: Sequence[str] = (),
     sweep_context: Callable[[Sequence[str]], contextlib.AbstractContextManager] | None = None,
+    place: Callable[[DictConfig], str] | None = None,
 ) -> None:
     """Run `stage(config, folders, *positional)` with the configuration that the command line asks for.
 
     Without overrides the configuration is params.yaml and outputs go where dvc.yaml expects them. With Hydra overrides
     it is composed from conf/, and outputs go to a new folder under outputs/, so that what DVC tracks stays as it is.
+    A stage that gives a `place` has its outputs there in both cases, unless `runtime.outputs` names another folder.
     With `-m` (only where `sweep_context` is given) Hydra runs every combination of the choices, inside that context.
     Bad input ends the process with one line and exit status 1.
     """
@@ -65,7 +67,7 @@ def run_stage(
                 _sweep(stage, name, arguments, overrides)
         else:
             config = compose(overrides) if overrides else read_params()
-            stage(config, _folders(config, name, bool(overrides)), *arguments)
+            stage(config, _folders(config, name, bool(overrides), place), *arguments)
     except InputError as error:
         sys.exit(f"error: {error}")
 
@@ -116,9 +118,13 @@ def _parse(argv: Sequence[str], name: str, positional: Sequence[str], sweepable:
     return arguments, overrides, sweep
 
 
-def _folders(config: DictConfig, name: str, has_overrides: bool) -> Folders:
+def _folders(
+    config: DictConfig, name: str, has_overrides: bool, place: Callable[[DictConfig], str] | None = None
+) -> Folders:
     outputs = config.runtime.outputs
-    if outputs is None:
+    if outputs is None and place is not None:
+        outputs = place(config)
+    elif outputs is None:
         outputs = f"outputs/{name}/{datetime.now():%Y-%m-%d_%H-%M-%S}" if has_overrides else "."
     if has_overrides:
         print(f"writing to {outputs}", file=sys.stderr)

@@ -51,7 +51,7 @@ def abstraction_quality_table(quality: Mapping[str, Any], training: Mapping[str,
     for method in methods:
         label = METHOD_NAMES.get(method, method)
         rows += [
-            _row(f"feasibility correct, {label}", columns, (method, "feasibility_accuracy"), _percent),
+            _row(f"feasibility correct, {label}", columns, (method, "feasibility_accuracy"), percent),
             _row(f"mean abstract cost, {label}", columns, (method, "abstract_cost_mean"), _cost),
             _row(f"mean cost error, {label}", columns, (method, "cost_error"), _cost),
         ]
@@ -180,7 +180,8 @@ def _known(value: float | None) -> bool:
     return value is not None and math.isfinite(value)
 
 
-def _percent(value: float | None) -> str:
+def percent(value: float | None) -> str:
+    """A share as it stands in all tables."""
     return f"{100 * value:.2f} %" if value is not None and _known(value) else EMPTY
 
 

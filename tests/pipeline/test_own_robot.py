@@ -1,12 +1,15 @@
 """Another robot: what its page says of the reports, and that its preset is one that labels can be made for."""
 
 import json
+import sys
+from pathlib import Path
 
 import pytest
 
 from hdsp import HeightMap, Planner, Robot
 from hdsp.labelling import LabelSettings, label_map
-from pipeline.own_robot import BEGIN, END, PAGE, section
+from pipeline.own_robot import BEGIN, END, PAGE, place, section
+from pipeline.stage import run_stage
 from tests.pipeline.conftest import ROOT
 
 
@@ -25,6 +28,14 @@ def test_the_page_has_a_row_for_each_abstraction_and_each_search():
 def test_the_page_has_the_markers():
     page = (ROOT / PAGE).read_text()
     assert page.index(BEGIN) < page.index(END)
+
+
+def test_it_writes_where_it_says(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["own_robot", "robot=anymal_wheels", "profile=own_robot"])
+    written = []
+    run_stage(lambda config, folders: written.append(folders.outputs), "own_robot", place=place)
+    assert written == [Path("outputs/robots/anymal_wheels")]
+    assert capsys.readouterr().err == "writing to outputs/robots/anymal_wheels\n"
 
 
 def test_on_flat_ground_the_robot_can_do_every_task_and_driving_sideways_is_dear():

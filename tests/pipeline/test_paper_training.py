@@ -26,7 +26,7 @@ def test_the_best_epoch_is_chosen_by_validation(tmp_path):
     history.write_text(HEADER + "0,0.9,0.05,0.99,0.01\n1,0.95,0.03,0.94,0.02\n")
     text = table(read_history(history), read_published(), 100)
     assert "ours, random" in text
-    assert "| 2          | 94.00% / 0.0200" in text
+    assert "| 2          | 94.00 % / 0.0200" in text
     assert "2 of 100 epochs" in text
 
 
@@ -40,7 +40,7 @@ def test_page_report_and_picture(tmp_path):
     assert json.loads((tmp_path / "reports/klamt2019.json").read_text())["epochs"][0]["epoch"] == 1
     assert (tmp_path / "docs/figures/klamt2019_training.png").stat().st_size > 10_000
     begin, end = begin_end()
-    assert "90.00% / 0.0500" in page.read_text().split(begin)[1].split(end)[0]
+    assert "90.00 % / 0.0500" in page.read_text().split(begin)[1].split(end)[0]
 
 
 def test_without_run_and_report_it_says_how_to_train(tmp_path):
