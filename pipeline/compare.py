@@ -3,13 +3,14 @@
     python -m pipeline.compare
 
 Runs in `outputs/zoo/NAME` and `outputs/ablations/NAME`, as sweeps leave them, are gathered into `reports/zoo.json`,
-beside what each model of conf/model takes, and `reports/ablations.json`; without runs those reports stay as they are.
-The page is made of the reports alone, so that it can be made again without training. No stage of dvc.yaml: no stage of
-it makes these runs.
+beside what each model of conf/model takes, and `reports/ablations.json`. What those say of others stays, as long as it
+is of the same model or experiment. The page is made of the reports alone, so that it can be made again without
+training. No stage of dvc.yaml: no stage of it makes these runs.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,6 +21,7 @@ import yaml
 from omegaconf import DictConfig
 
 from hdsp.errors import InputError
+from hdsp.lattice import ABSTRACT_HEADINGS, abstract_shape
 from pipeline.config import CONF, compose, flatten, plain
 from pipeline.report import put_between_markers
 from pipeline.stage import Folders, read_json, run_stage, write_json
@@ -28,6 +30,7 @@ from pipeline.tables import EMPTY, markdown, percent
 PAGE = "architectures.md"
 #: Sections of the configuration in which experiments may differ.
 SECTIONS = ("robot", "terrain", "labelling", "model", "trainer")
+ARCHITECTURE = "model.architecture"
 #: Name of the ablation that all others are compared to.
 BASE = "base"
 #: The two figures of a set in `reports/training.json`.
@@ -41,12 +44,13 @@ SIDE = 400  # cells of a map of 10 m
 
 
 def compare(config: DictConfig, folders: Folders) -> None:
-    if runs := runs_of(folders, "zoo"):
-        write_json(folders.write("reports", "zoo.json"), zoo_report(runs))
-    if runs := runs_of(folders, "ablations"):
-        write_json(folders.write("reports", "ablations.json"), ablation_report(runs))
-    reports = {kind: folders.write("reports", f"{kind}.json") for kind in TABLES}
-    shown = {kind: read_json(path) if path.is_file() else {} for kind, path in reports.items()}
+    shown = {}
+    for kind, report in REPORTS.items():
+        path = folders.write("reports", f"{kind}.json")
+        shown[kind] = read_json(path) if path.is_file() else {}
+        if runs := runs_of(folders, kind):
+            shown[kind] = report(runs, shown[kind])
+            write_json(path, shown[kind])
     if trained(shown["zoo"]):
         picture(trained(shown["zoo"]), folders.write("docs", "figures", "pareto.png"))
     page = folders.outputs / "docs" / PAGE
@@ -66,20 +70,30 @@ def runs_of(folders: Folders, kind: str) -> dict[str, Path]:
     return {place.parents[1].name: place.parents[1] for place in places}
 
 
-def zoo_report(runs: Mapping[str, Path]) -> dict[str, dict[str, Any]]:
-    """By model what it takes, measured here, and where there is a run what it reached.
+def zoo_report(runs: Mapping[str, Path], before: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """By model what it takes, measured here, and what it reached: in its run, or as the report before says, if it had
+    the same number of parameters then.
 
     Raises:
-        InputError: the runs had different numbers of maps or epochs.
+        InputError: they had different numbers of maps or epochs.
     """
     report: dict[str, dict[str, Any]] = {name: measured(settings) for name, settings in models(runs).items()}
-    for name, folder in runs.items():
-        report[name] |= outcome(read_json(folder / "reports" / "training.json"))
-    budgets = {name: (report[name]["maps"], report[name]["epochs"]) for name in runs}
-    if len(set(budgets.values())) > 1:
-        told = ", ".join(f"{name} {maps} maps {epochs} epochs" for name, (maps, epochs) in budgets.items())
-        raise InputError(f"runs of the zoo have different budgets and cannot be compared: {told}")
+    for name, values in report.items():
+        if name in runs:
+            values |= outcome(read_json(runs[name] / "reports" / "training.json"))
+        elif before.get(name, {}).get("parameters") == values["parameters"]:
+            values |= outcome(before[name])
+    budgets = {name: f"{values['maps']} maps {values['epochs']} epochs" for name, values in trained(report).items()}
+    _require_equal("zoo", budgets, runs)
     return report
+
+
+def _require_equal(kind: str, budgets: Mapping[str, str], runs: Mapping[str, Path]) -> None:
+    if len(set(budgets.values())) > 1:
+        told = ", ".join(f"{name} {budget}" for name, budget in budgets.items())
+        older = [name for name in budgets if name not in runs]
+        hint = f"; remove reports/{kind}.json to leave out those without a run: {', '.join(older)}" if older else ""
+        raise InputError(f"runs of the {kind} have different budgets and cannot be compared: {told}{hint}")
 
 
 def models(runs: Mapping[str, Path]) -> dict[str, Any]:
@@ -103,16 +117,23 @@ def measured(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {"parameters": count_parameters(network), "dense": network.is_dense(), "map_seconds": seconds}
 
 
-def ablation_report(runs: Mapping[str, Path]) -> dict[str, dict[str, Any]]:
-    """By ablation what it reached, and the settings in which it differs from the base."""
+def ablation_report(runs: Mapping[str, Path], before: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """By ablation what it reached, and the settings in which it differs from the base: of its run, or as the report
+    before says, if there still is such an experiment and it differs in the same.
+
+    Raises:
+        InputError: they had different numbers of epochs. Numbers of maps may differ, and are shown.
+    """
     base = experiment_settings(BASE)
-    return {
-        name: {
-            **outcome(read_json(folder / "reports" / "training.json")),
-            "different": differences(base, experiment_settings(name)),
-        }
-        for name, folder in runs.items()
-    }
+    report: dict[str, dict[str, Any]] = {}
+    for name in sorted({*before, *runs}):
+        different = differences(base, experiment_settings(name))
+        if name in runs:
+            report[name] = outcome(read_json(runs[name] / "reports" / "training.json")) | {"different": different}
+        elif different is not None and before[name]["different"] == different:
+            report[name] = dict(before[name])
+    _require_equal("ablations", {name: f"{values['epochs']} epochs" for name, values in report.items()}, runs)
+    return report
 
 
 def trained(zoo: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
@@ -121,8 +142,8 @@ def trained(zoo: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]
 
 
 def outcome(training: Mapping[str, Any]) -> dict[str, Any]:
-    """What is kept of `reports/training.json`."""
-    return {key: training[key] for key in ("maps", "epochs", "best_epoch", *QUALITY)}
+    """What is kept of `reports/training.json`; empty if there is none of it."""
+    return {key: training[key] for key in ("maps", "epochs", "best_epoch", *QUALITY) if key in training}
 
 
 def experiment_settings(name: str) -> dict[str, Any] | None:
@@ -134,10 +155,16 @@ def experiment_settings(name: str) -> dict[str, Any] | None:
 
 
 def differences(base: Mapping[str, Any] | None, other: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Settings that are not those of the base; None for those that only the base has. None if one is not known."""
+    """Settings that are not those of the base; None for those that only the base has. None if one is not known.
+
+    Where the architecture is another, it stands for all settings of the model.
+    """
     if base is None or other is None:
         return None
-    return {key: other.get(key) for key in {**base, **other} if base.get(key) != other.get(key)}
+    found = {key: other.get(key) for key in {**base, **other} if base.get(key) != other.get(key)}
+    if ARCHITECTURE in found:
+        return {key: value for key, value in found.items() if key == ARCHITECTURE or not key.startswith("model.")}
+    return found
 
 
 def map_seconds(abstraction) -> float:
@@ -146,7 +173,6 @@ def map_seconds(abstraction) -> float:
     The map is noise, of which no two patches are equal, so that none is spared.
     """
     from hdsp.heightmap import HeightMap
-    from hdsp.lattice import ABSTRACT_HEADINGS, abstract_shape
     from hdsp.learning import LearnedCosts
 
     random = np.random.default_rng(0)
@@ -180,10 +206,10 @@ def zoo_table(zoo: Mapping[str, Mapping[str, Any]]) -> str:
             "dense" if run["dense"] else "patches",
             *(quality(run, of) if name in runs else EMPTY for of in sets),
         ])  # fmt: skip
-    run = next(iter(runs.values()))
+    run, states = next(iter(runs.values())), ABSTRACT_HEADINGS * math.prod(abstract_shape((SIDE, SIDE)))
     note = (
         f"Each trained on {run['maps']:,} maps for {run['epochs']} epochs. Feasibility correct / mean cost error; "
-        "bold: on a front of the picture. The time is for all actions of all 160,000 states of a map without equal "
+        f"bold: on a front of the picture. The time is for all actions of all {states:,} states of a map without equal "
         f"patches, CPU seconds of one core, extrapolated from {SAMPLED:,} patches, or where dense from the states of "
         "one heading.\n\n![Errors over time](figures/pareto.png)"
     )
@@ -198,13 +224,17 @@ def ablation_table(ablations: Mapping[str, Mapping[str, Any]]) -> str:
         raise InputError(f"ablations: there is no run {BASE!r} to compare with; there are {', '.join(ablations)}")
     base = ablations[BASE]
     sets = sets_of(ablations)
-    rows = [[BASE, EMPTY, *(quality(base, of) for of in sets)]]
+    rows = [[BASE, EMPTY, f"{base['maps']:,}", *(quality(base, of) for of in sets)]]
     for name, run in ablations.items():
         if name != BASE:
             told = ", ".join(f"{key}: {_plain(value)}" for key, value in (run["different"] or {}).items())
-            rows.append([name, told or EMPTY, *(f"{quality(run, of)} ({change(run, base, of)})" for of in sets)])
-    note = "Feasibility correct / mean cost error, in brackets the difference to the base."
-    return markdown(["experiment", "what is different", *sets], rows) + "\n\n" + note
+            figures = (f"{quality(run, of)} ({change(run, base, of)})" for of in sets)
+            rows.append([name, told or EMPTY, f"{run['maps']:,}", *figures])
+    note = (
+        f"Each trained for {base['epochs']} epochs. Feasibility correct / mean cost error, in brackets the difference "
+        "to the base."
+    )
+    return markdown(["experiment", "what is different", "maps", *sets], rows) + "\n\n" + note
 
 
 def sets_of(runs: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -255,7 +285,8 @@ def picture(zoo: Mapping[str, Mapping[str, Any]], path: Path) -> None:
     save_pareto({name: run["map_seconds"] for name, run in zoo.items()}, panels(zoo), path)
 
 
-#: What the page shows of each kind of runs.
+#: What is kept of each kind of runs, and what the page shows of it.
+REPORTS = {"zoo": zoo_report, "ablations": ablation_report}
 TABLES = {"zoo": zoo_table, "ablations": ablation_table}
 
 

@@ -83,6 +83,45 @@ def test_models_with_different_budgets_are_not_compared(project):
         run_compare(project)
 
 
+def test_models_without_a_run_keep_what_was_reported_of_the_same_model(project, monkeypatch):
+    for name in ("m1", "m2", "m3"):
+        write_run(project / "outputs/zoo" / name, training(0.9, 0.02))
+    before = run_compare(project)
+    for name in ("m1", "m2", "m3"):
+        (project / "outputs/zoo" / name).rename(project / name)
+    write_run(project / "outputs/zoo/m1", training(0.8, 0.03))
+    monkeypatch.setattr(compare, "models", lambda runs: {name: name for name in ("m1", "m2", "m3")})
+    monkeypatch.setattr(compare, "measured", lambda name: takes(name) | ({"parameters": 5} if name == "m3" else {}))
+    run_compare(project)
+    report = json.loads((project / "reports/zoo.json").read_text())
+    assert [report[name].get("cost_error", {}).get("random") for name in ("m1", "m2", "m3")] == [0.03, 0.02, None]
+
+    write_run(project / "outputs/zoo/m3", training(0.8, 0.03, maps=7))
+    with pytest.raises(InputError, match=r"m2 3000 maps 5 epochs, m3 7 maps .* those without a run: m2$"):
+        run_compare(project)
+    assert json.loads((project / "reports/zoo.json").read_text()) == report
+    assert before != (project / "docs" / PAGE).read_text()
+
+
+def test_ablations_without_a_run_stay_while_their_experiment_is_the_same(project):
+    for name in ("base", "no_ema", "sgd", "removed"):
+        write_run(project / "outputs/ablations" / name, training(0.9, 0.02))
+    run_compare(project)
+    path = project / "reports/ablations.json"
+    report = json.loads(path.read_text())
+    report["sgd"]["different"]["trainer.optimizer.lr"] = 0.123
+    path.write_text(json.dumps(report))
+    (project / "outputs").rename(project / "elsewhere")
+    write_run(project / "outputs/ablations/base", training(0.8, 0.03))
+    page = run_compare(project)
+    assert list(json.loads(path.read_text())) == ["base", "no_ema"]
+    assert "| trainer.ema: null" in page and "(+10.00 / -0.0100)" in page
+
+    write_run(project / "outputs/ablations/sgd", training(0.8, 0.03, epochs=9))
+    with pytest.raises(InputError, match=r"base 5 epochs, no_ema 5 epochs, sgd 9 epochs; .* without a run: no_ema$"):
+        run_compare(project)
+
+
 def test_ablations_are_told_as_differences_to_the_base(project):
     write_run(project / "outputs/ablations/base", training(0.9, 0.02))
     write_run(project / "outputs/ablations/other", training(0.91, 0.0185))
@@ -104,6 +143,8 @@ def test_what_an_experiment_changes():
     outcome = compare.outcome(training(0.9, 0.02))
     table = ablation_table({"base": {**outcome, "different": {}}, "b": {**outcome, "different": found}})
     assert "trainer.mirror: false, model.options.a: null, model.options.widths: [1, 2]" in table
+    base["model.architecture"], other["model.architecture"] = "swept", "compact"
+    assert differences(base, other) == {"trainer.mirror": False, "model.architecture": "compact"}
 
 
 def test_settings_of_an_experiment_of_the_project():
