@@ -18,7 +18,6 @@ from hdsp.learning.settings import settings_from
 
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = sorted(path.stem for path in (ROOT / "conf/model").glob("*.yaml"))
-DENSE = ["klamt2019_dense", "dilated", "footprint", "table"]
 EXACT = HardwareSettings("cpu", "32", 1)
 
 
@@ -39,6 +38,9 @@ def abstraction(name: str) -> LearnedAbstraction:
 
 def model_file(name: str) -> dict:
     return yaml.safe_load((ROOT / f"conf/model/{name}.yaml").read_text())
+
+
+DENSE = [name for name in MODELS if build_network(model_file(name)).is_dense()]
 
 
 def rough_patches(count: int) -> np.ndarray:
@@ -96,7 +98,8 @@ def test_gradients_are_finite_in_bfloat16(name):
 
 
 def test_which_models_are_dense():
-    assert [name for name in MODELS if abstraction(name).network.is_dense()] == sorted(DENSE)
+    assert {"klamt2019_dense", "dilated", "footprint", "table"} <= set(DENSE)
+    assert not {"klamt2019", "compact"} & set(DENSE)  # they pad with zeros
 
 
 @pytest.mark.parametrize("name", DENSE)
