@@ -49,7 +49,7 @@ def model_card(
         _metrics(figures, missing),
         _calibration(abstraction, figures),
         _limits(abstraction, figures, config),
-        _again(),
+        _again(abstraction, config),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -236,12 +236,16 @@ def _limits(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, 
     return "## Limits\n\n" + markdown(header, rows) + "\n\n" + "\n".join(lines)
 
 
-def _again() -> str:
-    return """## Make it again
+def _again(abstraction: LearnedAbstraction, config: DictConfig) -> str:
+    chosen = f"profile={abstraction.provenance.notes.get('profile', config.profile)}"
+    variant = f" runtime.variant={config.runtime.variant}" if config.runtime.variant else ""
+    return f"""## Make it again
+
+With the model and the recipe above:
 
 ```sh
-dvc exp run -S profile=beyond                             # or any other; models/abstraction
-python -m pipeline.publish_model models/abstraction       # judges it and writes this folder
+dvc exp run -S {chosen} -S model={abstraction.model.architecture}      # makes the labels too: hours
+python -m pipeline.publish_model models/abstraction {chosen} runtime.outputs=.{variant}
 ```"""
 
 

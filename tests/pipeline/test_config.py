@@ -11,7 +11,7 @@ from hdsp.arena import ArenaSettings
 from hdsp.errors import InputError
 from hdsp.labelling import LabelSettings
 from hdsp.terrain import TerrainSettings
-from pipeline.config import compose, expand_choices, flatten, plain, settings, write_params
+from pipeline.config import CONF, compose, expand_choices, flatten, plain, settings, write_params
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -61,6 +61,7 @@ def test_sets_may_be_added_without_a_plus_and_sections_of_others_not():
         ("modle=compact", "unknown config key 'modle'"),
         ("trainer.epoch=3", "unknown config key 'trainer.epoch'; allowed under trainer: "),
         ("model=nonsense", "Available options in 'model': compact dilated"),
+        ("experiment=klamt2091", "Available options in 'experiment': klamt2019"),
         ("model=[", "no viable alternative"),
     ],
 )
@@ -124,3 +125,12 @@ def test_the_configured_arena_is_the_default_of_the_library():
 def test_an_unknown_key_of_a_settings_group_is_named():
     with pytest.raises(InputError, match=r"unknown config key terrain.cuboid_sides; allowed are area, clutter_height"):
         settings(TerrainSettings, {"cuboid_sides": [1, 2]}, "terrain")
+
+
+@pytest.mark.parametrize("profile", sorted(path.stem for path in (CONF / "profile").glob("*.yaml")))
+def test_what_a_profile_trains_on_has_a_stage(profile):
+    config = compose([f"profile={profile}"])
+    made = {*config.labelling.used, *config.simulation.used}
+    assert {*config.trainer.splits, *config.trainer.val_splits} <= made
+    assert set(config.labelling.used) <= set(config.labelling.splits)
+    assert set(config.simulation.used) <= set(config.simulation.splits)
