@@ -14,7 +14,7 @@ import pytest
 import hdsp
 from hdsp import HeightMap, InputError, Planner, Robot
 from hdsp.lattice import robot_frame_goals
-from hdsp.pretrained import presets
+from hdsp.pretrained import presets, robot_of
 
 ROOT = Path(__file__).resolve().parents[1]
 MEGABYTES = 8
@@ -50,6 +50,14 @@ def test_what_does_not_exist_is_said_with_what_does():
     with pytest.raises(InputError, match=r"abstraction 'momo': no folder, and not one of .*\(.*momaro"):
         hdsp.load_abstraction("momo")
     assert "momaro" in presets()
+
+
+def test_an_abstraction_is_of_the_robot_that_it_is_named_by(monkeypatch):
+    robots = ["momaro", "momaro-legs", "my-robot"]
+    monkeypatch.setattr(Robot, "presets", staticmethod(lambda: robots))
+    names = ["momaro", "momaro-klamt2019", "momaro-legs", "momaro-legs-large", "my-robot-new", "other-new"]
+    found = ["momaro", "momaro", "momaro-legs", "momaro-legs", "my-robot", "other-new"]
+    assert [robot_of(name) for name in names] == found
 
 
 def test_a_folder_of_ones_own_is_loaded_as_well(abstraction, tmp_path):

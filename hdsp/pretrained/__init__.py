@@ -24,6 +24,12 @@ def presets() -> list[str]:
     return sorted(place.name for place in places if place.joinpath("config.json").is_file())
 
 
+def robot_of(preset: str) -> str:
+    """The robot of an abstraction ROBOT or ROBOT-NAME; a robot's own name may have dashes."""
+    fitting = [robot for robot in Robot.presets() if f"{preset}-".startswith(f"{robot}-")]
+    return max(fitting, key=len, default=preset)
+
+
 def load_abstraction(
     source: str | Path, robot: str | Path | dict | Robot | None = None, hardware: HardwareSettings | None = None
 ) -> LearnedAbstraction:
@@ -51,7 +57,7 @@ def load_abstraction(
         raise InputError(f"learned abstractions need {error.name}: pip install 'hdsp[learning]'") from None
     folder = Path(str(resources.files(__name__).joinpath(str(source)))) if is_preset else Path(source)
     if robot is None and is_preset:
-        robot = str(source).partition("-")[0]
+        robot = robot_of(str(source))
     return LearnedAbstraction.from_pretrained(folder, None if robot is None else Robot.load(robot), hardware)
 
 
