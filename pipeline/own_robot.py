@@ -4,7 +4,7 @@
 
 `robot` names a file of hdsp/robots (where conf/robot points to). Labels, training, evaluation and planning go to
 outputs/robots/NAME, and what was done before is kept there: a second call continues. The figures also go into
-docs/own-robot.md, with a picture, if the project has that page.
+docs/own-robot.md, with a picture, if that page has the markers of this robot.
 """
 
 from __future__ import annotations
@@ -23,19 +23,20 @@ from pipeline.evaluate import evaluate
 from pipeline.label import label
 from pipeline.plan import plan
 from pipeline.report import put_between_markers
+from pipeline.scan_courses import scan_courses
 from pipeline.stage import Folders, read_json, run_stage
 from pipeline.tables import markdown, percent
 from pipeline.train import train
 
 PAGE = Path("docs/own-robot.md")
-BEGIN, END = "<!-- written by pipeline.own_robot: begin -->", "<!-- written by pipeline.own_robot: end -->"
 
 
 def own_robot(config: DictConfig, folders: Folders) -> None:
     robot = Robot.load(plain(config.robot))
+    check_name(robot)
     folders = Folders(folders.outputs, folders.outputs)  # what a stage writes, the next one reads
     for split in (*config.trainer.splits, *config.trainer.val_splits, "random"):
-        label(config, folders, split)
+        (scan_courses if split in config.simulation.splits else label)(config, folders, split)
     train(config, folders)
     evaluate(config, folders)
     plan(config, folders)
@@ -43,10 +44,30 @@ def own_robot(config: DictConfig, folders: Folders) -> None:
     with replacing(folders.write("reports", "own_robot.md")) as path:
         path.write_text(text, encoding="utf-8")
     print(text)
-    if PAGE.is_file() and robot.name in Robot.presets():
-        picture = PAGE.parent / "figures" / f"{robot.name}.png"
-        shutil.copyfile(folders.read("reports", "figures", "planned_path.png"), picture)
-        put_between_markers(PAGE, f"{text}\n![A path of {robot.name}](figures/{picture.name})\n", BEGIN, END)
+    write_page(PAGE, robot.name, text, folders.read("reports", "figures", "planned_path.png"))
+
+
+def check_name(robot: Robot) -> None:
+    """A robot's file and the name inside are one: outputs and abstractions go by the name, `robot=NAME` by the file.
+
+    Raises:
+        InputError: a file of another name holds a robot of this name.
+    """
+    if others := [file for file in Robot.presets() if file != robot.name and Robot.load(file).name == robot.name]:
+        raise InputError(f"hdsp/robots/{others[0]}.yaml: its name is {robot.name!r}; need the file's, {others[0]!r}")
+
+
+def markers(robot: str) -> tuple[str, str]:
+    """Lines of the page between which the figures of a robot stand."""
+    return f"<!-- {robot}: written by `python -m pipeline.own_robot` -->", f"<!-- end of {robot} -->"
+
+
+def write_page(page: Path, robot: str, text: str, picture: Path) -> None:
+    """The figures and a picture of a path, if the page has a place for this robot."""
+    if page.is_file() and markers(robot)[0] in page.read_text(encoding="utf-8"):
+        shown = page.parent / "figures" / f"{robot}.png"
+        shutil.copyfile(picture, shown)
+        put_between_markers(page, f"{text}\n![A path of {robot}](figures/{shown.name})\n", *markers(robot))
 
 
 def place(config: DictConfig) -> str:

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from hdsp import HeightMap, Planner, Robot
+from hdsp import HeightMap, InputError, Planner, Robot
 from hdsp.labelling import LabelSettings, label_map
-from pipeline.own_robot import BEGIN, END, PAGE, place, section
-from pipeline.stage import run_stage
+from pipeline import own_robot
+from pipeline.config import compose
+from pipeline.own_robot import PAGE, check_name, markers, place, section, write_page
+from pipeline.stage import Folders, run_stage
 from tests.pipeline.conftest import ROOT
 
 
@@ -25,9 +27,38 @@ def test_the_page_has_a_row_for_each_abstraction_and_each_search():
     assert text.count("\n") > len(random["methods"]) + len(reports["planning"]["runs"])
 
 
-def test_the_page_has_the_markers():
-    page = (ROOT / PAGE).read_text()
-    assert page.index(BEGIN) < page.index(END)
+def test_the_page_is_written_for_the_robot_it_has_markers_of_and_no_other(tmp_path):
+    page, picture = tmp_path / PAGE.name, tmp_path / "path.png"
+    page.write_text((ROOT / PAGE).read_text())
+    picture.write_bytes(b"a path")
+    (tmp_path / "figures").mkdir()
+    write_page(page, "momaro", "other figures", picture)
+    assert page.read_text() == (ROOT / PAGE).read_text() and not list((tmp_path / "figures").iterdir())
+    write_page(page, "anymal_wheels", "new figures", picture)
+    begin, end = markers("anymal_wheels")
+    written = page.read_text().split(begin)[1].split(end)[0].split("\n")
+    assert written[2:5] == ["new figures", "![A path of anymal_wheels](figures/anymal_wheels.png)", ""]
+    assert (tmp_path / "figures/anymal_wheels.png").read_bytes() == b"a path"
+
+
+def test_a_file_with_the_name_of_another_robot_is_refused(monkeypatch):
+    momaro = Robot.load("momaro")
+    check_name(momaro)
+    monkeypatch.setattr(Robot, "presets", staticmethod(lambda: ["copy", "momaro"]))
+    monkeypatch.setattr(Robot, "load", lambda _: momaro)
+    with pytest.raises(InputError, match=r"robots/copy.yaml: its name is 'momaro'; need the file's, 'copy'"):
+        check_name(momaro)
+
+
+def test_splits_of_scanned_courses_are_scanned_and_the_others_labelled(monkeypatch, tmp_path):
+    made = []
+    for stage in ("label", "scan_courses"):
+        monkeypatch.setattr(own_robot, stage, lambda _, __, split, stage=stage: made.append((stage, split)))
+    monkeypatch.setattr(own_robot, "train", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        own_robot.own_robot(compose(["profile=beyond", "robot=anymal_wheels"]), Folders(tmp_path, tmp_path))
+    assert [split for stage, split in made if stage == "scan_courses"] == ["courses"]
+    assert [split for stage, split in made if stage == "label"] == ["train", "sensed", "val", "val_sensed", "random"]
 
 
 def test_it_writes_where_it_says(monkeypatch, capsys):
