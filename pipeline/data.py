@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 
 from hdsp.errors import InputError
 from hdsp.robot import Robot
+from hdsp.storage import Place, is_folder, is_url
 from pipeline.config import plain, settings
 from pipeline.stage import Folders
 
@@ -21,26 +22,32 @@ if TYPE_CHECKING:
 ABSENT = "absent.json"
 
 
-def read_set(folder: Path) -> tuple[TaskSet | None, str]:
-    """The tasks of a folder of shards, or None and the reason why there are none.
+def read_set(folder: Place) -> tuple[TaskSet | None, str]:
+    """The tasks of a folder of shards (path or URL), or None and the reason why there are none.
 
     Raises:
         InputError: a shard is damaged.
     """
     from hdsp.shards import read_tasks
 
-    if not folder.is_dir():
+    if not is_folder(folder):
         return None, f"{folder} is not there yet"
-    if (folder / ABSENT).is_file():
-        return None, json.loads((folder / ABSENT).read_text(encoding="utf-8"))["reason"]
+    if not is_url(folder) and (absent := Path(folder) / ABSENT).is_file():
+        return None, json.loads(absent.read_text(encoding="utf-8"))["reason"]
     return read_tasks(folder), ""
+
+
+def set_place(entry: Mapping[str, Any], folders: Folders) -> Place:
+    """Where an entry of `evaluation.sets` has its shards or scans."""
+    place = entry.get("tasks") or entry["scans"]
+    return place if is_url(place) else folders.read(place)
 
 
 def read_evaluation_set(
     name: str, entry: Mapping[str, Any], config: DictConfig, folders: Folders
 ) -> tuple[TaskSet | None, str]:
-    """As `read_set`, of an entry of `evaluation.sets`: `tasks` names a folder of shards among the inputs; `scans` any
-    folder of scans, which are labelled first (`hdsp.scan_sets`).
+    """As `read_set`, of an entry of `evaluation.sets`: `tasks` names a folder of shards among the inputs, or a URL;
+    `scans` any folder of scans, which are labelled first (`hdsp.scan_sets`).
 
     An entry with `robot` is of labels that were not made here; there are none for any other robot.
 
@@ -55,7 +62,7 @@ def read_evaluation_set(
     if (robot := entry.get("robot")) not in (None, config.robot.name):
         return None, f"its labels are of robot {robot}"
     if "tasks" in entry:
-        return read_set(folders.read(entry["tasks"]))
+        return read_set(set_place(entry, folders))
     from hdsp.labelling import LabelSettings
     from hdsp.scan_patches import PatchSettings
     from hdsp.scan_sets import read_scan_folder

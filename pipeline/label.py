@@ -31,8 +31,8 @@ def label(config: DictConfig, folders: Folders, split: str) -> None:
 
 
 def shards_place(config: DictConfig, folder: Path, split: str) -> str | Path:
-    """Folder or URL of the shards of a split; `folder` holds data/."""
-    destination = config.labelling.destination
+    """Folder or URL of the shards of a split; `folder` holds data/, where splits of scanned courses always are."""
+    destination = config.labelling.destination if split in config.labelling.splits else None
     return f"{destination.rstrip('/')}/{split}" if destination else folder / "data" / "labels" / split
 
 

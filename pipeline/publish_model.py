@@ -22,6 +22,7 @@ from hdsp.errors import InputError
 from hdsp.robot import Robot
 from pipeline.config import plain
 from pipeline.data import read_evaluation_set, read_set
+from pipeline.label import shards_place
 from pipeline.model_card import model_card
 from pipeline.stage import Folders, run_stage
 
@@ -55,7 +56,7 @@ def publish_model(config: DictConfig, folders: Folders, source: str) -> None:
         trained.save_pretrained(Path(folder) / "model", precision)
         abstraction = LearnedAbstraction.from_pretrained(Path(folder) / "model", robot, hardware)
 
-    val = _validation(trained.provenance.notes.get("trainer") or plain(config.trainer), folders)
+    val = _validation(trained.provenance.notes.get("trainer") or plain(config.trainer), config, folders)
     abstraction = abstraction.calibrated(val)
     figures = {"val": figures_of(abstraction, val)}
     missing = {}
@@ -97,20 +98,20 @@ def in_progress(source: Path, robot: Robot, config: DictConfig, folders: Folders
     state = torch.load(source / CHECKPOINT, map_location="cpu", weights_only=False)
     prefix = "network."
     network.load_state_dict({k.removeprefix(prefix): v for k, v in state["state_dict"].items() if k.startswith(prefix)})
-    hashes = [folder_hash(folders.read("data", "labels", name)) for name in config.trainer.splits]
+    hashes = [folder_hash(shards_place(config, folders.inputs, name)) for name in config.trainer.splits]
     epoch = f"epoch {state['epoch'] + 1} of {config.trainer.epochs}, the best of those done when it was published"
     return LearnedAbstraction(
         network, model, Provenance.of(robot, " ".join(hashes), profile=config.profile, epoch=epoch)
     )
 
 
-def _validation(trainer: Mapping[str, Any], folders: Folders) -> TaskSet:
+def _validation(trainer: Mapping[str, Any], config: DictConfig, folders: Folders) -> TaskSet:
     """The maps by which the training chose its epoch."""
     from hdsp.tasks import TaskSet
 
     sets = []
     for name in trainer.get("val_splits") or ["val"]:
-        tasks, reason = read_set(folders.read("data", "labels", name))
+        tasks, reason = read_set(shards_place(config, folders.inputs, name))
         if tasks is None:
             raise InputError(f"cannot calibrate: {reason}")
         sets.append(tasks)

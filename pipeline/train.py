@@ -14,9 +14,11 @@ from omegaconf import DictConfig
 
 from hdsp.errors import InputError
 from hdsp.files import replacing
+from hdsp.storage import Place, is_url, open_folder
 from pipeline import served_model, tracking
 from pipeline.config import flatten, plain
-from pipeline.data import read_evaluation_set, read_set
+from pipeline.data import read_evaluation_set, read_set, set_place
+from pipeline.label import shards_place
 from pipeline.stage import Folders, run_stage, write_json
 
 if TYPE_CHECKING:
@@ -35,16 +37,19 @@ def train(config: DictConfig, folders: Folders) -> None:
     from hdsp.viz import save_training_curves
 
     chosen = {role: config.trainer.get(role) or [default] for role, default in ROLES.items()}
-    splits = {name: folders.read("data", "labels", name) for names in chosen.values() for name in names}
+    splits = {name: shards_place(config, folders.inputs, name) for names in chosen.values() for name in names}
+    watched, known = config.evaluation.watched, config.evaluation.sets
+    if unknown := [name for name in watched if name not in known]:
+        raise InputError(f"evaluation.watched: unknown set {unknown[0]!r}; evaluation.sets has {', '.join(known)}")
     learnt, deciding = ([splits[name] for name in names] for names in chosen.values())
     train_tasks = learnt if config.trainer.get("stream") else part_of(learnt, config.trainer)
     val_tasks = _required(deciding)
     sets = {"val": val_tasks}
-    for name in config.evaluation.watched:
-        entry = plain(config.evaluation.sets[name])
+    for name in watched:
+        entry = plain(known[name])
         tasks, _ = read_evaluation_set(name, entry, config, folders)
         if tasks is not None:
-            sets[name], splits[name] = tasks, folders.read(entry.get("tasks") or entry["scans"])
+            sets[name], splits[name] = tasks, set_place(entry, folders)
 
     hashes = {f"data.{name}": folder_hash(path) for name, path in splits.items()}
     data_hash = _hash_of([hashes[f"data.{name}"] for name in chosen["splits"]])
@@ -89,7 +94,7 @@ def train(config: DictConfig, folders: Folders) -> None:
     shutil.rmtree(work / "checkpoints", ignore_errors=True)
 
 
-def notes(config: DictConfig, tasks: TaskSet | list[Path]) -> dict[str, Any]:
+def notes(config: DictConfig, tasks: TaskSet | list[Place]) -> dict[str, Any]:
     """What the model card says of data and recipe, kept with the model; tasks, or the folders that they come from."""
     from hdsp.shards import read_shards
 
@@ -112,7 +117,7 @@ def data_notes(config: DictConfig, splits: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def part_of(folders: Sequence[Path], trainer: Mapping[str, Any]) -> TaskSet:
+def part_of(folders: Sequence[Place], trainer: Mapping[str, Any]) -> TaskSet:
     """The maps of splits that `trainer.share` and `trainer.residues` leave; a function of these and the labels alone.
 
     Only as many shards are read as hold that share; a shard is a sample of its split.
@@ -132,7 +137,7 @@ def part_of(folders: Sequence[Path], trainer: Mapping[str, Any]) -> TaskSet:
     else:
         parts, random = [], np.random.default_rng(0)
         for folder in folders:
-            shards = shard_paths(folder) if folder.is_dir() else []
+            shards = shard_paths(folder)
             wanted = share * len(shards)
             read = [read_tasks(shards[k]) for k in sorted(random.permutation(len(shards))[: math.ceil(wanted)])]
             found = TaskSet.concatenate(read) if read else _required([folder])
@@ -147,12 +152,18 @@ def part_of(folders: Sequence[Path], trainer: Mapping[str, Any]) -> TaskSet:
     return tasks if kept.all() else tasks[kept]
 
 
-def folder_hash(folder: Path) -> str:
-    """Hash of the names and contents of the files of a folder."""
+def folder_hash(folder: Place) -> str:
+    """Hash of the names and contents of the files of a folder, with those of its folders; of a URL without these."""
+    if is_url(folder):
+        remote = open_folder(folder)
+        files = ((name, remote.read(name)) for name in remote.names())
+    else:
+        paths = sorted(p for p in Path(folder).rglob("*") if p.is_file())
+        files = ((path.relative_to(folder).as_posix(), path.read_bytes()) for path in paths)
     digest = hashlib.sha256()
-    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-        digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    for name, content in files:
+        digest.update(f"{name}\0".encode())
+        digest.update(hashlib.sha256(content).digest())
     return digest.hexdigest()
 
 
@@ -167,7 +178,7 @@ def write_history(path: Path, rows: list[dict[str, Any]]) -> None:
         writer.writerows(rows)
 
 
-def _required(paths: Sequence[Path]) -> TaskSet:
+def _required(paths: Sequence[Place]) -> TaskSet:
     """The tasks of several splits as one set."""
     from hdsp.tasks import TaskSet
 
