@@ -44,6 +44,9 @@ class Heuristic(ABC):
     name: str
     #: Whether estimates never exceed the true cost; weighted A* then keeps its bound of W times optimal.
     admissible: bool
+    #: Whether no action lowers the estimate by more than it costs, and the goal's is 0. Such a heuristic is admissible,
+    #: and weighted A* keeps its bound even if it expands no state twice (``hdsp.detailed.once``).
+    consistent: bool = False
 
     def __init__(self, world: World):
         self.world = world
@@ -89,6 +92,7 @@ class GeometricHeuristic(Heuristic):
 
     name = "geometric"
     admissible = True
+    consistent = True
 
     def _prepare(self, goal: np.ndarray) -> Estimate:
         return geometric_estimate(self.world, goal)

@@ -283,7 +283,7 @@ class Planner:
 
     def _may_expand_once(self) -> bool:
         """Whether no bound is lost if no state is expanded twice: the heuristic is consistent, or proves none."""
-        return isinstance(self.heuristic, GeometricHeuristic) or not self.heuristic.admissible
+        return self.heuristic.consistent or not self.heuristic.admissible
 
     def _search_anchored(self, ends, guide, weight, anchor_weight, progress, world: World, limits: Limits) -> Plan:
         result = solve_multi(

@@ -65,8 +65,9 @@ def test_a_heuristic_without_a_goal_says_so(scene):
             heuristic(states)
 
 
-def test_only_the_geometric_heuristic_claims_to_be_admissible(scene):
+def test_only_the_geometric_heuristic_claims_to_be_admissible_and_consistent(scene):
     assert [heuristic.admissible for heuristic in heuristics(*scene[:2])] == [True, False, False]
+    assert [heuristic.consistent for heuristic in heuristics(*scene[:2])] == [True, False, False]
 
 
 def test_the_geometric_heuristic_equals_its_twin(scene):

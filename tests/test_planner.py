@@ -7,6 +7,7 @@ import hdsp
 from hdsp import HeightMap, InputError, Planner, Status
 from hdsp.abstract import FlatCosts, ManualCosts
 from hdsp.detailed import world_update
+from hdsp.detailed.once import solve_once
 from hdsp.detailed.world import build_world
 from hdsp.heuristics import GeometricHeuristic
 from hdsp.lattice import RESOLUTION
@@ -58,6 +59,24 @@ def test_all_heuristics_solve_what_can_be_solved(flat):
         assert plan.cost >= least - 1e-6
         if isinstance(heuristic, GeometricHeuristic):
             assert plan.cost <= 1.5 * least + 1e-6
+
+
+def test_states_are_expanded_again_for_a_heuristic_that_is_admissible_but_not_consistent(flat, monkeypatch):
+    class Uneven(GeometricHeuristic):
+        consistent = False
+
+    def once(*args, **settings):
+        asked.append(args)
+        return solve_once(*args, **settings)
+
+    least, asked = flat.plan(START, GOAL).cost, []
+    monkeypatch.setattr(hdsp.planner, "solve_once", once)
+    for heuristic, times in ((GeometricHeuristic(flat.world), 1), (Uneven(flat.world), 0), (FlatCosts("momaro"), 1)):
+        asked.clear()
+        plan = Planner(flat.terrain, heuristic=heuristic).plan(START, GOAL, weight=1.5)
+        assert plan.solved and len(asked) == times
+        assert plan.bound == (1.5 if isinstance(heuristic, GeometricHeuristic) else np.inf)
+        assert plan.cost <= plan.bound * least + 1e-6
 
 
 def test_an_overestimating_heuristic_never_proves_a_cost_limit(flat):
