@@ -99,12 +99,17 @@ def least_way(planner: Planner, start, goal, arguments) -> tuple[np.ndarray, np.
     result = solve(planner.world, start, goal[None], view, limits=limits)
     if result.status[0] != Status.SOLVED:
         return None
-    to_go = result.edge_costs[0][::-1].cumsum()[::-1]
-    enough = int((to_go >= arguments.least).sum())
+    return spread(result.states[0], result.edge_costs[0], arguments.suffixes, arguments.least)
+
+
+def spread(states: np.ndarray, edge_costs: np.ndarray, suffixes: int, least: float):
+    """States of a least-cost way that count, as ``least_way``; None where the whole way costs less than ``least``."""
+    to_go = edge_costs[::-1].cumsum()[::-1]
+    enough = int((to_go >= least).sum())
     if enough == 0:
         return None
-    chosen = np.unique(np.linspace(0, enough - 1, min(enough, 1 + arguments.suffixes)).astype(int))
-    return result.states[0][:-1][chosen], to_go[chosen]
+    chosen = np.unique(np.linspace(0, enough - 1, min(enough, 1 + suffixes)).astype(int))
+    return states[:-1][chosen], to_go[chosen]
 
 
 def scores(ratios: np.ndarray) -> dict:

@@ -1,33 +1,41 @@
-"""The learned heuristic with lower quantiles of cost, against costs as the network says: search effort and plan cost.
+"""The learned heuristic with lower quantiles of cost, against costs as the network says: how often it overestimates,
+search effort and plan cost.
 
-    python -m benchmarks.quantile_heuristic [--model momaro] [--quantiles 0.05 0.5] [--seeds 0 1 2] [--size 4] ...
+    python -m benchmarks.quantile_heuristic [--model momaro] [--quantiles 0.5 0.25 0.1 0.05 0.01] [--weights 1 1.25]
+                                            [--seeds 0 1 2 3 4 5] [--size 5] [--pairs 5] [--near 1]
+                                            [--far 3] [--expansions 500000] [--json FILE] [--page docs/heuristics.md]
 
-On random arenas, between two states far from each other. For each arena the network is asked once; quantiles follow
-from its answer. Prints a line for each search, then one JSON line: for each heuristic the searches that found a plan,
-mean expansions and mean cost relative to the costs as the network says (over arenas where both were solved), and
-`cost_to_best`: mean ratio to the cheapest plan of any search on that arena, the geometric reference at W = 1 among them
-if it ends within the limit. `start_to_best`: what the heuristic says at the start, relative to that plan; above 1 it
-overestimates there.
+Tasks are pairs of random valid states, `near` to `far` metres apart, on random arenas. For each arena the network is
+asked once; quantiles follow from its answer. Each task is planned with each heuristic and weight, and with the
+geometric heuristic, whose plan at W = 1 is the cheapest there is. Prints a line for each task, then one JSON line:
+
+- `above`: quantiles of h / h* and the share above 1, for the states of the cheapest plans (`suffixes` of each, besides
+  the start), as benchmarks.inadmissibility counts them; tasks that the reference did not solve have none.
+- `rows`: for each heuristic and weight the number of solved tasks; `expansions`: geometric mean of the ratio to those
+  with the costs as the network says, same weight, over tasks that both solved; `cost_to_best`: mean ratio to the
+  cheapest plan that any search found, over the tasks solved, and the largest.
 """
 
 import argparse
 import json
+import math
 import sys
-import time
+from pathlib import Path
 
 import numpy as np
 
-from benchmarks.search import far_apart
+from benchmarks.inadmissibility import pairs, scores, spread
+from benchmarks.page import table, write_block
 from hdsp.abstract.costs import close_states
-from hdsp.arena import ArenaSettings, random_arena
+from hdsp.arena import random_arena
 from hdsp.errors import InputError
 from hdsp.heuristics import standing_states
 from hdsp.lattice import ABSTRACT_HEADINGS, robot_frame_goals
 from hdsp.learning import LearnedAbstraction, LearnedCosts
-from hdsp.planner import Planner
+from hdsp.planner import Plan, Planner
 from hdsp.pretrained import load_abstraction
 
-AS_SAID = "network"
+AS_SAID, REFERENCE = "as the network says", "geometric"
 
 
 class KnownCosts:
@@ -45,11 +53,18 @@ class KnownCosts:
 def main(argv: list[str] | None = None) -> dict:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--model", default="momaro", help="one that comes with the package, or a folder")
-    parser.add_argument("--quantiles", type=float, nargs="+", default=[0.05, 0.5])
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--size", type=float, default=4.0, help="side of the arenas, m")
-    parser.add_argument("--weight", type=float, default=1.0)
-    parser.add_argument("--expansions", type=int, default=300_000, help="limit of each search")
+    parser.add_argument("--quantiles", type=float, nargs="+", default=[0.5, 0.25, 0.1, 0.05, 0.01])
+    parser.add_argument("--weights", type=float, nargs="+", default=[1.0, 1.25])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4, 5])
+    parser.add_argument("--size", type=float, default=5.0, help="side of the arenas, m")
+    parser.add_argument("--pairs", type=int, default=5, help="tasks per arena")
+    parser.add_argument("--near", type=float, default=1.0, help="least distance of start and goal, m")
+    parser.add_argument("--far", type=float, default=3.0, help="largest distance of start and goal, m")
+    parser.add_argument("--suffixes", type=int, default=8, help="states of a cheapest plan that count, most")
+    parser.add_argument("--least", type=float, default=0.1, help="cost to go from which on they count")
+    parser.add_argument("--expansions", type=int, default=500_000, help="limit of each search")
+    parser.add_argument("--json", type=Path, help="where to write the result")
+    parser.add_argument("--page", type=Path, help="page of docs into which to write it")
     arguments = parser.parse_args(argv)
     try:
         abstraction = load_abstraction(arguments.model)
@@ -57,33 +72,74 @@ def main(argv: list[str] | None = None) -> dict:
             abstraction.calibration.factors(level)
     except InputError as error:
         sys.exit(f"error: {error}")
-    runs = [run for seed in arguments.seeds for run in on_arena(abstraction, seed, arguments)]
-    result = {"model": arguments.model, "weight": arguments.weight, "arenas": len(arguments.seeds), **summary(runs)}
+
+    runs: list[dict] = []
+    ratios: dict[str, list[np.ndarray]] = {}
+    for seed in arguments.seeds:
+        planners = prepared(abstraction, seed, arguments)
+        drawn = pairs(planners[REFERENCE], np.random.default_rng(seed), arguments.pairs, arguments.near, arguments.far)
+        for number, (start, goal) in enumerate(drawn):
+            found, estimates = on_task(planners, start, goal, arguments)
+            runs += [{"task": f"{seed}.{number}", **run} for run in found]
+            for name, values in estimates.items():
+                ratios.setdefault(name, []).append(values)
+            solved = sum(run["solved"] for run in found)
+            print(f"arena {seed}, task {number}: {solved} of {len(found)} searches found a plan", flush=True)
+    result = {
+        "model": arguments.model,
+        "arenas": len(arguments.seeds),
+        "expansions_limit": arguments.expansions,
+        "above": {name: scores(np.concatenate(values)) for name, values in ratios.items()},
+        **summary(runs),
+    }
+    if arguments.json:
+        arguments.json.write_text(json.dumps({**result, "runs": runs}, indent=1) + "\n")
+    if arguments.page:
+        write_block(arguments.page, "benchmarks.quantile_heuristic", text(result))
     print(json.dumps(result))
     return result
 
 
-def on_arena(abstraction: LearnedAbstraction, seed: int, arguments: argparse.Namespace) -> list[dict]:
-    """One search with each heuristic."""
-    reference = Planner(random_arena(seed, arguments.size, ArenaSettings(blocks=2, least_free_share=0.1)))
-    start, goal = far_apart(reference, seed)
+def prepared(abstraction: LearnedAbstraction, seed: int, arguments: argparse.Namespace) -> dict[str, Planner]:
+    """A planner for each heuristic, on one random arena; the reference is the first."""
+    reference = Planner(random_arena(seed, arguments.size))
     edges = LearnedCosts(abstraction).edges(reference.terrain, mask=standing_states(reference.world))
-    levels = {AS_SAID: edges} | {f"q{level:g}": at_level(abstraction, edges, level) for level in arguments.quantiles}
-    planners = {name: Planner(reference.terrain, heuristic=KnownCosts(costs)) for name, costs in levels.items()}
-    runs = []
-    for name, planner in {**planners, "geometric": reference}.items():
-        weight = 1.0 if planner is reference else arguments.weight
-        ends = (reference.grid.to_world(state) for state in (start, goal))
-        began = time.process_time()
-        plan = planner.plan(*ends, weight=weight, expansions=arguments.expansions)
-        seconds = time.process_time() - began
-        runs.append({
-            "seed": seed, "heuristic": name, "solved": plan.solved, "cost": plan.cost,
-            "expansions": plan.stats["expansions"], "seconds": seconds,
-            "start": float(planner.heuristic(start[None])[0]),
-        })  # fmt: skip
-        print(f"arena {seed}, {name}: {plan.status}, cost {plan.cost:.4f}, {plan.stats['expansions']} expansions")
-    return runs
+    levels = {AS_SAID: edges} | {
+        f"quantile {level:g}": at_level(abstraction, edges, level) for level in arguments.quantiles
+    }
+    guided = {name: Planner(reference.terrain, heuristic=KnownCosts(costs)) for name, costs in levels.items()}
+    return {REFERENCE: reference, **guided}
+
+
+def on_task(planners: dict[str, Planner], start, goal, arguments) -> tuple[list[dict], dict[str, np.ndarray]]:
+    """One search with each heuristic and weight; h / h* of each heuristic where the reference found the cheapest plan.
+
+    Start and goal are states int64 [7] in units of the lattice.
+    """
+    grid = planners[REFERENCE].grid
+    ends, limit = (grid.to_world(start), grid.to_world(goal)), arguments.expansions
+    cheapest = planners[REFERENCE].plan(*ends, expansions=limit)
+    way = None
+    if cheapest.solved:
+        states = np.array([grid.to_lattice(state[:3], state[3:]) for state in cheapest.states])
+        way = spread(states, cheapest.action_costs, arguments.suffixes, arguments.least)
+    runs, estimates = [], {}
+    for name, planner in planners.items():
+        for weight in arguments.weights:
+            known = name == REFERENCE and weight == 1
+            plan = cheapest if known else planner.plan(*ends, weight=weight, expansions=limit)
+            runs.append(run_of(name, weight, plan))
+        if way is not None:
+            planner.heuristic.set_goal(goal)
+            estimates[name] = planner.heuristic(way[0]) / way[1]
+    return runs, estimates
+
+
+def run_of(heuristic: str, weight: float, plan: Plan) -> dict:
+    return {
+        "heuristic": heuristic, "weight": weight, "solved": plan.solved, "expansions": plan.stats["expansions"],
+        "cost": plan.cost if plan.solved else None,
+    }  # fmt: skip
 
 
 def at_level(abstraction: LearnedAbstraction, edges: np.ndarray, level: float) -> np.ndarray:
@@ -97,29 +153,55 @@ def at_level(abstraction: LearnedAbstraction, edges: np.ndarray, level: float) -
 
 
 def summary(runs: list[dict]) -> dict:
-    """Figures of each heuristic; means over no arena are None."""
-    names = list(dict.fromkeys(run["heuristic"] for run in runs))
-    by_name = {name: {run["seed"]: run for run in runs if run["heuristic"] == name} for name in names}
-    best = {seed: min(by_name[name][seed]["cost"] for name in names) for seed in by_name[AS_SAID]}
-    result = {}
-    for name in names:
-        solved = {seed: run for seed, run in by_name[name].items() if run["solved"]}
-        both = [(run, by_name[AS_SAID][seed]) for seed, run in solved.items() if by_name[AS_SAID][seed]["solved"]]
-        result[name] = {
-            "solved": len(solved),
-            "expansions": mean([run["expansions"] / said["expansions"] for run, said in both]),
-            "cost": mean([run["cost"] / said["cost"] for run, said in both]),
-            "cost_to_best": mean([run["cost"] / best[seed] for seed, run in solved.items()]),
-            "start_to_best": mean(
-                [run["start"] / best[seed] for seed, run in by_name[name].items() if np.isfinite(best[seed])]
-            ),
-            "cpu_seconds": mean([run["seconds"] for run in solved.values()]),
-        }
-    return result
+    """Figures of each heuristic and weight; tasks that no search solved count as tasks alone."""
+    at = {(run["task"], run["heuristic"], run["weight"]): run for run in runs}
+    tasks = list(dict.fromkeys(run["task"] for run in runs))
+    solved_runs = [run for run in runs if run["solved"]]
+    best = {task: min((run["cost"] for run in solved_runs if run["task"] == task), default=None) for task in tasks}
+    rows = []
+    for heuristic, weight in dict.fromkeys((run["heuristic"], run["weight"]) for run in runs):
+        solved = [task for task in tasks if at[task, heuristic, weight]["solved"]]
+        both = [task for task in solved if at[task, AS_SAID, weight]["solved"]]
+        costs = [at[task, heuristic, weight]["cost"] / best[task] for task in solved]
+        efforts = [
+            max(at[task, heuristic, weight]["expansions"], 1) / max(at[task, AS_SAID, weight]["expansions"], 1)
+            for task in both
+        ]
+        rows.append({
+            "heuristic": heuristic, "weight": weight, "solved": len(solved), "compared": len(both),
+            "expansions": round(math.exp(np.mean(np.log(efforts))), 3) if both else None,
+            "cost_to_best": round(float(np.mean(costs)), 4) if costs else None,
+            "largest_cost_to_best": round(max(costs), 4) if costs else None,
+        })  # fmt: skip
+    return {"tasks": len(tasks), "solved_by_none": sum(value is None for value in best.values()), "rows": rows}
 
 
-def mean(values: list[float]) -> float | None:
-    return round(float(np.mean(values)), 4) if values else None
+def text(result: dict) -> str:
+    """The result as it stands in the page."""
+    rows = [
+        [
+            row["heuristic"], *overestimated(result["above"].get(row["heuristic"])), f"{row['weight']:g}",
+            f"{row['solved']} of {result['tasks']}", row["expansions"], row["cost_to_best"],
+            row["largest_cost_to_best"],
+        ]
+        for row in result["rows"]
+    ]  # fmt: skip
+    head = [
+        "costs", "states with h > h*", "h / h*: 50%", "95%", "W", "solved",
+        "expansions / those with costs as the network says", "cost / best known", "largest",
+    ]  # fmt: skip
+    states = max((found["n"] for found in result["above"].values()), default=0)
+    counted = (
+        f"Model {result['model']}; random arenas: {result['arenas']}; tasks: {result['tasks']}, of which no search "
+        f"solved {result['solved_by_none']}; states with known h*: {states}; limit: {result['expansions_limit']:,} "
+        "expansions each."
+    )
+    return f"{table(head, rows)}\n\n{counted}"
+
+
+def overestimated(found: dict | None) -> list:
+    """Share of states above 1, and quantiles of h / h*, as they stand in the page; None where nothing is known."""
+    return [None] * 3 if found is None else [f"{found['above_1']:.1%}", found["q50"], found["q95"]]
 
 
 if __name__ == "__main__":

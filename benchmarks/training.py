@@ -1,21 +1,23 @@
 """Training throughput: one pass through the map for all 22 goals of it, against a pass for each task, in one run.
 
-    python -m benchmarks.training [--model klamt2019] [--maps 8] [--repeats 3]
+    python -m benchmarks.training [--model klamt2019] [--maps 8] [--repeats 3] [--page docs/pipeline.md]
 
 Both ways take the same tasks through the same network, forward and backward with the losses of training, on one thread
 in float32; they are measured in turn. `separate` puts the tasks of all maps into one batch, each with its own copy of
 the patch; `one_by_one` passes them singly, as the paper trained. Gradients have to agree: `gradient_difference` is the
 greatest difference relative to the largest gradient of its parameter; more than 1e-4 ends the run. Times are CPU time.
-Prints one JSON line last; `ratio` is shared over separate tasks per second.
+Prints one JSON line last; `ratio` is shared over separate tasks per second. `--page` writes the result into the page.
 """
 
 import argparse
 import json
 import time
+from pathlib import Path
 
 import numpy as np
 import torch
 
+from benchmarks.page import table, write_block
 from hdsp.errors import InputError
 from hdsp.lattice import N_ABSTRACT_ACTIONS, robot_frame_goals
 from hdsp.learning import build_network, count_parameters
@@ -33,6 +35,7 @@ def main(argv=None) -> dict:
     parser.add_argument("--model", default="klamt2019", help="a file of conf/model")
     parser.add_argument("--maps", type=int, default=8)
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--page", type=Path, help="page of docs into which to write the result")
     arguments = parser.parse_args(argv)
     if min(arguments.maps, arguments.repeats) < 1:
         raise InputError("benchmark: maps and repeats have to be at least 1")
@@ -73,8 +76,27 @@ def main(argv=None) -> dict:
         "ratio_to_one_by_one": round(rates["shared"] / rates["one_by_one"], 2),
         "gradient_difference": difference,
     }
+    if arguments.page:
+        write_block(arguments.page, "benchmarks.training", text(result))
     print(json.dumps(result))
     return result
+
+
+def text(result: dict) -> str:
+    """The result as it stands in the page."""
+    rates = result["tasks_per_s"]
+    ways = [
+        ("shared: each map once for its goals", "shared", 1),
+        ("separate: each task with its own copy of the map", "separate", result["ratio"]),
+        ("one by one: the same, in batches of one task", "one_by_one", result["ratio_to_one_by_one"]),
+    ]
+    rows = [[way, rates[name], round(rates[name] / N_ABSTRACT_ACTIONS, 2), slower] for way, name, slower in ways]
+    head = ["way", "tasks per second", "maps per second", "shared is faster by a factor of"]
+    counted = (
+        f"Model {result['model']}, {result['parameters']:,} parameters, {result['maps']} maps of {N_ABSTRACT_ACTIONS} "
+        f"tasks, one thread; gradients differ by at most {result['gradient_difference']:.1g} of their size."
+    )
+    return f"{table(head, rows)}\n\n{counted}"
 
 
 def random_tasks(maps: int) -> Batch:
