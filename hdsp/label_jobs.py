@@ -42,8 +42,44 @@ def label_maps(run: LabelRun, label: LabelMap | None, code: str, numbers: Sequen
     if _own_code() != code:
         raise InputError("a worker has another version of hdsp than the process that asks it for labels")
     if label is None:
-        from hdsp.labelling import label_map as label
+        label = _labeller(run)
     return [_label_map(run, label, number) for number in numbers]
+
+
+def _labeller(run: LabelRun) -> LabelMap:
+    if run.split.standable:
+        from hdsp.labelling import label_map
+
+        return label_map
+    return label_unstandable
+
+
+def label_unstandable(
+    terrain: HeightMap, robot: Robot, settings: "LabelSettings", start_heading: int
+) -> "MapTasks | None":
+    """The tasks, all infeasible, of a map in whose middle cell the robot cannot stand; None if it can.
+
+    As `hdsp.labelling.label_map`; start and goals are the start on neutral feet. No search needs the settings.
+    """
+    from hdsp.abstract.transform import feet_at
+    from hdsp.detailed.solve import Status
+    from hdsp.detailed.world import build_world
+    from hdsp.labelling import MapTasks
+    from hdsp.lattice import HEADINGS_PER_ABSTRACT, N_ABSTRACT_ACTIONS, Grid, robot_frame_goals
+
+    world, base = build_world(terrain, robot), (terrain.shape[0] // 2, terrain.shape[1] // 2, start_heading)
+    if feet_at(world, base) is not None:
+        return None
+    start = Grid(terrain.origin, terrain.shape).to_world(np.array([*base, 0, 0, 0, 0])).astype(np.float32)
+    return MapTasks(
+        heights=terrain.crop_cells(*base).heights,
+        goals=robot_frame_goals(start_heading // HEADINGS_PER_ABSTRACT),
+        feasible=np.zeros(N_ABSTRACT_ACTIONS, bool),
+        cost=np.zeros(N_ABSTRACT_ACTIONS, np.float32),
+        reason=np.full(N_ABSTRACT_ACTIONS, Status.INVALID_START, np.uint8),
+        start=start,
+        goal=np.tile(start, (N_ABSTRACT_ACTIONS, 1)),
+    )
 
 
 def count_labels(labels: Labels) -> LabelCounts:

@@ -47,6 +47,8 @@ class SplitSettings:
         categories: of terrain.
         maps_per_shard: before dropping.
         sensing: whether maps are made such as sensors see them, before they are labelled (`hdsp.sensing`).
+        standable: which maps are kept: those at whose start the robot can stand, or (false) those where it cannot. Of
+            the latter all tasks are infeasible; a network that learnt from the former alone makes something up there.
 
     Raises:
         InputError: for a number out of range or an unknown category.
@@ -58,6 +60,7 @@ class SplitSettings:
     categories: tuple[str, ...] = CATEGORIES
     maps_per_shard: int = 90
     sensing: bool = False
+    standable: bool = True
 
     def __post_init__(self):
         for name, least in (("seed", 0), ("maps_per_category", 1), ("maps_per_shard", 1)):
@@ -71,8 +74,9 @@ class SplitSettings:
             raise InputError(f"split: heading_residues is {list(self.heading_residues)}; need some {allowed}")
         if not self.categories or not set(self.categories) <= set(ALL_CATEGORIES):
             raise InputError(f"split: categories is {list(self.categories)}; need some of {', '.join(ALL_CATEGORIES)}")
-        if not isinstance(self.sensing, bool):
-            raise InputError(f"split: sensing is {self.sensing!r}; need true or false")
+        for name in ("sensing", "standable"):
+            if not isinstance(getattr(self, name), bool):
+                raise InputError(f"split: {name} is {getattr(self, name)!r}; need true or false")
 
     @property
     def maps(self) -> int:
@@ -101,6 +105,8 @@ class LabelRun:
         """Plain values by name; the code as a fingerprint."""
         split = asdict(self.split)
         del split["maps_per_category"]  # more maps add shards and leave those that are there as they are
+        if self.split.standable:  # as it was before there was a choice: shards of then still hold
+            del split["standable"]
         return {
             "schema_version": SCHEMA_VERSION,
             "labels_version": LABELS_VERSION,

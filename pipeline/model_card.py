@@ -138,14 +138,20 @@ def _recipe(abstraction: LearnedAbstraction, config: DictConfig) -> str:
     notes = abstraction.provenance.notes
     recorded = notes.get("trainer")
     source = "as recorded with the model" if recorded else "as configured when it was published"
-    rows = [(f"`{key}`", str(value)) for key, value in flatten(recorded or config.trainer).items()]
+    rows = _settings(recorded or config.trainer)
     if "profile" in notes:
         rows.insert(0, ("`profile`", str(notes["profile"])))
     if "epoch" in notes:
         rows.insert(0, ("state", str(notes["epoch"])))
-    return f"## Training recipe\n\nThe section `trainer` of the configuration, {source}.\n\n" + markdown(
-        ("setting", "value"), rows
-    )
+    table = markdown(("setting", "value"), rows)
+    if initial := notes.get("initial"):
+        first = [("`maps`", f"{initial['maps']:,}"), *_settings(initial["trainer"])]
+        table += "\n\nIt began with the weights of a training before:\n\n" + markdown(("setting", "value"), first)
+    return f"## Training recipe\n\nThe section `trainer` of the configuration, {source}.\n\n{table}"
+
+
+def _settings(values: Mapping[str, Any]) -> list[tuple[str, str]]:
+    return [(f"`{key}`", str(value)) for key, value in flatten(values).items()]
 
 
 def _metrics(figures: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str]) -> str:
@@ -237,14 +243,21 @@ def _limits(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, 
 
 
 def _again(abstraction: LearnedAbstraction, config: DictConfig) -> str:
-    chosen = f"profile={abstraction.provenance.notes.get('profile', config.profile)}"
+    notes = abstraction.provenance.notes
+    chosen = f"profile={notes.get('profile', config.profile)}"
     variant = f" runtime.variant={config.runtime.variant}" if config.runtime.variant else ""
+    then = ""
+    if "initial" in notes:
+        initial = notes["trainer"]["initial"]
+        then = f"""
+mv models/abstraction {initial}
+python -m pipeline.train experiment=finish trainer.initial={initial} runtime.inputs=. runtime.outputs=."""
     return f"""## Make it again
 
 With the model and the recipe above:
 
 ```sh
-dvc exp run -S {chosen} -S model={abstraction.model.architecture}      # makes the labels too: hours
+dvc exp run -S {chosen} -S model={abstraction.model.architecture}      # makes the labels too: hours{then}
 python -m pipeline.publish_model models/abstraction {chosen} runtime.outputs=.{variant}
 ```"""
 

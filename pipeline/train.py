@@ -103,8 +103,16 @@ def notes(config: DictConfig, tasks: TaskSet | list[Place]) -> dict[str, Any]:
         "profile": config.profile,
         "maps": sum(len(shard.tasks) for place in tasks for shard in read_shards(place)) if streamed else len(tasks),
         "trainer": plain(config.trainer),
+        **_notes_of_initial(config.trainer.get("initial")),
         **data_notes(config, config.trainer.get("splits") or ["train"]),
     }
+
+
+def _notes_of_initial(folder: str | None) -> dict[str, Any]:
+    """Of the model that training begins with, its own notes."""
+    from hdsp.learning import LearnedAbstraction
+
+    return {} if folder is None else {"initial": LearnedAbstraction.from_pretrained(folder).provenance.notes}
 
 
 def data_notes(config: DictConfig, splits: Sequence[str]) -> dict[str, Any]:

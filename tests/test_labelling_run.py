@@ -9,9 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hdsp.abstract.transform import feet_at
+from hdsp.detailed.solve import Status
+from hdsp.detailed.world import build_world
 from hdsp.errors import InputError
+from hdsp.heightmap import HeightMap
 from hdsp.label_counts import LabelCounts, split_summary
+from hdsp.labelling import LabelSettings
 from hdsp.labelling_run import ClusterSettings, LabelRun, SplitSettings, label_split
+from hdsp.lattice import robot_frame_goals
 from hdsp.robot import Robot
 from hdsp.shards import read_shard, read_tasks, shard_paths, write_shard
 from hdsp.terrain import CATEGORIES, TerrainSettings, random_map
@@ -307,3 +313,39 @@ def wait_for(condition, seconds: float = 30) -> bool:
             return True
         time.sleep(0.05)
     return False
+
+
+def test_maps_where_the_robot_cannot_stand_are_what_the_others_drop(tmp_path):
+    split = SplitSettings(seed=31, maps_per_category=2, heading_residues=(0, 1))
+    settings = LabelSettings(cost_limit=0.01)
+    kept = {}
+    for standable in (True, False):
+        run = LabelRun(replace(split, standable=standable), ROBOT, TerrainSettings(), settings)
+        folder = tmp_path / str(standable)
+        label_split(run, folder, ClusterSettings(1, dashboard=None), progress=False)
+        kept[standable] = read_tasks(folder)
+    numbers = {key: set(zip(tasks.category, tasks.index, strict=True)) for key, tasks in kept.items()}
+    assert not numbers[True] & numbers[False]
+    assert len(numbers[True]) + len(numbers[False]) == split.maps
+    blocked = kept[False]
+    assert len(blocked) and not blocked.feasible.any()
+    assert (blocked.reason == Status.INVALID_START).all()
+    assert set(blocked.heading) == {0, 4}
+    for tasks in kept.values():
+        for heading in set(tasks.heading):
+            of_it = tasks.heading == heading
+            np.testing.assert_array_equal(
+                tasks.goals[of_it], np.broadcast_to(robot_frame_goals(heading // 4), (of_it.sum(), 22, 3))
+            )
+    for heights, start, goal in zip(blocked.heights, blocked.start, blocked.goal, strict=True):
+        world = build_world(HeightMap(heights), ROBOT)
+        assert feet_at(world, (36, 36, 0)) is None, "the patch shows it, whatever the heading of the start"
+        np.testing.assert_array_equal(goal, np.broadcast_to(start, goal.shape))
+
+
+def test_shards_of_before_there_was_a_choice_still_hold():
+    run = LabelRun(SPLIT, ROBOT, TerrainSettings(), LabelSettings())
+    assert "standable" not in run.inputs()["split"]
+    assert replace(run, split=replace(SPLIT, standable=False)).labels_hash != run.labels_hash
+    with pytest.raises(InputError, match="standable is 'no'"):
+        replace(SPLIT, standable="no")

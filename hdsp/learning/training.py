@@ -27,6 +27,7 @@ from hdsp.learning.history import EpochHistory, OnEpoch
 from hdsp.learning.metrics import combined_score
 from hdsp.learning.module import AbstractionModule, LossSettings, OptimizerSettings, ScheduleSettings
 from hdsp.learning.networks import ModelSettings, build_network
+from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.pretrained import LearnedAbstraction, Provenance
 from hdsp.learning.settings import settings_from
 
@@ -71,6 +72,7 @@ class TrainerSettings:
         ema: decay of the average of the weights that is evaluated and saved; None = the last weights are.
         early_stopping: epochs without a better score after which training ends; None = it does not.
         checkpoint_minutes: how often the state is written within an epoch.
+        initial: folder of a saved abstraction of the same model, to begin with its weights; None = with random ones.
         splits, val_splits: names of the labelled splits that ``pipeline.train`` passes to ``train``.
         stream: whether it passes their folders, of which a few shards at a time are in memory.
         share, residues: of the maps of ``splits`` it passes this share, and of these those with a heading of these
@@ -90,6 +92,7 @@ class TrainerSettings:
     ema: float | None = field(default=None, repr=False)
     early_stopping: int | None = field(default=None, repr=False)
     checkpoint_minutes: float = field(default=10.0, repr=False)
+    initial: str | None = field(default=None, repr=False)
     stream: bool = field(default=False, repr=False)
     share: float = field(default=1.0, repr=False)
     residues: tuple[int, ...] | None = field(default=None, repr=False)
@@ -186,6 +189,8 @@ def train(
     started = time.perf_counter()
     config.hardware.apply_threads()
     module = _module(config, tuple(val_sets))
+    if trainer_settings.initial is not None:
+        _begin_with(module.network, trainer_settings.initial, config.model)
     source, maps = _training_batches(trainer_settings, train_tasks)
     batches = ResumableBatches(source)
     val_loaders = [task_loader(tasks, VALIDATION_BATCH) for tasks in val_sets.values()]
@@ -249,6 +254,17 @@ def _module(config: TrainingConfig, val_sets: tuple[str, ...]) -> AbstractionMod
     return AbstractionModule(network, trainer.optimizer, trainer.schedule, trainer.losses, val_sets)
 
 
+def _begin_with(network: TaskNetwork, folder: str | Path, model: ModelSettings) -> None:
+    """Takes over the weights of a saved abstraction."""
+    saved = LearnedAbstraction.from_pretrained(folder)
+    if saved.model != model:
+        raise InputError(
+            f"trainer.initial: {folder} holds a {saved.model.architecture}, {saved.model.to_dict()}; "
+            f"training is of {model.architecture}, {model.to_dict()}"
+        )
+    network.load_state_dict(saved.network.state_dict())
+
+
 def _loggers(logger: Logger | Iterable[Logger] | None) -> list[Logger] | bool:
     if logger is None:
         return False
@@ -272,7 +288,7 @@ def _fingerprint(config: TrainingConfig, batches: Any) -> str:
     """Hash of all that decides whether a checkpoint belongs to this training."""
     trainer = config.trainer
     parts = [config.model.to_dict(), repr(trainer)]
-    later = {"ema": trainer.ema, "early_stopping": trainer.early_stopping}
+    later = {name: getattr(trainer, name) for name in ("ema", "early_stopping", "initial")}
     parts += [f"{name} {value}" for name, value in later.items() if value is not None]
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode())
     if isinstance(batches, TaskStream):  # the name of a shard holds a hash of all its labels depend on

@@ -169,6 +169,21 @@ def test_a_diverged_training_is_named(tasks, val, tmp_path):
         train(config, tasks, {"val": val}, tmp_path, quiet=True)
 
 
+def test_training_may_begin_with_the_weights_of_a_saved_model(tasks, val, tmp_path):
+    first = train(tiny_config(epochs=3), tasks, {"val": val}, tmp_path / "first", quiet=True)
+    still = {"epochs": 1, "optimizer": {"name": "sgd", "lr": 1e-12}, "initial": str(first.model_dir)}
+    again = train(tiny_config(**still), tasks, {"val": val}, tmp_path / "again", quiet=True)
+    assert again.metrics["cost_error/val"] < 1.2 * first.metrics["cost_error/val"] < first.history[0]["cost_error/val"]
+    weights = [LearnedAbstraction.from_pretrained(result.model_dir).network.state_dict() for result in (first, again)]
+    for name, value in weights[0].items():
+        if "running" not in name and "num_batches" not in name:  # norms go on counting
+            torch.testing.assert_close(weights[1][name], value)
+    other = tiny_config(**still)
+    other["model"] = {**other["model"], "architecture": "table", "options": {}}
+    with pytest.raises(InputError, match=r"trainer.initial: .* holds a"):
+        train(other, tasks, {"val": val}, tmp_path / "other", quiet=True)
+
+
 def test_another_training_does_not_resume(tasks, val, tmp_path):
     train(tiny_config(epochs=1), tasks, {"val": val}, tmp_path, quiet=True)
     assert train(tiny_config(epochs=2), tasks, {"val": val}, tmp_path, quiet=True).resumed_from == 0

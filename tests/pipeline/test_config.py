@@ -61,7 +61,7 @@ def test_sets_may_be_added_without_a_plus_and_sections_of_others_not():
         ("modle=compact", "unknown config key 'modle'"),
         ("trainer.epoch=3", "unknown config key 'trainer.epoch'; allowed under trainer: "),
         ("model=nonsense", "Available options in 'model': compact dilated"),
-        ("experiment=klamt2091", "Available options in 'experiment': klamt2019"),
+        ("experiment=klamt2091", "Available options in 'experiment': finish klamt2019"),
         ("model=[", "no viable alternative"),
     ],
 )
