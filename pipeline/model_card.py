@@ -111,7 +111,8 @@ def _data(abstraction: LearnedAbstraction, robot: Robot, config: DictConfig) -> 
     return (
         "## Training data\n\nRandom height maps (`hdsp/terrain.py`, `hdsp/sensing.py`), and patches of simulated scans "
         "where listed (`hdsp/simulation/patches.py`), labelled by the optimal detailed planner. Maps where the robot "
-        "cannot stand are dropped.\n\n" + markdown(("what", "value"), rows)
+        "cannot stand are dropped; where `standable` is False they are what is kept, as infeasible.\n\n"
+        + markdown(("what", "value"), rows)
     )
 
 
