@@ -23,7 +23,7 @@ def label_report(config: DictConfig, folders: Folders) -> None:
 
     splits: dict[str, Any] = {}
     for split, chosen in config.labelling.splits.items():
-        if chosen.get("sensing"):
+        if chosen.get("sensing") or not chosen.get("standable", True):
             continue  # the paper has none of these
         place = shards_place(config, folders.inputs, split)
         ours = describe_labels(label_run(config, split), place)

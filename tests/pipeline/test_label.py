@@ -40,7 +40,7 @@ def test_a_second_run_changes_no_shard(labelled):
 def test_an_unknown_split_is_named(tmp_path):
     with pytest.raises(
         AssertionError,
-        match=r"error: unknown split 'tset'; labelling.splits has train, val, random, sensed, val_sensed\n",
+        match=r"error: unknown split 'tset'; labelling.splits has train, val, random, sensed, val_sensed, blocked, ",
     ):
         run_python("pipeline.label", "tset", *tiny(tmp_path))
 
