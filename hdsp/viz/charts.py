@@ -28,6 +28,7 @@ from hdsp.viz.style import (
 )
 
 _SETS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+_SURE = 10  # tasks in a bin of a reliability diagram whose share is drawn
 
 
 def save_training_beside(
@@ -150,7 +151,8 @@ def save_quality_bars(sets: Mapping[str, Mapping[str, Any]], path: str | os.Path
 
 def save_reliability(sets: Mapping[str, Mapping[str, Any]], path: str | os.PathLike) -> Path:
     """Reliability diagrams, one for each set: share of feasible tasks against the probability that the abstraction
-    states, with the share of tasks in each bin below. On the diagonal probabilities can be taken at their word.
+    states, with the share of tasks in each bin below. On the diagonal probabilities can be taken at their word. The
+    share is drawn for bins of ten tasks or more; fewer say little.
 
     Args:
         sets: by the name of the set figures with `calibration`: by method what
@@ -167,11 +169,16 @@ def save_reliability(sets: Mapping[str, Mapping[str, Any]], path: str | os.PathL
         diagram.plot([0, 1], [0, 1], color=GREY, linewidth=0.8, linestyle="--")
         for method, figures in methods.items():
             bins, color = figures["bins"], METHODS.get(method, PURPLE)
-            diagram.plot(bins["predicted"], bins["observed"], color=color, marker="o", markersize=3, linewidth=1.2)
-            share = np.array(bins["count"]) / sum(bins["count"])
-            histogram.bar(bins["predicted"], share, 0.05, color=color)
-        errors = ", ".join(f"{figures['ece']:.3f}" for figures in methods.values())
-        diagram.set_title(f"{name}: ECE {errors}")
+            count, predicted, observed = (np.array(bins[key]) for key in ("count", "predicted", "observed"))
+            sure = count >= _SURE
+            label = f"{NAMES.get(method, method)}: ECE {figures['ece']:.3f}"
+            line = {"color": color, "marker": "o", "markersize": 3, "linewidth": 1.2}
+            diagram.plot(predicted[sure], observed[sure], label=label, **line)
+            histogram.step(predicted, count / count.sum(), where="mid", color=color, linewidth=1.2)
+        diagram.set_title(name)
+        diagram.legend(loc="upper left", fontsize=7)
+        diagram.set_ylim(-0.03, 1.45)
+        diagram.set_yticks(np.linspace(0, 1, 6))
         histogram.set_yscale("log")
         histogram.set_xlabel("stated probability")
         diagram.set_xlim(-0.03, 1.03)
