@@ -55,10 +55,11 @@ def test_splits_of_scanned_courses_are_scanned_and_the_others_labelled(monkeypat
     for stage in ("label", "scan_courses"):
         monkeypatch.setattr(own_robot, stage, lambda _, __, split, stage=stage: made.append((stage, split)))
     monkeypatch.setattr(own_robot, "train", lambda *_: 1 / 0)
+    config = compose(["profile=beyond", "robot=anymal_wheels"])
     with pytest.raises(ZeroDivisionError):
-        own_robot.own_robot(compose(["profile=beyond", "robot=anymal_wheels"]), Folders(tmp_path, tmp_path))
+        own_robot.own_robot(config, Folders(tmp_path, tmp_path))
     assert [split for stage, split in made if stage == "scan_courses"] == ["courses"]
-    assert [split for stage, split in made if stage == "label"] == ["train", "sensed", "val", "val_sensed", "random"]
+    assert [split for stage, split in made if stage == "label"] == list(config.labelling.used)
 
 
 def test_it_writes_where_it_says(monkeypatch, capsys):
