@@ -64,7 +64,7 @@ driving-stepping robot from a height map around it: can it be done, and what doe
 ```python
 import hdsp
 
-planner = hdsp.Planner(terrain, robot="{robot.name}", heuristic="{source}")      # or, on its own:
+planner = hdsp.Planner(terrain, robot="{robot.name}", heuristic="{source}")  # or, on its own:
 feasible, cost = hdsp.load_abstraction("{name}").predict(patches, goals)
 ```"""
 
