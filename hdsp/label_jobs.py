@@ -60,6 +60,7 @@ def label_unstandable(
     """The tasks, all infeasible, of a map in whose middle cell the robot cannot stand; None if it can.
 
     As `hdsp.labelling.label_map`; start and goals are the start on neutral feet. No search needs the settings.
+    A change of these lines is not in the hash of shards (`hdsp.splits.labels_code`): raise `LABELS_VERSION` with it.
     """
     from hdsp.abstract.transform import feet_at
     from hdsp.detailed.solve import Status

@@ -13,7 +13,7 @@ from hdsp.robot import Robot
 from hdsp.terrain import CATEGORIES
 from pipeline.config import flatten, plain
 from pipeline.paper import ABSTRACTION_QUALITY
-from pipeline.tables import markdown
+from pipeline.tables import markdown, percent
 from pipeline.train import data_notes
 
 if TYPE_CHECKING:
@@ -161,9 +161,9 @@ def _metrics(figures: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str
         paper = ABSTRACTION_QUALITY.get(values.get("paper") or "", {}).get("learned", {})
         rows.append((
             name, f"{values['maps']:,}", f"{values['tasks']:,}",
-            _percent(values["feasibility_accuracy"]), _percent(paper.get("feasibility_accuracy")),
+            percent(values["feasibility_accuracy"]), percent(paper.get("feasibility_accuracy")),
             _cost(values["cost_error"]), _cost(paper.get("cost_error")),
-            _percent(values["false_feasible"]), _percent(values["false_infeasible"]),
+            percent(values["false_feasible"]), percent(values["false_infeasible"]),
         ))  # fmt: skip
     header = (
         "set", "maps", "tasks", "feasibility correct", "the paper's", "cost error", "the paper's",
@@ -178,7 +178,7 @@ def _metrics(figures: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str
         text += "\n\nWithout data: " + "; ".join(f"{name} ({reason})" for name, reason in missing.items()) + "."
     categories = [
         (
-            name, category, str(values["maps"]), _percent(values["feasibility_accuracy"]), _cost(values["cost_error"]),
+            name, category, str(values["maps"]), percent(values["feasibility_accuracy"]), _cost(values["cost_error"]),
         )
         for name, set_figures in figures.items() if name != "val"
         for category, values in set_figures["categories"].items() if len(set_figures["categories"]) > 1
@@ -193,7 +193,7 @@ def _calibration(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[
     rows = [
         (
             name, _cost(values["ece"]), _cost(values["ece_adaptive"]), _cost(values["brier"]),
-            *(_percent(values["cost_coverage"].get(level)) for level in levels),
+            *(percent(values["cost_coverage"].get(level)) for level in levels),
         )
         for name, values in figures.items()
     ]  # fmt: skip
@@ -215,7 +215,7 @@ def _limits(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, 
     for name, values in figures.items():
         worst = min(values["categories"].items(), key=lambda item: item[1]["feasibility_accuracy"])
         if name != "val" and len(values["categories"]) > 1:
-            accuracy = _percent(worst[1]["feasibility_accuracy"])
+            accuracy = percent(worst[1]["feasibility_accuracy"])
             lines.append(f"- Least right in set `{name}`: {worst[0]}, {accuracy} of {worst[1]['maps']} maps' tasks.")
     data = _data_notes(abstraction, config)
     terrain = data["terrain"]
@@ -269,10 +269,6 @@ def _largest(value: Any) -> float:
 
 def _inline(values: Mapping[str, Any]) -> str:
     return ", ".join(f"`{key}` {value}" for key, value in flatten(values).items()) or "none"
-
-
-def _percent(value: float | None) -> str:
-    return "–" if value is None else f"{100 * value:.2f} %"
 
 
 def _cost(value: float | None) -> str:

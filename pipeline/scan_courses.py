@@ -41,7 +41,7 @@ def scan_courses(config: DictConfig, folders: Folders, split: str) -> None:
         index: folders.write("data", "labels", split, f"{index:05d}-{digest[:12]}{SUFFIX}")
         for index in range(run.patches.courses)
     }
-    _remove_others(set(paths.values()), folders.write("data", "labels", split, "shard").parent)
+    _remove_others(set(paths.values()))
     missing = [index for index, path in paths.items() if not _is_valid(path, digest)]
     runtime = config.runtime
     cluster = ClusterSettings(runtime.workers, dashboard=runtime.dashboard, memory=runtime.memory)
@@ -64,12 +64,13 @@ def _is_valid(path: Path, digest: str) -> bool:
         return False
 
 
-def _remove_others(wanted: set[Path], folder: Path) -> None:
-    """Shards of courses that are no longer part of the split, or made otherwise."""
-    from hdsp.shards import SUFFIX
+def _remove_others(wanted: set[Path]) -> None:
+    """Removes shards of courses that are no longer part of the split, or made otherwise; other files stay."""
+    from hdsp.splits import SHARD_NAME
 
-    for path in folder.glob(f"*-*{SUFFIX}"):
-        if path not in wanted:
+    for path in next(iter(wanted)).parent.iterdir():
+        if SHARD_NAME.fullmatch(path.name) and path not in wanted:
+            print(f"removed {path}: not of these courses, or made with other code or settings")
             path.unlink()
 
 

@@ -41,7 +41,11 @@ def test_courses_to_learn_from_are_shards_that_stay_where_they_hold(tmp_path):
     folder = tmp_path / "data/labels/courses"
     folder.mkdir(parents=True)
     (folder / "00000-0123456789ab.h5").write_bytes(b"of another code")
+    mine = folder / "my-own.h5"
+    mine.write_bytes(b"somebody's")
     run_python("pipeline.scan_courses", "courses", *tiny(tmp_path))
+    assert mine.read_bytes() == b"somebody's"
+    mine.unlink()
     (path,) = folder.iterdir()
     written = path.stat().st_mtime_ns
     tasks, _ = read_shard(path)
