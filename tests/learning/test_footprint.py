@@ -11,7 +11,7 @@ from hdsp.heightmap import HeightMap
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, Provenance
 from hdsp.learning.data import mirror_goals, mirror_heights
 from hdsp.learning.networks import ModelSettings, build_network
-from hdsp.learning.networks.footprint import POSES
+from hdsp.learning.networks.footprint import FEET, POSES
 from hdsp.learning.settings import settings_from
 from tests.learning.test_zoo import model_file, rough_patches
 
@@ -24,6 +24,8 @@ def network():
     network = build_network(model_file("footprint")).eval()
     with torch.no_grad():
         network.heads.weight.mul_(10)
+        _, logits = network(torch.from_numpy(rough_patches(4))[:, None], GOALS.expand(4, -1, -1))
+        network.heads.bias[1] -= logits.median()
     return network
 
 
@@ -64,10 +66,13 @@ def test_a_turn_to_the_other_side_is_the_mirrored_turn_of_a_mirrored_network(net
         symmetric.near[0].weight[:, names.index("slope_y")] = 0
         taps = symmetric.of_ground.weight.view(-1, *symmetric.options.taps, symmetric.ground_channels)
         taps.copy_((taps + taps.flip(2)) / 2)
+        for first in (0, len(FEET)):
+            stance = symmetric.of_stance.weight[:, first : first + len(FEET)]
+            stance.copy_((stance + stance[:, [3, 2, 1, 0]]) / 2)
     mirrored = mirror_heights(patches)
     goals = torch.tensor([[0.0, 0, 1]])
     features = [symmetric.map_part(symmetric.encoding(h)) for h in (patches, mirrored)]
-    width = symmetric.options.features
+    width = symmetric.pose_features
     left, right = (slice((POSES**2 + n) * width, (POSES**2 + n + 4) * width) for n in (0, 4))
     torch.testing.assert_close(features[0][:, left], features[1][:, right], atol=2e-3, rtol=0)
     assert (mirror_goals(goals) == torch.tensor([[0.0, 0, -1]])).all()

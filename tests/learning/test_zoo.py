@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-import yaml
 
 from hdsp.errors import InputError
 from hdsp.heightmap import HeightMap
@@ -15,6 +14,7 @@ from hdsp.learning.data import mirror_goals
 from hdsp.learning.networks import ARCHITECTURES, build_network
 from hdsp.learning.networks.dense import DenseTrunk
 from hdsp.learning.settings import settings_from
+from pipeline.config import compose, plain
 
 ROOT = Path(__file__).resolve().parents[2]
 MODELS = sorted(path.stem for path in (ROOT / "conf/model").glob("*.yaml"))
@@ -37,7 +37,7 @@ def abstraction(name: str) -> LearnedAbstraction:
 
 
 def model_file(name: str) -> dict:
-    return yaml.safe_load((ROOT / f"conf/model/{name}.yaml").read_text())
+    return plain(compose([f"model={name}"]).model)
 
 
 DENSE = [name for name in MODELS if build_network(model_file(name)).is_dense()]

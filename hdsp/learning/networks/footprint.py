@@ -1,6 +1,7 @@
 """A network that judges the robot's footprint at every pose on the way to a goal; dense, the same on every floor."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -12,6 +13,7 @@ from hdsp.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PAT
 from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
+from hdsp.learning.networks.stance import FEET, POSE_FEATURES, STANCE_FEATURES, Stance, StanceOptions, told
 
 #: Cells that the base may move along each axis on its way to a goal: the longest action at any heading residue.
 REACH = 9
@@ -20,9 +22,8 @@ POSES = 2 * REACH + 1
 #: Poses on the way to a goal, start and goal included.
 SAMPLES = 5
 #: Where the network looks for feet at the start, in cells from the base; what it sees there is wide, so that this need
-#: not be to the cell where the feet of a robot are. Signs of the four: (along x, along y).
+#: not be to the cell where the feet of a robot are.
 FOOT_X, FOOT_Y = 13, 10
-FEET = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 #: Cells ahead of each foot and behind it where features and heights are read: how far feet reach, and a goal's way.
 LINE = tuple(range(-15, 16, 3))
 PROFILE = tuple(range(-18, 19, 3))
@@ -49,6 +50,7 @@ class FootprintOptions:
         context: width of the summary of all footprints around the start; detours need it.
         feet: width of the summary of what lies ahead of and behind each foot at the start; steps need it.
         head: width of the layers that judge a way.
+        stance: what the robot asks of the ground at a pose, which the network then need not learn. None: it has to.
     """
 
     width: int = 32
@@ -60,6 +62,7 @@ class FootprintOptions:
     context: int = 64
     feet: int = 128
     head: int = 128
+    stance: StanceOptions | None = None
 
     def __post_init__(self):
         if sum(self.dilations) > 7 or min(self.dilations, default=1) < 1:
@@ -93,6 +96,7 @@ class Footprint(TaskNetwork):
         self.trunk_channels = [i for i, c in enumerate(names) if c not in ("height", "unevenness")]
         self.trunk_channels = self.trunk_channels or [names.index("height")]
         self.ground_channels = 3 if "unevenness" in names else 2
+        self.tapped = slice(1, 1 + self.ground_channels)
         self.options = options
         self.near = nn.Sequential(nn.Conv2d(len(self.trunk_channels), width, 2 * NEAR_RADIUS + 1), nn.ReLU())
         layers: list[nn.Module] = []
@@ -104,10 +108,13 @@ class Footprint(TaskNetwork):
         self.of_local = nn.Conv2d(width, hidden, options.taps, dilation=options.spacing)
         self.of_ground = nn.Linear(self.ground_channels * math.prod(options.taps), hidden, bias=False)
         self.footprint = nn.Linear(hidden, options.features)
-        self.context = nn.Linear(7 * 7 * options.features, options.context)
+        #: Of a pose: its footprint, and as it is, how it stands with what the robot asks.
+        self.pose_features = options.features + (POSE_FEATURES if options.stance else 0)
+        self.context = nn.Linear(7 * 7 * self.pose_features, options.context)
         self.of_line = nn.Sequential(nn.Conv2d(width, width, 2 * LINE_RADIUS + 1), nn.ReLU())
-        self.feet = nn.Linear(4 * (len(LINE) * width + len(PROFILE) * 2), options.feet)
-        way = (SAMPLES + 2) * options.features + options.context + options.feet + GOAL_FEATURES
+        footholds = PROFILE[-1] - PROFILE[0] + 1 if options.stance else 0
+        self.feet = nn.Linear(4 * (len(LINE) * width + len(PROFILE) * 2 + footholds), options.feet)
+        way = (SAMPLES + 2) * self.pose_features + options.context + options.feet + GOAL_FEATURES
         self.rest = nn.Sequential(
             nn.Linear(way, options.head), nn.ReLU(), nn.Linear(options.head, options.head // 2), nn.ReLU()
         )
@@ -117,6 +124,15 @@ class Footprint(TaskNetwork):
         self.register_buffer("taps", torch.cartesian_prod(taps_x, taps_y).float(), persistent=False)
         share = torch.linspace(0, 1, SAMPLES)[1:] * (2 * math.pi / ABSTRACT_HEADINGS)
         self.register_buffer("turns", torch.cat([share, -share]), persistent=False)
+        self.stance, self.of_stance = None, None
+        if options.stance:
+            if not {"unknown", "edge", "unevenness"} <= set(names):
+                raise InputError(f"model.encoding.channels: {list(names)}; stance needs unknown, edge and unevenness")
+            self.stance = Stance(options.stance, GROUND_RADIUS, self.turns)
+            self.of_stance = nn.Linear(STANCE_FEATURES, hidden, bias=False)
+            reach = max(*self.stance.reach(REACH).values(), FOOT_X + PROFILE[-1] + self.stance.radius)
+            if reach >= PATCH_CENTER:
+                raise InputError(f"model.options.stance: looks {reach} cells far, but a patch ends at {PATCH_CENTER}")
 
     def map_part(self, encoded: Tensor) -> Tensor:
         near, ground = self._first(encoded)
@@ -125,7 +141,8 @@ class Footprint(TaskNetwork):
         local = self.local(_cut(near, x - self.radius, y - self.radius))
         under = _cut(ground, x, y)
         centre = torch.tensor([[PATCH_CENTER, PATCH_CENTER]], device=encoded.device)
-        straight = self._footprints(local, under).permute(0, 2, 3, 1).flatten(1)
+        stances = self._stances(ground, [PATCH_CENTER - NEAR_RADIUS - REACH] * 2, (POSES, POSES))
+        straight = self._footprints(local, under, stances).permute(0, 2, 3, 1).flatten(1)
         turned = self._turned(local, under, centre - torch.tensor([x, y], device=centre.device)).flatten(1)
         first = PATCH_CENTER - FOOT_X - LINE[-1]
         strips = (_cut(near, first - LINE_RADIUS, PATCH_CENTER - FOOT_Y - LINE_RADIUS)[..., side] for side in SIDES)
@@ -143,13 +160,17 @@ class Footprint(TaskNetwork):
         line = FOOT_X + max(LINE[-1] + LINE_RADIUS + NEAR_RADIUS, PROFILE[-1] + GROUND_RADIUS)
         within = dict.fromkeys(self.encoding.channels, max(footprint + self.radius + NEAR_RADIUS, line))
         within |= {"height": max(footprint + GROUND_RADIUS, line), "unevenness": footprint}
+        if self.stance:
+            for name, reach in self.stance.reach(REACH).items():
+                within[name] = max(within[name], reach + (GROUND_RADIUS if name == "height" else 0))
+            within["edge"] = max(within["edge"], FOOT_X + PROFILE[-1] + self.stance.radius)
         beyond = max(reach + self.encoding.radius(name) for name, reach in within.items())
         return self.encoding.reference == "none" and beyond < PATCH_CELLS - PATCH_CENTER
 
     def _first(self, encoded: Tensor) -> tuple[Tensor, Tensor]:
         """What all else is made of, at the cells that are not within NEAR_RADIUS of the rim: features [B, width, ...];
-        of the ground [B, 3 or 4, ...] the height of the cell itself (NaN if unknown), the highest and lowest around,
-        and the unevenness if that is a channel."""
+        of the ground [B, 3 to 5, ...] the height of the cell itself (NaN if unknown), the highest and lowest around,
+        the unevenness if that is a channel, and with a stance whether feet are barred."""
         names = self.encoding.channels
         near = self.near(encoded[:, self.trunk_channels])
         height = encoded[:, names.index("height"), None].float()
@@ -161,7 +182,14 @@ class Footprint(TaskNetwork):
         inner = slice(NEAR_RADIUS, -NEAR_RADIUS)
         own = height.masked_fill(unknown, math.nan)[..., inner, inner]
         unevenness = [encoded[:, i, None, inner, inner].float() for i, name in enumerate(names) if name == "unevenness"]
-        return near, torch.cat([own, highest, lowest, *unevenness], dim=1)
+        barred = []
+        if self.stance:
+            bounded = encoded[:, names.index("edge"), None].float()
+            edges = self.stance.barred(self.encoding.edge_scale * bounded / (1 - bounded).clamp_min(1e-6))
+            # Nothing reads it within the rim that is missing or made up here.
+            rim = self.stance.radius - NEAR_RADIUS
+            barred = [functional.pad(edges, [rim] * 4) if rim >= 0 else edges[..., -rim:rim, -rim:rim]]
+        return near, torch.cat([own, highest, lowest, *unevenness, *barred], dim=1)
 
     @staticmethod
     def _line_cells(bases: Tensor, offsets: tuple[int, ...] = LINE) -> Tensor:
@@ -177,40 +205,56 @@ class Footprint(TaskNetwork):
         seen = line[:, :, at[..., 0], at[..., 1]].permute(0, 2, 3, 4, 1).flatten(2)
         heights = ground[:, 1:3, profile[..., 0], profile[..., 1]].permute(0, 2, 3, 4, 1)
         base = ground[:, 0, bases[:, 0], bases[:, 1]][:, :, None, None, None]
-        return torch.relu(self.feet(torch.cat([seen.float(), _relative(heights, base).flatten(2)], dim=-1)))
+        parts = [seen.float(), _relative(heights, base).flatten(2)]
+        if self.stance:
+            x, y = self._line_cells(bases, tuple(range(PROFILE[0], PROFILE[-1] + 1))).unbind(-1)
+            parts.append(told(ground[:, -1, x, y]).flatten(2))
+        return torch.relu(self.feet(torch.cat(parts, dim=-1)))
 
-    def _footprints(self, local: Tensor, ground: Tensor) -> Tensor:
-        """Footprints [B, features, mx, my] at all positions whose taps lie within the maps."""
+    def _stances(self, ground: Tensor, first: Sequence[int], size: Sequence[int]) -> Tensor | None:
+        return self.stance.straight(ground[:, [0, 1, 3, 4]], first, size) if self.stance else None
+
+    def _footprints(self, local: Tensor, ground: Tensor, stances: Tensor | None) -> Tensor:
+        """Footprints [B, pose features, mx, my] at all positions whose taps lie within the maps."""
         taps, spacing = self.options.taps, self.options.spacing
         of_local = self.of_local(local)
         mx, my = of_local.shape[-2:]
         x, y = self.margins
         base = ground[:, :1, x : x + mx, y : y + my]
         seen = [
-            ground[:, 1:, i * spacing : i * spacing + mx, j * spacing : j * spacing + my]
+            ground[:, self.tapped, i * spacing : i * spacing + mx, j * spacing : j * spacing + my]
             for i in range(taps[0])
             for j in range(taps[1])
         ]
         seen = torch.stack(seen, dim=1)
         of_ground = torch.cat([_relative(seen[:, :, :2], base[:, None]), seen[:, :, 2:]], dim=2).flatten(1, 2)
-        hidden = torch.relu(of_local + functional.conv2d(of_ground, self.of_ground.weight[:, :, None, None]))
-        return torch.relu(functional.conv2d(hidden, self.footprint.weight[:, :, None, None], self.footprint.bias))
+        hidden = of_local + functional.conv2d(of_ground, self.of_ground.weight[:, :, None, None])
+        if stances is not None:
+            hidden = hidden + functional.conv2d(stances, self.of_stance.weight[:, :, None, None])
+        weight, bias = self.footprint.weight[:, :, None, None], self.footprint.bias
+        judged = torch.relu(functional.conv2d(torch.relu(hidden), weight, bias))
+        return judged if stances is None else torch.cat([judged, stances[:, -POSE_FEATURES:].to(judged)], dim=1)
 
     def _turned(self, local: Tensor, ground: Tensor, centres: Tensor) -> Tensor:
-        """Footprints [B, n, turns, features] of bases at cells ``centres`` [n, 2] of the maps, turned on the spot."""
+        """Footprints [B, n, turns, pose features] of bases at cells ``centres`` [n, 2] of the maps, turned there."""
         cos, sin = self.turns.cos()[:, None], self.turns.sin()[:, None]
         x, y = self.taps.unbind(-1)
         positions = centres[:, None, None, :] + torch.stack([cos * x - sin * y, sin * x + cos * y], dim=-1)
         near = positions.round().long()
-        seen = ground[:, 1:, near[..., 0], near[..., 1]].permute(0, 2, 3, 4, 1)
+        seen = ground[:, self.tapped, near[..., 0], near[..., 1]].permute(0, 2, 3, 4, 1)
         base = ground[:, 0, centres[:, 0], centres[:, 1]][:, :, None, None, None]
         of_ground = torch.cat([_relative(seen[..., :2], base), seen[..., 2:]], dim=-1).flatten(3)
         weight = self.of_local.weight.flatten(2).permute(0, 2, 1).flatten(1)
         of_local = functional.linear(_interpolated(local, positions).flatten(-2), weight, self.of_local.bias)
-        return torch.relu(self.footprint(torch.relu(of_local + self.of_ground(of_ground))))
+        hidden = of_local + self.of_ground(of_ground)
+        if self.stance is None:
+            return torch.relu(self.footprint(torch.relu(hidden)))
+        stances = self.stance.turned(ground[:, [0, 1, 3, 4]], centres)
+        judged = torch.relu(self.footprint(torch.relu(hidden + self.of_stance(stances))))
+        return torch.cat([judged, stances[..., -POSE_FEATURES:].to(judged)], dim=-1)
 
     def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
-        width = self.options.features
+        width = self.pose_features
         goals = goals.expand(len(features), -1, -1)
         sizes = [POSES * POSES * width, 2 * (SAMPLES - 1) * width, self.options.feet]
         straight, turned, feet = features.split(sizes, dim=1)
@@ -248,7 +292,9 @@ class FootprintTrunk:
         near, ground = network._first(encoded)
         local, under = network.local(near), ground[..., inner, inner]
         # Cells first: what belongs to one cell then lies side by side, and is copied in one piece.
-        straight = network._footprints(local, under)[0].permute(1, 2, 0).contiguous()
+        size = [n - 2 * margin for n, margin in zip(under.shape[-2:], network.margins, strict=True)]
+        stances = network._stances(ground, [network.radius + margin for margin in network.margins], size)
+        straight = network._footprints(local, under, stances)[0].permute(1, 2, 0).contiguous()
         return local.float(), under, straight.float(), network.of_line(near).float(), ground
 
     def windows(self, dense: tuple[Tensor, ...], corners: Tensor) -> Tensor:
