@@ -11,7 +11,8 @@ from hdsp.heightmap import HeightMap
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, Provenance
 from hdsp.learning.data import mirror_goals, mirror_heights
 from hdsp.learning.networks import ModelSettings, build_network
-from hdsp.learning.networks.footprint import FEET, POSES
+from hdsp.learning.networks.footprint import POSES
+from hdsp.learning.networks.stance import FEET, STANCE_FEATURES
 from hdsp.learning.settings import settings_from
 from tests.learning.test_zoo import model_file, rough_patches
 
@@ -64,11 +65,11 @@ def test_a_turn_to_the_other_side_is_the_mirrored_turn_of_a_mirrored_network(net
         # The channel slope_y changes its sign in a mirror.
         names = [symmetric.encoding.channels[i] for i in symmetric.trunk_channels]
         symmetric.near[0].weight[:, names.index("slope_y")] = 0
-        taps = symmetric.of_ground.weight.view(-1, *symmetric.options.taps, symmetric.ground_channels)
+        of_taps, of_feet = symmetric.of_ground.weight.split([189, STANCE_FEATURES], dim=1)
+        taps = of_taps.view(-1, *symmetric.options.taps, symmetric.ground_channels)
         taps.copy_((taps + taps.flip(2)) / 2)
-        for first in (0, len(FEET)):
-            stance = symmetric.of_stance.weight[:, first : first + len(FEET)]
-            stance.copy_((stance + stance[:, [3, 2, 1, 0]]) / 2)
+        for feet in of_feet.split(len(FEET), dim=1)[:2]:
+            feet.copy_((feet + feet[:, [3, 2, 1, 0]]) / 2)
     mirrored = mirror_heights(patches)
     goals = torch.tensor([[0.0, 0, 1]])
     features = [symmetric.map_part(symmetric.encoding(h)) for h in (patches, mirrored)]

@@ -106,7 +106,8 @@ class Footprint(TaskNetwork):
         self.radius = sum(options.dilations)
         self.margins = tuple(n // 2 * options.spacing for n in options.taps)
         self.of_local = nn.Conv2d(width, hidden, options.taps, dilation=options.spacing)
-        self.of_ground = nn.Linear(self.ground_channels * math.prod(options.taps), hidden, bias=False)
+        of_ground = self.ground_channels * math.prod(options.taps) + (STANCE_FEATURES if options.stance else 0)
+        self.of_ground = nn.Linear(of_ground, hidden, bias=False)
         self.footprint = nn.Linear(hidden, options.features)
         #: Of a pose: its footprint, and as it is, how it stands with what the robot asks.
         self.pose_features = options.features + (POSE_FEATURES if options.stance else 0)
@@ -124,12 +125,11 @@ class Footprint(TaskNetwork):
         self.register_buffer("taps", torch.cartesian_prod(taps_x, taps_y).float(), persistent=False)
         share = torch.linspace(0, 1, SAMPLES)[1:] * (2 * math.pi / ABSTRACT_HEADINGS)
         self.register_buffer("turns", torch.cat([share, -share]), persistent=False)
-        self.stance, self.of_stance = None, None
+        self.stance = None
         if options.stance:
             if not {"unknown", "edge", "unevenness"} <= set(names):
                 raise InputError(f"model.encoding.channels: {list(names)}; stance needs unknown, edge and unevenness")
             self.stance = Stance(options.stance, GROUND_RADIUS, self.turns)
-            self.of_stance = nn.Linear(STANCE_FEATURES, hidden, bias=False)
             reach = max(*self.stance.reach(REACH).values(), FOOT_X + PROFILE[-1] + self.stance.radius)
             if reach >= PATCH_CENTER:
                 raise InputError(f"model.options.stance: looks {reach} cells far, but a patch ends at {PATCH_CENTER}")
@@ -228,11 +228,11 @@ class Footprint(TaskNetwork):
         ]
         seen = torch.stack(seen, dim=1)
         of_ground = torch.cat([_relative(seen[:, :, :2], base[:, None]), seen[:, :, 2:]], dim=2).flatten(1, 2)
-        hidden = of_local + functional.conv2d(of_ground, self.of_ground.weight[:, :, None, None])
         if stances is not None:
-            hidden = hidden + functional.conv2d(stances, self.of_stance.weight[:, :, None, None])
+            of_ground = torch.cat([of_ground, stances], dim=1)
+        hidden = torch.relu(of_local + functional.conv2d(of_ground, self.of_ground.weight[:, :, None, None]))
         weight, bias = self.footprint.weight[:, :, None, None], self.footprint.bias
-        judged = torch.relu(functional.conv2d(torch.relu(hidden), weight, bias))
+        judged = torch.relu(functional.conv2d(hidden, weight, bias))
         return judged if stances is None else torch.cat([judged, stances[:, -POSE_FEATURES:].to(judged)], dim=1)
 
     def _turned(self, local: Tensor, ground: Tensor, centres: Tensor) -> Tensor:
@@ -246,12 +246,11 @@ class Footprint(TaskNetwork):
         of_ground = torch.cat([_relative(seen[..., :2], base), seen[..., 2:]], dim=-1).flatten(3)
         weight = self.of_local.weight.flatten(2).permute(0, 2, 1).flatten(1)
         of_local = functional.linear(_interpolated(local, positions).flatten(-2), weight, self.of_local.bias)
-        hidden = of_local + self.of_ground(of_ground)
-        if self.stance is None:
-            return torch.relu(self.footprint(torch.relu(hidden)))
-        stances = self.stance.turned(ground[:, [0, 1, 3, 4]], centres)
-        judged = torch.relu(self.footprint(torch.relu(hidden + self.of_stance(stances))))
-        return torch.cat([judged, stances[..., -POSE_FEATURES:].to(judged)], dim=-1)
+        if self.stance:
+            stances = self.stance.turned(ground[:, [0, 1, 3, 4]], centres)
+            of_ground = torch.cat([of_ground, stances], dim=-1)
+        judged = torch.relu(self.footprint(torch.relu(of_local + self.of_ground(of_ground))))
+        return torch.cat([judged, stances[..., -POSE_FEATURES:].to(judged)], dim=-1) if self.stance else judged
 
     def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
         width = self.pose_features

@@ -86,8 +86,9 @@ class Stance(nn.Module):
         cos, sin = rotations.cos()[:, None], rotations.sin()[:, None]
         x, y = points.unbind(-1)
         turned = torch.stack([cos * x - sin * y, sin * x + cos * y], dim=-1)
-        self.register_buffer("cells", points.round().long(), persistent=False)
-        self.register_buffer("turned_cells", turned.round().long(), persistent=False)
+        # Not integers: averaging of weights would average and truncate them.
+        self.register_buffer("cells", points.round(), persistent=False)
+        self.register_buffer("turned_cells", turned.round(), persistent=False)
 
     def reach(self, travel: int) -> dict[str, int]:
         """Cells from a base at which it looks at encoded channels, where straight poses are ``travel`` cells away."""
@@ -118,7 +119,11 @@ class Stance(nn.Module):
 
         def at(channel: int, cells: Tensor) -> Tensor:
             return torch.stack(
-                [ground[:, channel, x + i : x + i + size[0], y + j : y + j + size[1]] for i, j in cells.tolist()], dim=1
+                [
+                    ground[:, channel, x + i : x + i + size[0], y + j : y + j + size[1]]
+                    for i, j in cells.long().tolist()
+                ],
+                dim=1,
             )
 
         return torch.cat(self._features(at, self.cells, 1), dim=1)
@@ -127,7 +132,7 @@ class Stance(nn.Module):
         """The same of bases at cells ``centres`` [n, 2], turned on the spot: [B, n, turns, STANCE_FEATURES]."""
 
         def at(channel: int, cells: Tensor) -> Tensor:
-            x, y = (centres[:, None, None] + cells).unbind(-1)
+            x, y = (centres[:, None, None] + cells.long()).unbind(-1)
             return ground[:, channel, x, y]
 
         return torch.cat(self._features(at, self.turned_cells, -1), dim=-1)
