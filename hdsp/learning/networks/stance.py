@@ -115,16 +115,11 @@ class Stance(nn.Module):
             ground: [B, 4, nx, ny]: heights (NaN = unknown), the highest around, unevenness (of ``HeightEncoding``), and
                 ``barred``.
         """
-        x, y = first
+        (x, y), (nx, ny) = first, size
 
         def at(channel: int, cells: Tensor) -> Tensor:
-            return torch.stack(
-                [
-                    ground[:, channel, x + i : x + i + size[0], y + j : y + j + size[1]]
-                    for i, j in cells.long().tolist()
-                ],
-                dim=1,
-            )
+            corners = [(x + i, y + j) for i, j in cells.long().tolist()]
+            return torch.stack([ground[:, channel, i : i + nx, j : j + ny] for i, j in corners], dim=1)
 
         return torch.cat(self._features(at, self.cells, 1), dim=1)
 
