@@ -80,8 +80,9 @@ class Footprint(TaskNetwork):
 
     The detailed costs depend on what lies under the feet and the body at each pose, in the same manner for every goal
     and every part of a way. So one and the same layer judges the footprint at all positions within reach (a convolution
-    with the robot's size), and turned, for the goals that turn. A small network then judges the sequence of footprints
-    on the straight way to a goal, beside a summary of all that lie around it.
+    with the robot's size), and turned, for the goals that turn. Beside it stands what the robot asks of a pose
+    (``stance.Stance``). A small network then judges the sequence of footprints on the straight way to a goal, beside a
+    summary of all that lie around it.
 
     Nothing is padded and only differences of heights enter, so the network can be evaluated densely, on any floor.
     """
@@ -132,7 +133,7 @@ class Footprint(TaskNetwork):
             self.stance = Stance(options.stance, GROUND_RADIUS, self.turns)
             reach = max(*self.stance.reach(REACH).values(), FOOT_X + PROFILE[-1] + self.stance.radius)
             if reach >= PATCH_CENTER:
-                raise InputError(f"model.options.stance: looks {reach} cells far, but a patch ends at {PATCH_CENTER}")
+                raise InputError(f"model.options.stance: looks {reach} cells far, but a patch has {PATCH_CENTER}")
 
     def map_part(self, encoded: Tensor) -> Tensor:
         near, ground = self._first(encoded)
