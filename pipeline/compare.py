@@ -157,14 +157,16 @@ def experiment_settings(name: str) -> dict[str, Any] | None:
 def differences(base: Mapping[str, Any] | None, other: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """Settings that are not those of the base; None for those that only the base has. None if one is not known.
 
-    Where the architecture is another, it stands for all settings of the model.
+    Where the architecture is another, it stands for all settings of the model, and a section that is gone for what it
+    held.
     """
     if base is None or other is None:
         return None
     found = {key: other.get(key) for key in {**base, **other} if base.get(key) != other.get(key)}
     if ARCHITECTURE in found:
         return {key: value for key, value in found.items() if key == ARCHITECTURE or not key.startswith("model.")}
-    return found
+    gone = tuple(f"{key}." for key, value in found.items() if value is None)
+    return {key: value for key, value in found.items() if not key.startswith(gone)}
 
 
 def map_seconds(abstraction) -> float:
