@@ -162,7 +162,9 @@ def differences(base: Mapping[str, Any] | None, other: Mapping[str, Any] | None)
     """
     if base is None or other is None:
         return None
-    found = {key: other.get(key) for key in {**base, **other} if base.get(key) != other.get(key)}
+    missing = object()
+    keys = {**base, **other}
+    found = {key: other.get(key) for key in keys if base.get(key, missing) != other.get(key, missing)}
     if ARCHITECTURE in found:
         return {key: value for key, value in found.items() if key == ARCHITECTURE or not key.startswith("model.")}
     gone = tuple(f"{key}." for key, value in found.items() if value is None)
