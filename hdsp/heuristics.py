@@ -103,8 +103,9 @@ class AbstractHeuristic(Heuristic):
 
     Where the geometric heuristic says more (within one abstract cell of the goal, say), that counts. The steps that
     each foot still has to make are added (``hdsp.detailed.footing``): abstract states know no feet, so that without it
-    a search could not tell a step that leads on from one that does not. States that the
-    abstraction cuts off from the goal are not given up: they come after all others, so that a mistake of the
+    a search could not tell a step that leads on from one that does not. Where the robot cannot rest but an abstract
+    action passes, as on a step, what counts is the rest of that action (``PreparedGraph.bridged``). Other states that
+    the abstraction cuts off from the goal are not given up: they come after all others, so that a mistake of the
     abstraction costs time but never makes a solvable task unsolvable.
 
     Args:
@@ -165,7 +166,7 @@ class AbstractHeuristic(Heuristic):
     def _cost_to_go(self, goal: tuple[int, int, int]) -> np.ndarray:
         if self._reached is None or self._reached[0] != goal:
             self._reached = goal, self.graph.distances(goal)
-        return self._reached[1].astype(np.float32)
+        return self.graph.bridged(self._reached[1]).astype(np.float32)
 
     def update(self, world: World, terrain: HeightMap, region: Region | None = None) -> None:
         """See ``Heuristic.update``. Where the abstraction says which states a change touches (``LocalCosts``), only

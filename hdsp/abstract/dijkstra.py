@@ -9,6 +9,7 @@ many buckets they are made wider, and a state that improves after its visit is v
 from __future__ import annotations
 
 import heapq
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,6 +23,17 @@ from hdsp.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, DRIVE_MOVES, N_ABS
 REPAIRED_SHARE = 16  # a repair that has to look at more than one state in so many takes longer than a new search
 AHEAD = 3  # visits between the request of a row of costs and its use
 N_DRIVE = len(DRIVE_MOVES)  # the abstract actions are these moves, then the turns
+#: Which states an action passes over between its ends, rows (action, x, y of its end seen from there), int64 [n, 3].
+PASSED = np.array(
+    [
+        (m, dx - x, dy - y)
+        for m, (dx, dy) in enumerate(DRIVE_MOVES)
+        for x in sorted({math.floor(dx / 2), math.ceil(dx / 2)})
+        for y in sorted({math.floor(dy / 2), math.ceil(dy / 2)})
+        if (x, y) not in ((0, 0), (dx, dy))
+    ],
+    dtype=np.int64,
+)
 MAX_BUCKETS = 256  # a power of two; more of them take memory, fewer only repeat a few visits
 
 
@@ -145,6 +157,22 @@ class PreparedGraph:
             queue = queue.with_more_room()
         inside = queue.distance[self._margin : len(queue.distance) - self._margin]
         return inside.reshape(ABSTRACT_HEADINGS, nx, ny)
+
+    def bridged(self, distances: np.ndarray) -> np.ndarray:
+        """Costs-to-go, which also say what lies between the ends of an action.
+
+        On an edge, the robot can be where no abstract state is: with two feet up and the base on its way, at a place
+        where it cannot come to rest with the best feet for it. Such a state has no way of its own to the goal, but
+        actions lead over it. There, half of the cost of the best one remains, and what its end has to go.
+
+        Args:
+            distances: float64 [16, nx, ny], of `distances`.
+
+        Returns:
+            the same where `distances` is finite; elsewhere finite if a feasible action to a state with a way to the
+            goal passes over the state.
+        """
+        return _bridge(self.incoming, distances, PASSED)
 
     @property
     def _margin(self) -> int:
@@ -365,3 +393,21 @@ def _least(incoming, offsets, distance, given_up, margin, state):
         if distance[after] < np.inf and not given_up[after]:
             least = min(least, distance[after] + np.float64(incoming[(after - margin) * N_ABSTRACT_ACTIONS + action]))
     return least
+
+
+@njit(cache=True)
+def _bridge(incoming, distances, passed):
+    _, nx, ny = distances.shape
+    result = distances.copy()
+    for k in range(distances.shape[0]):
+        for a in range(nx):
+            for b in range(ny):
+                if distances[k, a, b] < np.inf:
+                    continue
+                least = np.inf
+                for n in range(len(passed)):
+                    x, y = a + passed[n, 1], b + passed[n, 2]
+                    if 0 <= x < nx and 0 <= y < ny and distances[k, x, y] < least:
+                        least = min(least, distances[k, x, y] + 0.5 * incoming[k, x, y, passed[n, 0]])
+                result[k, a, b] = least
+    return result
