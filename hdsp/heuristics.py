@@ -146,7 +146,7 @@ class AbstractHeuristic(Heuristic):
 
     def prepare(self) -> None:
         """Compute what the heuristic needs of the whole map, whatever the goal."""
-        _ = self.graph, self.footing
+        _ = self.graph.passed_over, self.footing
 
     def _prepare(self, goal: np.ndarray) -> Estimate:
         shape = abstract_shape(self.terrain.shape)

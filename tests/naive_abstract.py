@@ -1,6 +1,7 @@
 """Textbook twins of the abstract graph search: plain Python, slow, obvious."""
 
 import heapq
+import math
 
 import numpy as np
 
@@ -37,3 +38,20 @@ def cost_to_go(edges, goal):
                 distance[heading, ix, iy] = reached + cost
                 heapq.heappush(queue, (reached + cost, (ix, iy, heading)))
     return distance
+
+
+def bridged(edges, distances):
+    """Costs-to-go which also say what remains, half of it, of actions that pass over states without a way."""
+    _, nx, ny = distances.shape
+    result = distances.copy()
+    for (k, a, b, m), cost in np.ndenumerate(edges):
+        dx, dy, turn = (int(value) for value in ABSTRACT_ACTIONS[m])
+        inside = 0 <= a + dx < nx and 0 <= b + dy < ny
+        if turn or not inside or not np.isfinite(cost) or not np.isfinite(distances[k, a + dx, b + dy]):
+            continue
+        for x in {math.floor(dx / 2), math.ceil(dx / 2)}:
+            for y in {math.floor(dy / 2), math.ceil(dy / 2)}:
+                between = k, a + x, b + y
+                if (x, y) not in ((0, 0), (dx, dy)) and not np.isfinite(distances[between]):
+                    result[between] = min(result[between], distances[k, a + dx, b + dy] + 0.5 * float(cost))
+    return result

@@ -11,6 +11,7 @@ from __future__ import annotations
 import heapq
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -172,7 +173,12 @@ class PreparedGraph:
             the same where `distances` is finite; elsewhere finite if a feasible action to a state with a way to the
             goal passes over the state.
         """
-        return _bridge(self.incoming, distances, PASSED)
+        return _bridge(self.incoming, distances, self.passed_over, PASSED)
+
+    @cached_property
+    def passed_over(self) -> np.ndarray:
+        """Whether a feasible action passes over a state, bool [16, nx, ny]."""
+        return _passed_over(self.incoming, PASSED)
 
     @property
     def _margin(self) -> int:
@@ -396,13 +402,27 @@ def _least(incoming, offsets, distance, given_up, margin, state):
 
 
 @njit(cache=True)
-def _bridge(incoming, distances, passed):
-    _, nx, ny = distances.shape
+def _passed_over(incoming, passed):
+    headings, nx, ny, _ = incoming.shape
+    result = np.zeros((headings, nx, ny), dtype=np.bool_)
+    for k in range(headings):
+        for x in range(nx):
+            for y in range(ny):
+                for n in range(len(passed)):
+                    if incoming[k, x, y, passed[n, 0]] < np.inf:
+                        # The other end is on the map, and so is what lies between.
+                        result[k, x - passed[n, 1], y - passed[n, 2]] = True
+    return result
+
+
+@njit(cache=True)
+def _bridge(incoming, distances, passed_over, passed):
+    headings, nx, ny = distances.shape
     result = distances.copy()
-    for k in range(distances.shape[0]):
+    for k in range(headings):
         for a in range(nx):
             for b in range(ny):
-                if distances[k, a, b] < np.inf:
+                if distances[k, a, b] < np.inf or not passed_over[k, a, b]:
                     continue
                 least = np.inf
                 for n in range(len(passed)):

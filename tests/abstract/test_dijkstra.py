@@ -45,6 +45,35 @@ def test_equals_scipy_on_a_larger_map(spread):
     np.testing.assert_array_equal(cost_to_go(edges, goal), expected.astype(np.float32))
 
 
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    shape=st.tuples(st.integers(1, 6), st.integers(1, 6)),
+    blocked=st.sampled_from([0.5, 0.9, 0.97]),
+    data=st.data(),
+)
+def test_half_of_an_action_remains_where_it_passes_over_a_state_without_a_way(seed, shape, blocked, data):
+    edges = random_edges(seed, *shape, blocked=blocked)
+    edges[np.random.default_rng(seed).random(edges.shape[:3]) < 0.3] = np.inf
+    goal = tuple(data.draw(st.integers(0, size - 1)) for size in (*shape, 16))
+    graph = PreparedGraph.from_edges(edges)
+    distances = graph.distances(goal)
+    expected = naive_abstract.bridged(edges, distances)
+    np.testing.assert_allclose(graph.bridged(distances), expected, rtol=1e-6)
+    assert (expected[np.isfinite(distances)] == distances[np.isfinite(distances)]).all()
+
+
+def test_an_action_over_two_cells_passes_over_the_one_between():
+    edges = np.full((16, 5, 4, 22), np.inf, np.float32)
+    far = 8
+    edges[2, 1, 2, far] = 0.5
+    assert tuple(ABSTRACT_ACTIONS[far]) == (2, 0, 0)
+    graph = PreparedGraph.from_edges(edges)
+    bridged = graph.bridged(graph.distances((3, 2, 2)))
+    assert bridged[2, 1, 2] == 0.5 and bridged[2, 2, 2] == 0.25 and bridged[2, 3, 2] == 0.0
+    assert np.isfinite(bridged).sum() == 3
+
+
 def test_follows_actions_forwards_from_the_start():
     edges = np.full((16, 5, 4, 22), np.inf, np.float32)
     ahead = 0
