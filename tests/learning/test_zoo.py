@@ -43,6 +43,18 @@ def model_file(name: str) -> dict:
 DENSE = [name for name in MODELS if build_network(model_file(name)).is_dense()]
 
 
+@pytest.mark.parametrize("name", MODELS)
+def test_averaging_of_weights_leaves_constants_as_they_are(name):
+    network = build_network(model_file(name))
+    averaged = torch.optim.swa_utils.AveragedModel(
+        network, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(0.9), use_buffers=True
+    )
+    for _ in range(3):
+        averaged.update_parameters(network)
+    for (key, kept), constant in zip(averaged.module.named_buffers(), network.buffers(), strict=True):
+        assert torch.equal(kept, constant), key
+
+
 def rough_patches(count: int) -> np.ndarray:
     random = np.random.default_rng(0)
     patches = random.uniform(0, 0.3, (count, 72, 72)).astype(np.float32)
