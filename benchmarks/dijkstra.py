@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 from hdsp.abstract import PreparedGraph
-from hdsp.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, heading_angle
+from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, heading_angle
 
 
 def main(argv=None) -> dict:

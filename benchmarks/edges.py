@@ -37,9 +37,9 @@ def main(argv=None) -> dict:
     arguments = parser.parse_args(argv)
 
     from hdsp.abstract import PreparedGraph
-    from hdsp.heightmap import HeightMap
-    from hdsp.lattice import abstract_shape
     from hdsp.learning import HardwareSettings, LearnedCosts
+    from hdsp.robot.lattice import abstract_shape
+    from hdsp.terrain.height_map import HeightMap
 
     hardware = HardwareSettings(arguments.device, arguments.precision, arguments.threads)
     hardware.apply_threads()
@@ -130,8 +130,8 @@ def differences(found: np.ndarray, expected: np.ndarray) -> dict:
 
 def approximation(hardware, terrain) -> dict:
     """How far the dense evaluation of the published network is from its exact one, in the middle of the map."""
-    from hdsp.lattice import abstract_shape
     from hdsp.learning import LearnedCosts
+    from hdsp.robot.lattice import abstract_shape
 
     network = random_abstraction(hardware, architecture="klamt2019")
     middle = np.array(abstract_shape(terrain.shape)) // 2
@@ -147,7 +147,7 @@ def approximation(hardware, terrain) -> dict:
 
 def rough_map(shape: tuple[int, int], seed: int):
     """Noise, blocks and unknown cells: no two patches are equal."""
-    from hdsp.heightmap import HeightMap
+    from hdsp.terrain.height_map import HeightMap
 
     random = np.random.default_rng(seed)
     heights = random.uniform(0, 0.2, shape).astype(np.float32)
@@ -162,8 +162,8 @@ def random_abstraction(hardware, **settings):
     costs vary as true ones do."""
     import torch
 
-    from hdsp.lattice import robot_frame_goals
     from hdsp.learning import LearnedAbstraction, ModelSettings, build_network
+    from hdsp.robot.lattice import robot_frame_goals
 
     torch.manual_seed(3)
     model = ModelSettings(**settings)

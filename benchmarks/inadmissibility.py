@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.page import table, write_block
-from hdsp.arena import random_arena
-from hdsp.detailed.estimate import geometric_estimate
-from hdsp.detailed.solve import Limits, Status, solve
-from hdsp.lattice import HEADINGS, RESOLUTION
-from hdsp.planner import Planner
+from hdsp.detailed.search.estimate import geometric_estimate
+from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.planning.planner import Planner
+from hdsp.robot.lattice import HEADINGS, RESOLUTION
+from hdsp.terrain.arenas import random_arena
 
 QUANTILES = 0.5, 0.9, 0.95, 0.99
 

@@ -12,7 +12,7 @@ Each call begins with an empty memory of what the body meets at a pose. Times of
 `ratio` is separate over shared; `ratio_with_world` counts the compiled world too: once a map for the shared way, once a
 task for the separate one, which then is 22 labels of one action each, made from the map.
 
-Then a label run (`hdsp.labelling_run`) of the same maps, generation and shards included, on one process and on
+Then a label run (`hdsp.labels.run.split_run`) of the same maps, generation and shards included, on one process and on
 `--workers`. `minutes_for_249194_tasks` is that time for the paper's training set: as many maps, dropped ones included,
 and the start of the processes. Prints one JSON line last.
 """
@@ -27,11 +27,11 @@ import numpy as np
 
 from hdsp.abstract import oracle
 from hdsp.abstract.transform import feet_at
-from hdsp.detailed.solve import Status
-from hdsp.detailed.world import build_world
-from hdsp.labelling_run import ClusterSettings, label_split
-from hdsp.lattice import ABSTRACT_ACTIONS
-from hdsp.splits import LabelRun
+from hdsp.detailed.search.solve import Status
+from hdsp.detailed.world.world import build_world
+from hdsp.labels.run.split_run import ClusterSettings, label_split
+from hdsp.labels.run.splits import LabelRun
+from hdsp.robot.lattice import ABSTRACT_ACTIONS
 from pipeline.config import compose
 from pipeline.label import label_run
 

@@ -14,10 +14,10 @@ import time
 from collections import Counter
 
 from hdsp.abstract import oracle
-from hdsp.detailed.solve import Status
-from hdsp.labelling import LabelSettings, label_map
-from hdsp.robot import Robot
-from hdsp.terrain import CATEGORIES, TerrainSettings, random_map
+from hdsp.detailed.search.solve import Status
+from hdsp.labels.rules import LabelSettings, label_map
+from hdsp.robot.robot import Robot
+from hdsp.terrain.scenes import CATEGORIES, TerrainSettings, random_map
 
 _CAPS = Status.EXPANSION_LIMIT, Status.MEMORY_LIMIT, Status.TIME_LIMIT
 

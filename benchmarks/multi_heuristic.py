@@ -27,12 +27,12 @@ import yaml
 
 from benchmarks.page import table, write_block
 from benchmarks.search import far_apart
-from hdsp.arena import random_arena, read_arena
-from hdsp.detailed.estimate import geometric_estimate
-from hdsp.detailed.multi import solve_multi
-from hdsp.detailed.solve import Limits, Status, solve
-from hdsp.heightmap import HeightMap
-from hdsp.planner import Planner
+from hdsp.detailed.search.estimate import geometric_estimate
+from hdsp.detailed.search.multi import solve_multi
+from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.planning.planner import Planner
+from hdsp.terrain.arenas import random_arena, read_arena
+from hdsp.terrain.height_map import HeightMap
 
 PAPER = Path("conf/arena/paper.yaml")
 SCANNED = Path("data/arena/scanned.npz")

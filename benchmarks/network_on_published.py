@@ -6,7 +6,7 @@ FILE is the authors' text format, whole or in part. Prints one JSON line: of all
 maps, the number of maps and tasks, feasibility accuracy, and mean absolute cost error over the tasks that both judge
 feasible; and the expected calibration error of all maps. With --maps also a line for each map.
 
-Which maps are flat, driving or stairs maps is said by their numbers in the authors' file (``hdsp.published``).
+Which maps are flat, driving or stairs maps is said by their numbers in the authors' file (``hdsp.labels.published_tasks``).
 """
 
 import argparse
@@ -15,10 +15,10 @@ import sys
 
 import numpy as np
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
+from hdsp.labels.published_tasks import read_published, terrain_kind
 from hdsp.learning.calibration import reliability
-from hdsp.pretrained import load_abstraction
-from hdsp.published import read_published, terrain_kind
+from hdsp.learning.shipped import load_abstraction
 
 KINDS = ("flat", "driving", "stairs")
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 
 
 def write_block(page: Path, author: str, text: str) -> None:

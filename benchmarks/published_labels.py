@@ -6,7 +6,7 @@ FILE is the authors' text format, whole or in part. Prints one line a map, then 
 mean absolute cost error (over tasks that both judge feasible) of all maps and of flat, driving and stairs maps, the
 largest error on flat maps, the share of tasks by how their search ended, and seconds.
 
-Which maps are flat, driving or stairs maps is said by their numbers in the authors' file (``hdsp.published``).
+Which maps are flat, driving or stairs maps is said by their numbers in the authors' file (``hdsp.labels.published_tasks``).
 """
 
 import argparse
@@ -16,12 +16,12 @@ from collections import Counter
 
 import numpy as np
 
-from hdsp.detailed.solve import Status
-from hdsp.heightmap import HeightMap
-from hdsp.labelling import LabelSettings, label_map
-from hdsp.lattice import ABSTRACT_ACTIONS
-from hdsp.published import read_published, terrain_kind
-from hdsp.robot import Robot
+from hdsp.detailed.search.solve import Status
+from hdsp.labels.published_tasks import read_published, terrain_kind
+from hdsp.labels.rules import LabelSettings, label_map
+from hdsp.robot.lattice import ABSTRACT_ACTIONS
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
 
 
 def main(argv=None) -> dict:

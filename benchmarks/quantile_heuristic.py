@@ -26,14 +26,14 @@ import numpy as np
 
 from benchmarks.inadmissibility import pairs, scores, spread
 from benchmarks.page import table, write_block
-from hdsp.abstract.costs import close_states
-from hdsp.arena import random_arena
-from hdsp.errors import InputError
-from hdsp.heuristics import standing_states
-from hdsp.lattice import ABSTRACT_HEADINGS, robot_frame_goals
+from hdsp.abstract.abstract_costs import close_states
+from hdsp.base.errors import InputError
 from hdsp.learning import LearnedAbstraction, LearnedCosts
-from hdsp.planner import Plan, Planner
-from hdsp.pretrained import load_abstraction
+from hdsp.learning.shipped import load_abstraction
+from hdsp.planning.heuristics import standing_states
+from hdsp.planning.planner import Plan, Planner
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, robot_frame_goals
+from hdsp.terrain.arenas import random_arena
 
 AS_SAID, REFERENCE = "as the network says", "geometric"
 

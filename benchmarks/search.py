@@ -14,12 +14,12 @@ import time
 
 import numpy as np
 
-from hdsp.arena import random_arena
-from hdsp.detailed.estimate import geometric_estimate
-from hdsp.detailed.solve import Limits, Status, solve
-from hdsp.errors import InputError
-from hdsp.lattice import HEADINGS
-from hdsp.planner import Planner
+from hdsp.base.errors import InputError
+from hdsp.detailed.search.estimate import geometric_estimate
+from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.planning.planner import Planner
+from hdsp.robot.lattice import HEADINGS
+from hdsp.terrain.arenas import random_arena
 from tests.naive import Naive, dijkstra
 
 

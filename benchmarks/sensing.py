@@ -13,8 +13,8 @@ import json
 
 import numpy as np
 
-from hdsp.shards import read_tasks
-from hdsp.tasks import TaskSet
+from hdsp.labels.shards import read_tasks
+from hdsp.labels.tasks import TaskSet
 
 _SIDE = 9  # cells of a square
 _SPAN = 0.08  # m

@@ -18,12 +18,12 @@ import numpy as np
 import torch
 
 from benchmarks.page import table, write_block
-from hdsp.errors import InputError
-from hdsp.lattice import N_ABSTRACT_ACTIONS, robot_frame_goals
+from hdsp.base.errors import InputError
 from hdsp.learning import build_network, count_parameters
-from hdsp.learning.data import Batch
 from hdsp.learning.metrics import task_losses
-from hdsp.terrain import CATEGORIES, random_map
+from hdsp.learning.task_data import Batch
+from hdsp.robot.lattice import N_ABSTRACT_ACTIONS, robot_frame_goals
+from hdsp.terrain.scenes import CATEGORIES, random_map
 from pipeline.config import compose, plain
 
 #: Greatest relative difference between the gradients of both ways.

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from hdsp import HeightMap, Planner
-from hdsp.lattice import RESOLUTION, Grid
-from hdsp.plan import Plan
-from hdsp.terrain import Block, Scene
+from hdsp.planning.plans import Plan
+from hdsp.robot.lattice import RESOLUTION, Grid
+from hdsp.terrain.scenes import Block, Scene
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BEGIN, END = "<!-- written by examples.climbing: begin -->", "<!-- written by examples.climbing: end -->"

@@ -11,15 +11,15 @@ Importing this package imports neither torch nor matplotlib, which load when fir
 is the trained abstraction that comes with it; training is in ``hdsp.learning``, pictures in ``hdsp.viz``.
 """
 
-from hdsp.detailed.motion import Motion
-from hdsp.detailed.solve import Status
-from hdsp.errors import InputError, RefinementError
-from hdsp.heightmap import HeightMap
-from hdsp.plan import Plan
-from hdsp.planner import Planner
-from hdsp.pretrained import load_abstraction
-from hdsp.robot import Robot
-from hdsp.shards import read_tasks
+from hdsp.base.errors import InputError, RefinementError
+from hdsp.detailed.motion.motion import Motion
+from hdsp.detailed.search.solve import Status
+from hdsp.labels.shards import read_tasks
+from hdsp.learning.shipped import load_abstraction
+from hdsp.planning.planner import Planner
+from hdsp.planning.plans import Plan
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
 
 __all__ = [
     "HeightMap", "InputError", "Motion", "Plan", "Planner", "RefinementError", "Robot", "Status", "load_abstraction",

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from hdsp.errors import InputError
-from hdsp.robot import Robot
+from hdsp.base.errors import InputError
+from hdsp.robot.robot import Robot
 from pipeline.config import plain, settings
 from pipeline.stage import Folders
 
@@ -26,7 +26,7 @@ PRETRAINED = "pretrained"
 
 def available(names: Iterable[str], robot: Robot) -> list[str]:
     """The names without those of abstractions that do not come with the package for this robot, which are printed."""
-    from hdsp.pretrained import presets
+    from hdsp.learning.shipped import presets
 
     absent = [n for n in names if n.startswith(PRETRAINED) and robot.name + n.removeprefix(PRETRAINED) not in presets()]
     for name in absent:
@@ -48,10 +48,10 @@ def task_predictor(name: str, config: DictConfig, folders: Folders, model: str =
     """
     robot = Robot.load(plain(config.robot))
     if name == "learned" or name.startswith(PRETRAINED):
+        from hdsp.learning.abstraction import LearnedAbstraction
         from hdsp.learning.hardware import HardwareSettings
-        from hdsp.learning.pretrained import LearnedAbstraction
-        from hdsp.learning.settings import settings_from
-        from hdsp.pretrained import load_abstraction, presets
+        from hdsp.learning.network_settings import settings_from
+        from hdsp.learning.shipped import load_abstraction, presets
 
         hardware = settings_from(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
         hardware.apply_threads()
@@ -77,7 +77,7 @@ def abstract_costs(name: str, config: DictConfig, folders: Folders) -> AbstractC
     """The abstraction `name` as costs of all abstract actions of a map; raises as `task_predictor`."""
     predictor = task_predictor(name, config, folders)
     if name == "learned" or name.startswith(PRETRAINED):
-        from hdsp.learning.costs import LearnedCosts
+        from hdsp.learning.learned_costs import LearnedCosts
 
         return LearnedCosts(predictor)
     return predictor  # type: ignore[return-value]  # these two are both

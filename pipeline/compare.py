@@ -20,8 +20,8 @@ import numpy as np
 import yaml
 from omegaconf import DictConfig
 
-from hdsp.errors import InputError
-from hdsp.lattice import ABSTRACT_HEADINGS, abstract_shape
+from hdsp.base.errors import InputError
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, abstract_shape
 from pipeline.config import CONF, compose, flatten, plain
 from pipeline.report import put_between_markers
 from pipeline.stage import Folders, read_json, run_stage, write_json
@@ -107,7 +107,7 @@ def models(runs: Mapping[str, Path]) -> dict[str, Any]:
 def measured(settings: Mapping[str, Any]) -> dict[str, Any]:
     """What a model takes; that does not depend on its weights, which are random here."""
     from hdsp.learning import HardwareSettings, LearnedAbstraction, ModelSettings, build_network, count_parameters
-    from hdsp.learning.settings import settings_from
+    from hdsp.learning.network_settings import settings_from
 
     hardware = HardwareSettings("cpu", threads=1)
     hardware.apply_threads()
@@ -176,8 +176,8 @@ def map_seconds(abstraction) -> float:
 
     The map is noise, of which no two patches are equal, so that none is spared.
     """
-    from hdsp.heightmap import HeightMap
     from hdsp.learning import LearnedCosts
+    from hdsp.terrain.height_map import HeightMap
 
     random = np.random.default_rng(0)
     terrain = HeightMap(random.uniform(0, 0.2, (SIDE, SIDE)).astype(np.float32))

@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from hdsp.errors import InputError
-from hdsp.files import replacing
-from hdsp.robot import Robot
+from hdsp.base.errors import InputError
+from hdsp.base.files import replacing
+from hdsp.robot.robot import Robot
 from pipeline.abstractions import available, task_predictor
 from pipeline.config import plain
-from pipeline.data import read_evaluation_set
 from pipeline.stage import Folders, run_stage, write_json
+from pipeline.task_sets import read_evaluation_set
 
 if TYPE_CHECKING:
-    from hdsp.tasks import TaskSet
+    from hdsp.labels.tasks import TaskSet
 
 
 def evaluate(config: DictConfig, folders: Folders) -> None:
-    from hdsp.evaluation import COLUMNS, evaluate_set, predict, rows
+    from hdsp.labels.evaluation import COLUMNS, evaluate_set, predict, rows
     from hdsp.viz import save_example_patches, save_quality_bars, save_reliability
 
     model = config.evaluation.model

@@ -8,15 +8,15 @@ import numpy as np
 from omegaconf import DictConfig
 
 from pipeline.config import plain, settings
-from pipeline.data import ABSENT
 from pipeline.stage import Folders, run_stage, write_json
+from pipeline.task_sets import ABSENT
 
 
 def import_scans(config: DictConfig, folders: Folders) -> None:
-    from hdsp.labelling import LabelSettings
-    from hdsp.robot import Robot
-    from hdsp.scan_patches import PatchSettings, draw_starts, label_scan
-    from hdsp.scans import Scan, build_map, find_files
+    from hdsp.labels.rules import LabelSettings
+    from hdsp.labels.scan_patches import PatchSettings, draw_starts, label_scan
+    from hdsp.robot.robot import Robot
+    from hdsp.terrain.scans import Scan, build_map, find_files
     from hdsp.viz import ScanPicture, save_scan_sheet
 
     robot = Robot.load(plain(config.robot))

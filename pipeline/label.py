@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 from pipeline.config import plain, settings
 from pipeline.stage import Folders, run_stage, write_json
 
 if TYPE_CHECKING:
-    from hdsp.splits import LabelRun
+    from hdsp.labels.run.splits import LabelRun
 
 
 def label(config: DictConfig, folders: Folders, split: str) -> None:
-    from hdsp.labelling_run import label_split
-    from hdsp.workers import ClusterSettings
+    from hdsp.base.workers import ClusterSettings
+    from hdsp.labels.run.split_run import label_split
 
     runtime, own = config.runtime, config.labelling
     cluster = ClusterSettings(runtime.workers, own.scheduler, plain(own.slurm), runtime.dashboard, runtime.memory)
@@ -42,11 +42,11 @@ def label_run(config: DictConfig, split: str) -> LabelRun:
     Raises:
         InputError: there is no such split, or a setting is wrong.
     """
-    from hdsp.labelling import LabelSettings
-    from hdsp.robot import Robot
-    from hdsp.sensing import SensingSettings
-    from hdsp.splits import LabelRun, SplitSettings
-    from hdsp.terrain import TerrainSettings
+    from hdsp.labels.rules import LabelSettings
+    from hdsp.labels.run.splits import LabelRun, SplitSettings
+    from hdsp.robot.robot import Robot
+    from hdsp.terrain.scenes import TerrainSettings
+    from hdsp.terrain.sensor_model import SensingSettings
 
     splits = config.labelling.splits
     if split not in splits:

@@ -12,14 +12,14 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from hdsp.files import replacing
+from hdsp.base.files import replacing
 from pipeline.label import label_run, shards_place
 from pipeline.paper import LABELS
 from pipeline.stage import Folders, run_stage, write_json
 
 
 def label_report(config: DictConfig, folders: Folders) -> None:
-    from hdsp.label_report import describe_labels
+    from hdsp.labels.label_summary import describe_labels
 
     splits: dict[str, Any] = {}
     for split, chosen in config.labelling.splits.items():

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from hdsp import lattice
-from hdsp.costs import COST_MODEL_VERSION
-from hdsp.robot import Robot
-from hdsp.terrain import CATEGORIES
+from hdsp.robot import lattice
+from hdsp.robot.robot import Robot
+from hdsp.terrain.cost_maps import COST_MODEL_VERSION
+from hdsp.terrain.scenes import CATEGORIES
 from pipeline.config import flatten, plain
 from pipeline.paper import ABSTRACTION_QUALITY
 from pipeline.tables import markdown, percent
@@ -109,8 +109,8 @@ def _data(abstraction: LearnedAbstraction, robot: Robot, config: DictConfig) -> 
     if _sensed(data):
         rows.append(("maps as sensors see them", _inline(data["sensing"])))
     return (
-        "## Training data\n\nRandom height maps (`hdsp/terrain.py`, `hdsp/sensing.py`), and patches of simulated scans "
-        "where listed (`hdsp/simulation/patches.py`), labelled by the optimal detailed planner. Maps where the robot "
+        "## Training data\n\nRandom height maps (`hdsp/terrain/scenes.py`, `hdsp/terrain/sensor_model.py`), and patches of simulated scans "
+        "where listed (`hdsp/labels/course_patches.py`), labelled by the optimal detailed planner. Maps where the robot "
         "cannot stand are dropped; where `standable` is False they are what is kept, as infeasible.\n\n"
         + markdown(("what", "value"), rows)
     )

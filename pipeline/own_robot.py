@@ -2,7 +2,7 @@
 
     python -m pipeline.own_robot robot=anymal_wheels profile=own_robot
 
-`robot` names a file of hdsp/robots (where conf/robot points to). Labels, training, evaluation and planning go to
+`robot` names a file of hdsp/robot/presets (where conf/robot points to). Labels, training, evaluation and planning go to
 outputs/robots/NAME, and what was done before is kept there: a second call continues. The figures also go into
 docs/own-robot.md, with a picture, if that page has the markers of this robot.
 """
@@ -15,9 +15,9 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from hdsp.errors import InputError
-from hdsp.files import replacing
-from hdsp.robot import Robot
+from hdsp.base.errors import InputError
+from hdsp.base.files import replacing
+from hdsp.robot.robot import Robot
 from pipeline.config import plain
 from pipeline.evaluate import evaluate
 from pipeline.label import label
@@ -54,7 +54,9 @@ def check_name(robot: Robot) -> None:
         InputError: a file of another name holds a robot of this name.
     """
     if others := [file for file in Robot.presets() if file != robot.name and Robot.load(file).name == robot.name]:
-        raise InputError(f"hdsp/robots/{others[0]}.yaml: its name is {robot.name!r}; need the file's, {others[0]!r}")
+        raise InputError(
+            f"hdsp/robot/presets/{others[0]}.yaml: its name is {robot.name!r}; need the file's, {others[0]!r}"
+        )
 
 
 def markers(robot: str) -> tuple[str, str]:

@@ -15,7 +15,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 from pipeline.compare import PAGE, markers
 from pipeline.config import compose
 from pipeline.report import put_between_markers

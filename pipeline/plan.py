@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from omegaconf import DictConfig
 
-from hdsp.errors import InputError
-from hdsp.robot import Robot
+from hdsp.base.errors import InputError
+from hdsp.robot.robot import Robot
 from pipeline.abstractions import abstract_costs, available
 from pipeline.config import plain, settings
-from pipeline.data import ABSENT
 from pipeline.speedup import best_known, summarise
 from pipeline.stage import Folders, read_json, run_stage, write_json
+from pipeline.task_sets import ABSENT
 
 if TYPE_CHECKING:
-    from hdsp.arena import Arena
-    from hdsp.heightmap import HeightMap
-    from hdsp.plan import Plan
-    from hdsp.planner import Planner
+    from hdsp.planning.planner import Planner
+    from hdsp.planning.plans import Plan
+    from hdsp.terrain.arenas import Arena
+    from hdsp.terrain.height_map import HeightMap
 
 Pose = tuple[float, float, float]
 Tasks = dict[str, tuple[Pose, Pose]]
@@ -39,8 +39,8 @@ def blocked(robot: Robot) -> Plan:
     """A search for a way through a wall, which ends in a proof that there is none."""
     import numpy as np
 
-    from hdsp.heightmap import HeightMap
-    from hdsp.planner import Planner
+    from hdsp.planning.planner import Planner
+    from hdsp.terrain.height_map import HeightMap
 
     heights = np.zeros((160, 80), np.float32)
     heights[78:82] = 1.5
@@ -105,8 +105,8 @@ def read_ground(arena: DictConfig, folders: Folders) -> Ground:
     Raises:
         InputError: unknown source, or an arena that cannot be made.
     """
-    from hdsp.arena import ArenaSettings, random_arena, read_arena
-    from hdsp.heightmap import HeightMap
+    from hdsp.terrain.arenas import ArenaSettings, random_arena, read_arena
+    from hdsp.terrain.height_map import HeightMap
 
     if arena.source == "random":
         contents = settings(ArenaSettings, arena.contents, "arena.contents")
@@ -123,7 +123,7 @@ def prepare(
     terrain: HeightMap, robot: Robot, config: DictConfig, folders: Folders
 ) -> tuple[dict[str, Planner], dict[str, float]]:
     """A planner for each heuristic, and the seconds that costs of all abstract actions took."""
-    from hdsp.planner import Planner
+    from hdsp.planning.planner import Planner
 
     planners: dict[str, Planner] = {}
     edges_seconds: dict[str, float] = {}
@@ -190,7 +190,7 @@ def describe(task: str, heuristic: str, weight: float, plan: Plan, seconds: floa
 
 def checked(truth: Arena | None, plan: Plan, robot: Robot) -> dict[str, Any]:
     """Whether a path keeps clear of what truly stands there; None where there is no path, or the truth is unknown."""
-    from hdsp.simulation.check import check_plan
+    from hdsp.planning.collisions import check_plan
 
     if truth is None or not plan.solved:
         return {"collision_free": None}

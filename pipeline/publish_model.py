@@ -4,7 +4,7 @@
 
 The folder of a training in progress (`models/training`) does too; its overrides say what is being trained.
 It is calibrated on the validation set and judged on every set of `evaluation.sets` as it will be loaded, after its
-weights were rounded. Writes `hdsp/pretrained/ROBOT/`, or ROBOT-NAME with `runtime.variant=NAME`. With overrides add
+weights were rounded. Writes `hdsp/learning/shipped/ROBOT/`, or ROBOT-NAME with `runtime.variant=NAME`. With overrides add
 `runtime.outputs=.`, or it lands in outputs/.
 """
 
@@ -18,17 +18,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from omegaconf import DictConfig
 
-from hdsp.errors import InputError
-from hdsp.robot import Robot
+from hdsp.base.errors import InputError
+from hdsp.robot.robot import Robot
 from pipeline.config import plain
-from pipeline.data import read_evaluation_set, read_set
 from pipeline.label import shards_place
 from pipeline.model_card import model_card
 from pipeline.stage import Folders, run_stage
+from pipeline.task_sets import read_evaluation_set, read_set
 
 if TYPE_CHECKING:
+    from hdsp.labels.tasks import TaskSet
     from hdsp.learning import LearnedAbstraction
-    from hdsp.tasks import TaskSet
 
 #: Bytes; larger weights are rounded to half floats.
 LARGEST = 4_000_000
@@ -39,9 +39,9 @@ ERROR_LEVELS = (0.5, 0.9, 0.99, 1.0)
 
 
 def publish_model(config: DictConfig, folders: Folders, source: str) -> None:
+    from hdsp.learning.abstraction import LearnedAbstraction
     from hdsp.learning.hardware import HardwareSettings
-    from hdsp.learning.pretrained import LearnedAbstraction
-    from hdsp.learning.settings import settings_from
+    from hdsp.learning.network_settings import settings_from
 
     robot = Robot.load(plain(config.robot))
     hardware = settings_from(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
@@ -74,7 +74,7 @@ def publish_model(config: DictConfig, folders: Folders, source: str) -> None:
     }
     variant = config.runtime.variant
     name = robot.name + (f"-{variant}" if variant else "")
-    target = folders.write("hdsp", "pretrained", name)
+    target = folders.write("hdsp", "learning", "shipped", name)
     card = model_card(abstraction, robot, precision, figures, missing, config, name)
     abstraction.save_pretrained(target, precision, beside={"README.md": card})
     size = (target / "model.safetensors").stat().st_size / 1e6
@@ -89,8 +89,8 @@ def in_progress(source: Path, robot: Robot, config: DictConfig, folders: Folders
     import torch
 
     from hdsp.learning import LearnedAbstraction, Provenance
+    from hdsp.learning.network_settings import settings_from
     from hdsp.learning.networks import ModelSettings, build_network
-    from hdsp.learning.settings import settings_from
     from pipeline.train import folder_hash
 
     model = settings_from(ModelSettings, plain(config.model), "model")
@@ -107,7 +107,7 @@ def in_progress(source: Path, robot: Robot, config: DictConfig, folders: Folders
 
 def _validation(trainer: Mapping[str, Any], config: DictConfig, folders: Folders) -> TaskSet:
     """The maps by which the training chose its epoch."""
-    from hdsp.tasks import TaskSet
+    from hdsp.labels.tasks import TaskSet
 
     sets = []
     for name in trainer.get("val_splits") or ["val"]:
@@ -119,9 +119,9 @@ def _validation(trainer: Mapping[str, Any], config: DictConfig, folders: Folders
 
 
 def figures_of(abstraction: LearnedAbstraction, tasks: TaskSet) -> dict[str, Any]:
-    """All that the card says of a set: what `hdsp.evaluation.evaluate_predictor` and the calibration return,
+    """All that the card says of a set: what `hdsp.labels.evaluation.evaluate_predictor` and the calibration return,
     `categories` with the same for each, and `false_feasible`, `false_infeasible` (shares of tasks), `cost_errors`."""
-    from hdsp.evaluation import evaluate_set, predict
+    from hdsp.labels.evaluation import evaluate_set, predict
 
     # Answers are computed once: a set may be large, and a network slow.
     feasible, cost = predict(abstraction, tasks)

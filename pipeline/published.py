@@ -6,12 +6,12 @@ import shutil
 
 from omegaconf import DictConfig
 
-from pipeline.data import ABSENT
 from pipeline.stage import Folders, run_stage, write_json
+from pipeline.task_sets import ABSENT
 
 
 def published(config: DictConfig, folders: Folders) -> None:
-    from hdsp.published import find_published, import_tasks
+    from hdsp.labels.published_tasks import find_published, import_tasks
 
     folder = folders.write("data", "published")
     shutil.rmtree(folder, ignore_errors=True)

@@ -7,8 +7,8 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from hdsp.errors import InputError
-from hdsp.files import replacing
+from hdsp.base.errors import InputError
+from hdsp.base.files import replacing
 from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.tables import abstraction_quality_table, heuristic_table
 

@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 from omegaconf import DictConfig
 
-from hdsp.errors import InputError
-from hdsp.robot import Robot
+from hdsp.base.errors import InputError
+from hdsp.robot.robot import Robot
 from pipeline.config import plain, settings
-from pipeline.data import ABSENT
 from pipeline.stage import Folders, run_stage, write_json
+from pipeline.task_sets import ABSENT
 
 FIGURES = "reports", "figures"
 PICTURES = "arena.png", "simulated_courses.png"
 
 
 def scan_arena(config: DictConfig, folders: Folders) -> None:
-    from hdsp.simulation.lidar import Lidar
-    from hdsp.simulation.world import is_available
+    from hdsp.terrain.simulation.lidar import Lidar
+    from hdsp.terrain.simulation.mujoco_world import is_available
     from hdsp.viz import save_note
 
     simulated, arena = folders.write("data", "simulated"), folders.write("data", "arena")
@@ -47,9 +47,9 @@ def scan_arena(config: DictConfig, folders: Folders) -> None:
 
 def scan_paper_arena(config: DictConfig, folders: Folders, robot: Robot, lidar) -> dict[str, Any]:
     """Maps of the arena, true and scanned, and its picture; returns how true the scan is."""
-    from hdsp.arena import read_arena
-    from hdsp.planner import Planner
-    from hdsp.simulation.mapping import accuracy, scanned_map
+    from hdsp.planning.planner import Planner
+    from hdsp.terrain.arenas import read_arena
+    from hdsp.terrain.simulation.lidar_mapping import accuracy, scanned_map
     from hdsp.viz import save_arena
 
     section = config.simulation.arena
@@ -69,13 +69,13 @@ def scan_paper_arena(config: DictConfig, folders: Folders, robot: Robot, lidar) 
 
 def scan_courses(config: DictConfig, folders: Folders, robot: Robot, lidar) -> dict[str, Any]:
     """The set of simulated patches and its picture; returns how many there are of each kind."""
-    from hdsp.labelling import LabelSettings
-    from hdsp.lattice import heading_angle
-    from hdsp.shards import write_shard
-    from hdsp.simulation.courses import CourseSettings
-    from hdsp.simulation.patches import PatchRun, PatchSettings, simulated_courses, task_set
+    from hdsp.base.workers import ClusterSettings
+    from hdsp.labels.course_patches import PatchRun, PatchSettings, simulated_courses, task_set
+    from hdsp.labels.rules import LabelSettings
+    from hdsp.labels.shards import write_shard
+    from hdsp.robot.lattice import heading_angle
+    from hdsp.terrain.simulation.courses import CourseSettings
     from hdsp.viz import save_courses
-    from hdsp.workers import ClusterSettings
 
     run = PatchRun(
         settings(PatchSettings, config.simulation.patches, "simulation.patches"),
@@ -101,7 +101,7 @@ def scan_courses(config: DictConfig, folders: Folders, robot: Robot, lidar) -> d
 
 def _picture(arena) -> np.ndarray | None:
     """A rendering, or None where the machine cannot draw."""
-    from hdsp.simulation.world import World
+    from hdsp.terrain.simulation.mujoco_world import World
 
     try:
         return World(arena).picture()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 from pipeline.config import plain, settings
 from pipeline.stage import Folders, run_stage
 
@@ -18,13 +18,13 @@ from pipeline.stage import Folders, run_stage
 def scan_courses(config: DictConfig, folders: Folders, split: str) -> None:
     from tqdm import tqdm
 
-    from hdsp.labelling import LabelSettings
-    from hdsp.robot import Robot
-    from hdsp.shards import SUFFIX, write_shard
-    from hdsp.simulation.courses import CourseSettings
-    from hdsp.simulation.lidar import Lidar
-    from hdsp.simulation.patches import PatchRun, PatchSettings, simulated_courses, task_set
-    from hdsp.workers import ClusterSettings
+    from hdsp.base.workers import ClusterSettings
+    from hdsp.labels.course_patches import PatchRun, PatchSettings, simulated_courses, task_set
+    from hdsp.labels.rules import LabelSettings
+    from hdsp.labels.shards import SUFFIX, write_shard
+    from hdsp.robot.robot import Robot
+    from hdsp.terrain.simulation.courses import CourseSettings
+    from hdsp.terrain.simulation.lidar import Lidar
 
     splits = config.simulation.splits
     if split not in splits:
@@ -56,7 +56,7 @@ def scan_courses(config: DictConfig, folders: Folders, split: str) -> None:
 
 
 def _is_valid(path: Path, digest: str) -> bool:
-    from hdsp.shards import read_shard
+    from hdsp.labels.shards import read_shard
 
     try:
         return read_shard(path).attributes.get("labels_hash") == digest
@@ -66,7 +66,7 @@ def _is_valid(path: Path, digest: str) -> bool:
 
 def _remove_others(wanted: set[Path]) -> None:
     """Removes shards of courses that are no longer part of the split, or made otherwise; other files stay."""
-    from hdsp.splits import SHARD_NAME
+    from hdsp.labels.run.splits import SHARD_NAME
 
     for path in next(iter(wanted)).parent.iterdir():
         if SHARD_NAME.fullmatch(path.name) and path not in wanted:

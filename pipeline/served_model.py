@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from hdsp.shards import TaskSet
+    from hdsp.labels.shards import TaskSet
 
 NAME = "abstraction"
 
@@ -25,7 +25,7 @@ def log(mlflow: Any, abstraction_dir: Path, tasks: TaskSet) -> None:
         abstraction_dir: `config.json` and `model.safetensors`.
         tasks: any labelled maps; one serves as the input example.
     """
-    from hdsp.learning.pretrained import LearnedAbstraction
+    from hdsp.learning.abstraction import LearnedAbstraction
 
     example = {"heights": tasks.heights[:1], "goals": tasks.goals[:1]}
     predictions = predict(LearnedAbstraction.from_pretrained(abstraction_dir), example)

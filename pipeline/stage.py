@@ -15,8 +15,8 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from hdsp.errors import InputError
-from hdsp.files import existing_file, replacing
+from hdsp.base.errors import InputError
+from hdsp.base.files import existing_file, replacing
 from pipeline.config import compose, expand_choices, read_params
 
 SWEEP_FLAGS = ("-m", "--multirun")

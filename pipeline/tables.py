@@ -58,7 +58,9 @@ def abstraction_quality_table(quality: Mapping[str, Any], training: Mapping[str,
     network = f" Network: {training['model']}, {training['maps']:,} training maps." if training else ""
     notes = [f"Table I, abstraction quality: ours / the paper's.{network}"]
     if {"pretrained", "pretrained-klamt2019"} & set(methods):
-        notes.append("The cards of the shipped models (hdsp/pretrained) judge them on more random maps than these.")
+        notes.append(
+            "The cards of the shipped models (hdsp/learning/shipped) judge them on more random maps than these."
+        )
     missing = [name for name, values in sets.items() if not values["available"]]
     if missing:
         notes.append(f"No data for {', '.join(missing)}: why is in reports/abstraction_quality.json.")

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from hdsp.errors import InputError
-from hdsp.files import replacing
-from hdsp.storage import Place, is_url, open_folder
+from hdsp.base.errors import InputError
+from hdsp.base.files import replacing
+from hdsp.base.storage import Place, is_url, open_folder
 from pipeline import served_model, tracking
 from pipeline.config import flatten, plain
-from pipeline.data import read_evaluation_set, read_set, set_place
 from pipeline.label import shards_place
 from pipeline.stage import Folders, run_stage, write_json
+from pipeline.task_sets import read_evaluation_set, read_set, set_place
 
 if TYPE_CHECKING:
-    from hdsp.tasks import TaskSet
+    from hdsp.labels.tasks import TaskSet
 
 #: Parts of the configuration on which a training depends.
 SECTIONS = ("robot", "terrain", "labelling", "model", "trainer")
@@ -33,7 +33,7 @@ ROLES = {"splits": "train", "val_splits": "val"}
 def train(config: DictConfig, folders: Folders) -> None:
     from hdsp.learning import LearnedAbstraction, Provenance, count_parameters
     from hdsp.learning import train as train_network
-    from hdsp.robot import Robot
+    from hdsp.robot.robot import Robot
     from hdsp.viz import save_training_curves
 
     chosen = {role: config.trainer.get(role) or [default] for role, default in ROLES.items()}
@@ -96,7 +96,7 @@ def train(config: DictConfig, folders: Folders) -> None:
 
 def notes(config: DictConfig, tasks: TaskSet | list[Place]) -> dict[str, Any]:
     """What the model card says of data and recipe, kept with the model; tasks, or the folders that they come from."""
-    from hdsp.shards import read_shards
+    from hdsp.labels.shards import read_shards
 
     streamed = isinstance(tasks, list)
     return {
@@ -135,9 +135,9 @@ def part_of(folders: Sequence[Place], trainer: Mapping[str, Any]) -> TaskSet:
     """
     import numpy as np
 
-    from hdsp.lattice import HEADINGS, HEADINGS_PER_ABSTRACT
-    from hdsp.shards import read_tasks, shard_paths
-    from hdsp.tasks import TaskSet
+    from hdsp.labels.shards import read_tasks, shard_paths
+    from hdsp.labels.tasks import TaskSet
+    from hdsp.robot.lattice import HEADINGS, HEADINGS_PER_ABSTRACT
 
     share = trainer.get("share", 1.0)
     if share == 1:
@@ -188,7 +188,7 @@ def write_history(path: Path, rows: list[dict[str, Any]]) -> None:
 
 def _required(paths: Sequence[Place]) -> TaskSet:
     """The tasks of several splits as one set."""
-    from hdsp.tasks import TaskSet
+    from hdsp.labels.tasks import TaskSet
 
     sets = []
     for path in paths:

@@ -77,7 +77,7 @@ class Naive:
     Args:
         heights: float32 [nx, ny], m, NaN = unknown.
         robot: an `hdsp.Robot`.
-        center, window, turn_factor, drive_only: the rules of labelling (`hdsp.detailed.actions.Rules`).
+        center, window, turn_factor, drive_only: the rules of labelling (`hdsp.detailed.actions.successors.Rules`).
     """
 
     def __init__(self, heights, robot, center=0, window=HEADINGS, turn_factor=1.0, drive_only=False):

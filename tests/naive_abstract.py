@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from hdsp.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
+from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
 
 
 def successors(edges, state):

@@ -1,6 +1,6 @@
 """The abstract representation: costs of abstract actions, their search, and the way from and to detailed states."""
 
-from hdsp.abstract.costs import AbstractCosts, FlatCosts, LocalCosts, TaskPredictor
+from hdsp.abstract.abstract_costs import AbstractCosts, FlatCosts, LocalCosts, TaskPredictor
 from hdsp.abstract.dijkstra import PreparedGraph, cost_to_go
 from hdsp.abstract.manual import ManualCosts, ManualSettings
 

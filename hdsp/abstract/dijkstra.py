@@ -18,8 +18,8 @@ import numpy as np
 from numba import njit
 
 from hdsp.abstract.prefetch import prefetch
-from hdsp.errors import InputError
-from hdsp.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, DRIVE_MOVES, N_ABSTRACT_ACTIONS
+from hdsp.base.errors import InputError
+from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, DRIVE_MOVES, N_ABSTRACT_ACTIONS
 
 REPAIRED_SHARE = 16  # a repair that has to look at more than one state in so many takes longer than a new search
 AHEAD = 3  # visits between the request of a row of costs and its use

@@ -32,10 +32,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from hdsp.abstract.costs import FlatCosts, Region, checked_region, checked_tasks, close_exits, close_states
-from hdsp.errors import InputError
-from hdsp.heightmap import HeightMap
-from hdsp.lattice import (
+from hdsp.abstract.abstract_costs import FlatCosts, Region, checked_region, checked_tasks, close_exits, close_states
+from hdsp.base.errors import InputError
+from hdsp.robot.lattice import (
     ABSTRACT_ACTIONS,
     ABSTRACT_ANCHOR,
     ABSTRACT_HEADINGS,
@@ -47,7 +46,8 @@ from hdsp.lattice import (
     robot_frame_goals,
     rotation,
 )
-from hdsp.robot import Robot
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
 
 
 @dataclass(frozen=True)

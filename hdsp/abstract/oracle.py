@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from hdsp.abstract.transform import feet_at_all
-from hdsp.detailed.actions import Rules
-from hdsp.detailed.estimate import least_foot_cost, pose_estimate, with_footing
-from hdsp.detailed.footing import efforts_to, find_footing
-from hdsp.detailed.relaxed import Poses, costs_to_go, explore, least_costs, new_poses
-from hdsp.detailed.solve import Limits, Status, solve
-from hdsp.detailed.world import World
-from hdsp.errors import InputError
-from hdsp.lattice import ABSTRACT_ACTIONS, CELLS_PER_ABSTRACT, HEADINGS, HEADINGS_PER_ABSTRACT
+from hdsp.base.errors import InputError
+from hdsp.detailed.actions.successors import Rules
+from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_footing
+from hdsp.detailed.relaxed.relaxed import Poses, costs_to_go, explore, least_costs, new_poses
+from hdsp.detailed.search.estimate import least_foot_cost, pose_estimate, with_footing
+from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.detailed.world.world import World
+from hdsp.robot.lattice import ABSTRACT_ACTIONS, CELLS_PER_ABSTRACT, HEADINGS, HEADINGS_PER_ABSTRACT
 
 
 @dataclass(frozen=True)

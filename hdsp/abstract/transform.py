@@ -2,15 +2,15 @@
 
 Source: paper, Sec. V-B: "For all detailed robot base states that match the abstract state, we search the least cost
 foot configuration while preferring configurations which are close to the neutral robot configuration." The reverse,
-T_d->a, is ``hdsp.lattice.detailed_to_abstract``.
+T_d->a, is ``hdsp.robot.lattice.detailed_to_abstract``.
 """
 
 import numpy as np
 
-from hdsp.detailed.state_costs import foot_row
-from hdsp.detailed.world import World, body_is_free, cell_index
-from hdsp.jit import njit
-from hdsp.lattice import CELLS_PER_ABSTRACT, HEADINGS, HEADINGS_PER_ABSTRACT, abstract_anchor
+from hdsp.base.jit import njit
+from hdsp.detailed.actions.state_costs import foot_row
+from hdsp.detailed.world.world import World, body_is_free, cell_index
+from hdsp.robot.lattice import CELLS_PER_ABSTRACT, HEADINGS, HEADINGS_PER_ABSTRACT, abstract_anchor
 
 
 def to_detailed(world: World, abstract, whole_cell: bool = False) -> np.ndarray | None:

@@ -7,9 +7,9 @@ a search needs to remember one byte per state to find the way back.
 
 import numpy as np
 
-from hdsp.jit import njit
-from hdsp.lattice import HEADINGS, RESOLUTION
-from hdsp.robot import FEET
+from hdsp.base.jit import njit
+from hdsp.robot.lattice import HEADINGS, RESOLUTION
+from hdsp.robot.robot import FEET
 
 TURN_LEFT, TURN_RIGHT = 20, 21  # 0..19 are the drive moves
 FOOT_MOVE = 22  # + 2 * foot + (0 forward, 1 backward)

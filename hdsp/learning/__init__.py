@@ -1,20 +1,18 @@
-"""Learned abstractions: task data, networks, training, pretrained models, costs of whole maps.
+"""Learned abstractions: task data, networks, training, saved models, costs of whole maps.
 
-Importing this package imports torch; ``hdsp`` itself does not. Lightning is imported with what trains: to use a trained
-abstraction it need not be there.
+Each name loads its module, and with it torch or Lightning, when it is first used: importing this package loads neither.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from hdsp.learning.costs import LearnedCosts
-from hdsp.learning.data import TaskStream, task_loader
-from hdsp.learning.encoding import HeightEncoding
-from hdsp.learning.hardware import HardwareSettings
-from hdsp.learning.networks import ARCHITECTURES, ModelSettings, TaskNetwork, build_network, count_parameters
-from hdsp.learning.pretrained import LearnedAbstraction, Provenance, example_input
-
 if TYPE_CHECKING:
+    from hdsp.learning.abstraction import LearnedAbstraction, Provenance, example_input
+    from hdsp.learning.encoding import HeightEncoding
+    from hdsp.learning.hardware import HardwareSettings
+    from hdsp.learning.learned_costs import LearnedCosts
+    from hdsp.learning.networks import ARCHITECTURES, ModelSettings, TaskNetwork, build_network, count_parameters
+    from hdsp.learning.task_data import TaskStream, task_loader
     from hdsp.learning.callbacks import PlateauLossWeights, PublishedLossWeights
     from hdsp.learning.module import AbstractionModule
     from hdsp.learning.training import TrainingConfig, TrainResult, train
@@ -41,18 +39,31 @@ __all__ = [
     "train",
 ]
 
-#: What needs Lightning, and the module that it is in.
-_TRAINING = {
+#: The module of each public name.
+_MODULES = {
+    "ARCHITECTURES": "networks",
     "AbstractionModule": "module",
+    "HardwareSettings": "hardware",
+    "HeightEncoding": "encoding",
+    "LearnedAbstraction": "abstraction",
+    "LearnedCosts": "learned_costs",
+    "ModelSettings": "networks",
     "PlateauLossWeights": "callbacks",
+    "Provenance": "abstraction",
     "PublishedLossWeights": "callbacks",
+    "TaskNetwork": "networks",
+    "TaskStream": "task_data",
     "TrainResult": "training",
     "TrainingConfig": "training",
+    "build_network": "networks",
+    "count_parameters": "networks",
+    "example_input": "abstraction",
+    "task_loader": "task_data",
     "train": "training",
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _TRAINING:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_TRAINING[name]}"), name)
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

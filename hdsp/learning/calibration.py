@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 
 BINS = 15
 #: Levels whose quantiles are kept with a model.

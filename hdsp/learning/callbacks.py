@@ -13,8 +13,8 @@ import torch
 from lightning.pytorch.callbacks import WeightAveraging
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
-from hdsp.errors import InputError
-from hdsp.learning.data import ResumableBatches
+from hdsp.base.errors import InputError
+from hdsp.learning.task_data import ResumableBatches
 
 #: The losses, in the order in which rules treat them.
 LOSSES = ("feasibility", "cost")

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hdsp.errors import InputError
-from hdsp.learning.settings import settings_from
+from hdsp.base.errors import InputError
+from hdsp.learning.network_settings import settings_from
 
 #: What a network can see, and how many cells beyond its own a cell of each depends on; unevenness: besides its radius.
 CHANNELS = {"height": 0, "edge": 1, "slope_x": 1, "slope_y": 1, "unknown": 0, "unevenness": 1}

@@ -6,7 +6,7 @@ from typing import Literal
 
 import torch
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 
 import lightning.pytorch as pl
 
-from hdsp.files import replacing
+from hdsp.base.files import replacing
 
 OnEpoch = Callable[[int, dict[str, float]], None]
 

@@ -7,11 +7,11 @@ import lightning.pytorch as pl
 import torch
 from torch import Tensor
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 from hdsp.learning.callbacks import LOSSES
-from hdsp.learning.data import Batch
 from hdsp.learning.metrics import TaskMetrics, task_losses
 from hdsp.learning.networks import TaskNetwork
+from hdsp.learning.task_data import Batch
 
 
 @dataclass(frozen=True)

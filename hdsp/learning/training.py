@@ -19,21 +19,21 @@ import torch
 from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
 from lightning.pytorch.loggers import Logger
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
+from hdsp.learning.abstraction import LearnedAbstraction, Provenance
 from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, AveragedWeights, EpochPosition
-from hdsp.learning.data import BatchSettings, ResumableBatches, TaskStream, task_loader
 from hdsp.learning.hardware import HardwareSettings
 from hdsp.learning.history import EpochHistory, OnEpoch
 from hdsp.learning.metrics import combined_score
 from hdsp.learning.module import AbstractionModule, LossSettings, OptimizerSettings, ScheduleSettings
+from hdsp.learning.network_settings import settings_from
 from hdsp.learning.networks import ModelSettings, build_network
 from hdsp.learning.networks.base import TaskNetwork
-from hdsp.learning.pretrained import LearnedAbstraction, Provenance
-from hdsp.learning.settings import settings_from
+from hdsp.learning.task_data import BatchSettings, ResumableBatches, TaskStream, task_loader
 
 if TYPE_CHECKING:
-    from hdsp.storage import Place
-    from hdsp.tasks import TaskSet
+    from hdsp.base.storage import Place
+    from hdsp.labels.tasks import TaskSet
 
 #: Maps in a validation batch; it has no influence on results.
 VALIDATION_BATCH = BatchSettings(by="map", size=64)
@@ -273,7 +273,7 @@ def _loggers(logger: Logger | Iterable[Logger] | None) -> list[Logger] | bool:
 
 def _training_batches(settings: TrainerSettings, tasks: "TaskSet | Sequence[Place]") -> tuple[Any, int]:
     """The batches of an epoch, and how many maps they hold."""
-    from hdsp.tasks import TaskSet
+    from hdsp.labels.tasks import TaskSet
 
     order = {"shuffle": True, "mirror": settings.mirror, "seed": settings.seed}
     if isinstance(tasks, TaskSet):

@@ -1,6 +1,6 @@
 """Pictures, as PNG files. Importing this package loads matplotlib, which nothing else in `hdsp` does."""
 
-from hdsp.viz.arena import save_arena, save_courses, save_note
+from hdsp.viz.arena_figure import save_arena, save_courses, save_note
 from hdsp.viz.charts import (
     save_planning_bars,
     save_quality_bars,
@@ -8,12 +8,12 @@ from hdsp.viz.charts import (
     save_training_beside,
     save_training_curves,
 )
-from hdsp.viz.motion import save_motion
+from hdsp.viz.motion_figure import save_motion
 from hdsp.viz.pareto import pareto_front, save_pareto
-from hdsp.viz.patches import save_example_patches
-from hdsp.viz.path import draw_path, planned_path_figure, save_planned_path, save_planned_paths
-from hdsp.viz.robot import draw_pose, draw_robot
-from hdsp.viz.scans import ScanPicture, save_map, save_scan_sheet
+from hdsp.viz.patch_figure import save_example_patches
+from hdsp.viz.path_figure import draw_path, planned_path_figure, save_planned_path, save_planned_paths
+from hdsp.viz.robot_drawing import draw_pose, draw_robot
+from hdsp.viz.scan_figure import ScanPicture, save_map, save_scan_sheet
 from hdsp.viz.style import draw_terrain
 
 __all__ = [

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import to_rgb
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 from hdsp.viz.style import (
     BLACK,
     BLUE,
@@ -113,7 +113,7 @@ def save_quality_bars(sets: Mapping[str, Mapping[str, Any]], path: str | os.Path
     """Table I as bars: feasibility accuracy and cost error of each method on each set that has figures.
 
     Args:
-        sets: by the name of the set what `hdsp.evaluation.evaluate_set` returns; without `methods` it is left out.
+        sets: by the name of the set what `hdsp.labels.evaluation.evaluate_set` returns; without `methods` it is left out.
         path: of the PNG.
 
     Raises:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 from hdsp.viz.style import BLUE, GREY, figure, quiet, save
 
 

@@ -13,8 +13,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from hdsp.files import replacing
-from hdsp.heightmap import HeightMap
+from hdsp.base.files import replacing
+from hdsp.terrain.height_map import HeightMap
 
 # Okabe and Ito's colours, which people with any of the usual colour deficiencies tell apart.
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"

@@ -1,12 +1,11 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from hdsp.abstract import AbstractCosts, FlatCosts, LocalCosts, ManualCosts, ManualSettings, TaskPredictor, cost_to_go
-from hdsp.errors import InputError
-from hdsp.heightmap import HeightMap, crop_patches
-from hdsp.lattice import ABSTRACT_ACTIONS, abstract_anchor, robot_frame_goals
+from hdsp.base.errors import InputError
+from hdsp.robot.lattice import ABSTRACT_ACTIONS, abstract_anchor, robot_frame_goals
+from hdsp.terrain.height_map import HeightMap, crop_patches
+from tests import ROOT
 
 AHEAD, BACK, LEFT, RIGHT, TURN_LEFT, TURN_RIGHT = (
     ABSTRACT_ACTIONS.tolist().index(action)
@@ -194,7 +193,7 @@ def test_wrong_settings_and_shapes_are_named(manual, flat):
 def test_the_constants_in_conf_are_the_defaults():
     import yaml
 
-    path = Path(__file__).parents[2] / "conf" / "abstraction" / "manual.yaml"
+    path = ROOT / "conf" / "abstraction" / "manual.yaml"
     assert ManualSettings(**yaml.safe_load(path.read_text())) == ManualSettings()
 
 

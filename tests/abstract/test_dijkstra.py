@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 
 from benchmarks.dijkstra import reversed_csr
 from hdsp.abstract import PreparedGraph, cost_to_go
-from hdsp.errors import InputError
-from hdsp.lattice import ABSTRACT_ACTIONS
+from hdsp.base.errors import InputError
+from hdsp.robot.lattice import ABSTRACT_ACTIONS
 from tests import naive_abstract
 
 

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from hdsp.detailed.actions import MAX_SUCCESSORS, Rules, successors
+from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, successors
 from hdsp.detailed.states import BASE_FORWARD, FOOT_MOVE, STEP, TURN_LEFT, pack_states, unpack_states
-from hdsp.detailed.world import World, build_world
-from hdsp.heightmap import HeightMap
-from hdsp.lattice import DRIVE_MOVES
-from hdsp.robot import Robot
-from hdsp.terrain import CATEGORIES, TerrainSettings, random_map
+from hdsp.detailed.world.world import World, build_world
+from hdsp.robot.lattice import DRIVE_MOVES
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.scenes import CATEGORIES, TerrainSettings, random_map
 from tests.naive import Naive, dijkstra, way_back
 
 #: No two costs alike, so that no rule can stand in for another; few states, so that plain Python can search them.

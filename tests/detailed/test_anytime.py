@@ -8,11 +8,11 @@ import pytest
 
 from hdsp import HeightMap, InputError, Planner, Status
 from hdsp.abstract import FlatCosts
-from hdsp.detailed import anytime, open_list, store
-from hdsp.detailed import solve as solving
-from hdsp.detailed.estimate import geometric_estimate
-from hdsp.detailed.solve import Limits, solve
-from hdsp.detailed.world import build_world
+from hdsp.detailed.search import anytime, open_list, store
+from hdsp.detailed.search import solve as solving
+from hdsp.detailed.search.estimate import geometric_estimate
+from hdsp.detailed.search.solve import Limits, solve
+from hdsp.detailed.world.world import build_world
 from tests.detailed.instances import action_tuple, blocky, near_edges, toy, valid_states
 from tests.detailed.test_refinable import refusing, steps_of
 from tests.detailed.test_refine import with_bar

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from hdsp.detailed.actions import Rules
-from hdsp.detailed.estimate import estimate, geometric_estimate, least_foot_cost, pose_estimate, with_footing
-from hdsp.detailed.footing import efforts_to, find_footing
-from hdsp.detailed.relaxed import costs_to_go, explore, least_costs
+from hdsp.detailed.actions.successors import Rules
+from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_footing
+from hdsp.detailed.relaxed.relaxed import costs_to_go, explore, least_costs
+from hdsp.detailed.search.estimate import estimate, geometric_estimate, least_foot_cost, pose_estimate, with_footing
 from hdsp.detailed.states import pack_states, unpack_states
-from hdsp.detailed.world import build_world
-from hdsp.heightmap import HeightMap
-from hdsp.lattice import HEADINGS
-from hdsp.robot import Robot
-from hdsp.terrain import CATEGORIES, random_map
+from hdsp.detailed.world.world import build_world
+from hdsp.robot.lattice import HEADINGS
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.scenes import CATEGORIES, random_map
 from tests.detailed.instances import blocky, near_edges, successor_arrays, toy, valid_states
 from tests.naive import Naive, dijkstra
 
@@ -159,7 +159,7 @@ def test_relaxed_distances_equal_a_plain_dijkstra(robot, seed, factor):
 
 
 def plain_relaxed_distances(twin, start, follow):
-    """{(layer, x, y, heading): cost} from the words of `hdsp.detailed.relaxed`."""
+    """{(layer, x, y, heading): cost} from the words of `hdsp.detailed.relaxed.relaxed`."""
     low, high = twin.robot.offset_range()
     price = twin.robot.base_shift.cost_per_metre * 0.025
     ways = (1, -1) if twin.robot.base_shift.backward else (1,)

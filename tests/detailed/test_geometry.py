@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from hdsp.detailed.geometry import (
+from hdsp.detailed.world.geometry import (
     MOVE_SAMPLES,
     base_cells,
     base_shifts,
@@ -12,8 +12,8 @@ from hdsp.detailed.geometry import (
     rectangle_cells,
     step_line,
 )
-from hdsp.lattice import DRIVE_MOVES, HEADINGS, RESOLUTION, heading_angle, rotation
-from hdsp.robot import Rectangle, Robot
+from hdsp.robot.lattice import DRIVE_MOVES, HEADINGS, RESOLUTION, heading_angle, rotation
+from hdsp.robot.robot import Rectangle, Robot
 from tests.detailed.instances import toy
 from tests.naive import rectangle_offsets
 

@@ -10,16 +10,16 @@ from hypothesis import strategies as st
 
 from hdsp import HeightMap, InputError, Planner, Status
 from hdsp.abstract import FlatCosts
-from hdsp.detailed import multi
-from hdsp.detailed.actions import Rules
-from hdsp.detailed.anytime import rounding
-from hdsp.detailed.estimate import estimate, geometric_estimate, pose_estimate
-from hdsp.detailed.multi import solve_multi
-from hdsp.detailed.relaxed import costs_to_go, explore
-from hdsp.detailed.solve import Limits, solve
+from hdsp.detailed.actions.successors import Rules
+from hdsp.detailed.relaxed.relaxed import costs_to_go, explore
+from hdsp.detailed.search import multi
+from hdsp.detailed.search.anytime import rounding
+from hdsp.detailed.search.estimate import estimate, geometric_estimate, pose_estimate
+from hdsp.detailed.search.multi import solve_multi
+from hdsp.detailed.search.solve import Limits, solve
 from hdsp.detailed.states import pack_states
-from hdsp.detailed.world import build_world
-from hdsp.terrain import CATEGORIES
+from hdsp.detailed.world.world import build_world
+from hdsp.terrain.scenes import CATEGORIES
 from tests.detailed.instances import NIMBLE, TASKS_PER_CATEGORY, action_tuple, by_category, search_tasks, valid_states
 from tests.naive_multi import shared_mha
 

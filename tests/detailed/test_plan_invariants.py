@@ -9,12 +9,12 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from hdsp.detailed.estimate import geometric_estimate
-from hdsp.detailed.solve import Limits, Status, solve
-from hdsp.detailed.world import build_world
-from hdsp.heightmap import HeightMap
-from hdsp.robot import Robot
-from hdsp.terrain import CATEGORIES, random_map
+from hdsp.detailed.search.estimate import geometric_estimate
+from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.detailed.world.world import build_world
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.scenes import CATEGORIES, random_map
 from tests.detailed.instances import (
     action_tuple,
     by_category,

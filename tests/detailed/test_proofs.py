@@ -7,14 +7,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hdsp.detailed.actions import Rules
-from hdsp.detailed.estimate import geometric_estimate
-from hdsp.detailed.proofs import FOOT, POSE, why_unreachable
-from hdsp.detailed.solve import Limits, Status, solve
-from hdsp.detailed.world import build_world
-from hdsp.heightmap import HeightMap
-from hdsp.robot import Robot
-from hdsp.terrain import CATEGORIES, random_map
+from hdsp.detailed.actions.successors import Rules
+from hdsp.detailed.relaxed.proofs import FOOT, POSE, why_unreachable
+from hdsp.detailed.search.estimate import geometric_estimate
+from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.detailed.world.world import build_world
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.scenes import CATEGORIES, random_map
 from tests.detailed.instances import blocky, near_edges, toy, valid_states
 from tests.naive import Naive, dijkstra
 

@@ -2,13 +2,13 @@
 
 import pytest
 
-import hdsp.plan
+import hdsp.planning.plans
 from hdsp import Planner, RefinementError, Status
-from hdsp.detailed.refine import ban, last_step
-from hdsp.detailed.state_costs import foot_row
+from hdsp.detailed.actions.state_costs import foot_row
+from hdsp.detailed.motion.refinement import ban, last_step
 from hdsp.detailed.states import STEP, action_name
-from hdsp.detailed.world import cell_index
-from hdsp.robot import FEET
+from hdsp.detailed.world.world import cell_index
+from hdsp.robot.robot import FEET
 from tests.detailed.instances import successor_arrays
 from tests.detailed.test_refine import stretched, with_bar
 
@@ -26,7 +26,7 @@ def steps_of(plan):
 
 def refusing(refused_steps, monkeypatch):
     """Lets refinement refuse certain steps, and counts how often it was asked."""
-    refine, asked = hdsp.plan.refine, []
+    refine, asked = hdsp.planning.plans.refine, []
 
     def strict(terrain, robot, states, actions):
         asked.append(actions)
@@ -35,7 +35,7 @@ def refusing(refused_steps, monkeypatch):
                 raise RefinementError(k, f"{action} cannot be carried out: the test says so")
         return refine(terrain, robot, states, actions)
 
-    monkeypatch.setattr(hdsp.plan, "refine", strict)
+    monkeypatch.setattr(hdsp.planning.plans, "refine", strict)
     return asked
 
 
@@ -62,7 +62,7 @@ def test_what_cannot_be_carried_out_without_a_step_to_blame_is_an_error(planner,
     def refuse(*_):
         raise RefinementError(0, "drive cannot be carried out")
 
-    monkeypatch.setattr(hdsp.plan, "refine", refuse)
+    monkeypatch.setattr(hdsp.planning.plans, "refine", refuse)
     with pytest.raises(RefinementError, match="drive"):
         planner.plan(START, GOAL, weight=2, refinable=True)
 

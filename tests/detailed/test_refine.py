@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hdsp import HeightMap, InputError, Planner, RefinementError
-from hdsp.detailed.motion import PHASES, Motion
-from hdsp.detailed.refine import refine
-from hdsp.robot import Robot
+from hdsp.detailed.motion.motion import PHASES, Motion
+from hdsp.detailed.motion.refinement import refine
+from hdsp.robot.robot import Robot
 
 MOMARO = Robot.load("momaro")
 BAR = slice(38, 42)

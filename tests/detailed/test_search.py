@@ -6,15 +6,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hdsp.detailed import search
-from hdsp.detailed import solve as solving
-from hdsp.detailed.actions import Rules
-from hdsp.detailed.estimate import geometric_estimate, pose_estimate
-from hdsp.detailed.once import solve_once
-from hdsp.detailed.solve import Limits, Status, solve
-from hdsp.detailed.world import build_world
-from hdsp.heightmap import HeightMap
-from hdsp.terrain import CATEGORIES
+from hdsp.detailed.actions.successors import Rules
+from hdsp.detailed.search import kernel as search
+from hdsp.detailed.search import solve as solving
+from hdsp.detailed.search.estimate import geometric_estimate, pose_estimate
+from hdsp.detailed.search.once import solve_once
+from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.detailed.world.world import build_world
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.scenes import CATEGORIES
 from tests.detailed.instances import (
     NIMBLE,
     TASKS_PER_CATEGORY,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hdsp import HeightMap, Planner
-from hdsp.lattice import RESOLUTION
+from hdsp.robot.lattice import RESOLUTION
 
 PLANS, GROUPS = 200, 8
 AHEAD = 1.1  # m, to the first riser

@@ -3,13 +3,13 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from hdsp.detailed.actions import Rules
-from hdsp.detailed.state_costs import state_cost
+from hdsp.detailed.actions.state_costs import state_cost
+from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.states import action_name, pack_states, undo, unpack_states
-from hdsp.detailed.world import build_world
-from hdsp.heightmap import HeightMap
-from hdsp.robot import Robot
-from hdsp.terrain import CATEGORIES, random_map
+from hdsp.detailed.world.world import build_world
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.scenes import CATEGORIES, random_map
 from tests.detailed.instances import (
     action_tuple,
     blocky,

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from hdsp.abstract.transform import best_feet, feet_at
-from hdsp.detailed.estimate import geometric_estimate
-from hdsp.detailed.solve import Status, solve
-from hdsp.detailed.world import build_world
-from hdsp.heightmap import HeightMap
-from hdsp.labelling import label_map
-from hdsp.lattice import ABSTRACT_ACTIONS, HEADINGS
-from hdsp.robot import Robot
-from hdsp.terrain import CATEGORIES, random_map
+from hdsp.detailed.search.estimate import geometric_estimate
+from hdsp.detailed.search.solve import Status, solve
+from hdsp.detailed.world.world import build_world
+from hdsp.labels.rules import label_map
+from hdsp.robot.lattice import ABSTRACT_ACTIONS, HEADINGS
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.scenes import CATEGORIES, random_map
 from tests.detailed.instances import (
     NIMBLE,
     action_tuple,

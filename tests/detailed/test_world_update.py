@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hdsp.detailed import world_update
-from hdsp.detailed.world import body_is_free, build_world, cell_index
-from hdsp.detailed.world_update import influence, updated_world
-from hdsp.heightmap import HeightMap
-from hdsp.lattice import HEADINGS
-from hdsp.robot import Robot
+from hdsp.detailed.world import world_update
+from hdsp.detailed.world.world import body_is_free, build_world, cell_index
+from hdsp.detailed.world.world_update import influence, updated_world
+from hdsp.robot.lattice import HEADINGS
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
 from tests.detailed.instances import toy
 
 ROBOTS = {"toy": toy(), "momaro": Robot.load("momaro")}

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from hdsp.lattice import N_ABSTRACT_ACTIONS, PATCH_CELLS, PATCH_CENTER, robot_frame_goals
-from hdsp.tasks import REASON_UNKNOWN, TaskSet
+from hdsp.labels.tasks import REASON_UNKNOWN, TaskSet
+from hdsp.robot.lattice import N_ABSTRACT_ACTIONS, PATCH_CELLS, PATCH_CENTER, robot_frame_goals
 
 
 def synthetic_tasks(maps: int, seed: int = 0) -> TaskSet:

@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, ModelSettings, build_network
 from hdsp.learning.calibration import (
     Calibration,
@@ -19,7 +19,7 @@ from hdsp.learning.calibration import (
     fit_temperature,
     reliability,
 )
-from hdsp.learning.settings import settings_from
+from hdsp.learning.network_settings import settings_from
 from tests.learning.synthetic import TINY_MODEL, synthetic_tasks
 
 EXACT = HardwareSettings(accelerator="cpu", precision="32")

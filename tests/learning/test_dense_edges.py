@@ -6,11 +6,11 @@ import torch
 
 from benchmarks.edges import random_abstraction, rough_map
 from hdsp.abstract import LocalCosts
-from hdsp.errors import InputError
-from hdsp.heightmap import crop_patches
-from hdsp.lattice import abstract_anchor
+from hdsp.base.errors import InputError
 from hdsp.learning import HardwareSettings, LearnedCosts
-from hdsp.learning.turned import TurnedMap
+from hdsp.learning.rotated_maps import TurnedMap
+from hdsp.robot.lattice import abstract_anchor
+from hdsp.terrain.height_map import crop_patches
 
 
 def abstraction(**settings):

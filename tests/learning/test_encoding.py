@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from hdsp.costs import cost_maps
-from hdsp.errors import InputError
-from hdsp.heightmap import HeightMap
-from hdsp.lattice import cells
+from hdsp.base.errors import InputError
 from hdsp.learning.encoding import HeightEncoding, greatest_difference
-from hdsp.robot import Robot
+from hdsp.robot.lattice import cells
+from hdsp.robot.robot import Robot
+from hdsp.terrain.cost_maps import cost_maps
+from hdsp.terrain.height_map import HeightMap
 
 
 def patch(value=0.0):

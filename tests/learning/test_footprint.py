@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from hdsp.errors import InputError
-from hdsp.heightmap import HeightMap
+from hdsp.base.errors import InputError
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, Provenance
-from hdsp.learning.data import mirror_goals, mirror_heights
+from hdsp.learning.network_settings import settings_from
 from hdsp.learning.networks import ModelSettings, build_network
 from hdsp.learning.networks.footprint import POSES
-from hdsp.learning.networks.stance import FEET, STANCE_FEATURES
-from hdsp.learning.settings import settings_from
+from hdsp.learning.networks.requirements import FEET, STANCE_FEATURES
+from hdsp.learning.task_data import mirror_goals, mirror_heights
+from hdsp.terrain.height_map import HeightMap
 from tests.learning.test_zoo import model_file, rough_patches
 
 GOALS = torch.tensor([[1.0, 0, 0], [2, -1, 0], [-2, 1, 0], [0, 0, 1], [0, 0, -1], [0.92, 0.38, 0]])

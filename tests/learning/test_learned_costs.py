@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from hdsp.abstract.costs import AbstractCosts, TaskPredictor
-from hdsp.errors import InputError
-from hdsp.heightmap import HeightMap
-from hdsp.lattice import ABSTRACT_ACTIONS, robot_frame_goals
+from hdsp.abstract.abstract_costs import AbstractCosts, TaskPredictor
+from hdsp.base.errors import InputError
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, ModelSettings, build_network
-from hdsp.learning.costs import distinct_patches
-from hdsp.learning.settings import settings_from
+from hdsp.learning.learned_costs import distinct_patches
+from hdsp.learning.network_settings import settings_from
+from hdsp.robot.lattice import ABSTRACT_ACTIONS, robot_frame_goals
+from hdsp.terrain.height_map import HeightMap
 from tests.learning.synthetic import TINY_MODEL
 
 

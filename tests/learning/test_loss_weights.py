@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 from hdsp.learning.callbacks import LOSSES, PlateauLossWeights, PublishedLossWeights
 
 

@@ -4,10 +4,10 @@ import pytest
 import torch
 from torch import nn
 
-from hdsp.errors import InputError
-from hdsp.lattice import robot_frame_goals
+from hdsp.base.errors import InputError
 from hdsp.learning.networks import ARCHITECTURES, build_network, count_parameters
 from hdsp.learning.networks.swept import sample
+from hdsp.robot.lattice import robot_frame_goals
 
 
 class TextbookKlamt2019(nn.Module):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 from hdsp.learning import HardwareSettings, LearnedAbstraction, ModelSettings, Provenance, build_network, example_input
 from hdsp.learning.metrics import MINIMUM_COST
-from hdsp.learning.settings import settings_from
-from hdsp.robot import Robot
+from hdsp.learning.network_settings import settings_from
+from hdsp.robot.robot import Robot
 from tests.learning.synthetic import TINY_MODEL, synthetic_tasks
 
 EXACT = HardwareSettings(accelerator="cpu", precision="32")

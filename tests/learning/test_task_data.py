@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from hdsp.errors import InputError
-from hdsp.heightmap import HeightMap
-from hdsp.learning.data import (
+from hdsp.base.errors import InputError
+from hdsp.labels.shards import write_shard
+from hdsp.labels.tasks import TaskSet
+from hdsp.learning.task_data import (
     BatchSettings,
     ResumableBatches,
     TaskDataset,
@@ -15,8 +16,7 @@ from hdsp.learning.data import (
     mirror_heights,
     task_loader,
 )
-from hdsp.shards import write_shard
-from hdsp.tasks import TaskSet
+from hdsp.terrain.height_map import HeightMap
 from tests.learning.synthetic import synthetic_tasks
 
 
@@ -176,11 +176,11 @@ def test_batches_go_on_after_those_of_before_an_interruption(tasks, shards, stre
 
 
 def test_a_stream_holds_no_more_shards_than_it_may(shards, monkeypatch):
-    import hdsp.shards
+    import hdsp.labels.shards
 
     alive = []
-    real = hdsp.shards.read_shard
-    monkeypatch.setattr(hdsp.shards, "read_shard", lambda path: alive.append(path) or real(path))
+    real = hdsp.labels.shards.read_shard
+    monkeypatch.setattr(hdsp.labels.shards, "read_shard", lambda path: alive.append(path) or real(path))
     stream = iter(TaskStream(shards, BatchSettings("map", 1), shards_in_memory=2))
     next(stream)
     assert len(alive) == 2

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from benchmarks import sensing, training
+from tests import ROOT
 from tests.learning.synthetic import synthetic_tasks
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "pipeline.md"
+PAGE = ROOT / "docs" / "pipeline.md"
 
 
 def test_one_pass_for_all_goals_is_ten_times_faster_than_a_pass_for_each_and_learns_the_same(tmp_path):

@@ -9,11 +9,11 @@ import pytest
 import torch
 from torch.optim.swa_utils import AveragedModel
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
+from hdsp.labels.shards import write_shard
 from hdsp.learning import HardwareSettings, LearnedAbstraction, train
 from hdsp.learning.callbacks import AveragedWeights
 from hdsp.learning.metrics import combined_score
-from hdsp.shards import write_shard
 from tests.learning.synthetic import synthetic_tasks, tiny_config
 
 

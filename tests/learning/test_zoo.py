@@ -1,22 +1,20 @@
 """All models of conf/model, and what is particular to some architectures."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 
-from hdsp.errors import InputError
-from hdsp.heightmap import HeightMap
-from hdsp.lattice import robot_frame_goals
+from hdsp.base.errors import InputError
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, ModelSettings
-from hdsp.learning.data import mirror_goals
+from hdsp.learning.network_settings import settings_from
 from hdsp.learning.networks import ARCHITECTURES, build_network
 from hdsp.learning.networks.dense import DenseTrunk
-from hdsp.learning.settings import settings_from
+from hdsp.learning.task_data import mirror_goals
+from hdsp.robot.lattice import robot_frame_goals
+from hdsp.terrain.height_map import HeightMap
 from pipeline.config import compose, plain
+from tests import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 MODELS = sorted(path.stem for path in (ROOT / "conf/model").glob("*.yaml"))
 EXACT = HardwareSettings("cpu", "32", 1)
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests import ROOT
+
 SPLITS = ("train", "val", "random")
 #: Options of `compact`: for tests the costs of a whole map have to be there in seconds.
 SMALL_NETWORK = {"widths": [4, 4], "blocks": [1, 1], "map_features": 4, "hidden": 16}

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import yaml
 
-from hdsp.errors import InputError
-from hdsp.learning.settings import settings_from
+from hdsp.base.errors import InputError
+from hdsp.labels.shards import write_shard
+from hdsp.learning.network_settings import settings_from
 from hdsp.learning.training import TrainingConfig
-from hdsp.shards import write_shard
 from pipeline.compare import SECTIONS, differences
 from pipeline.config import CONF, compose, flatten, plain
 from pipeline.train import part_of
-from tests.task_sets import random_tasks
+from tests.labels.task_sets import random_tasks
 
 NAMES = sorted(path.stem for path in (CONF / "experiment/ablation").glob("*.yaml"))
 

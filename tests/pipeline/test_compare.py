@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 from hdsp.viz import pareto_front
 from pipeline import compare
 from pipeline.compare import PAGE, TABLES, ablation_table, differences, markers, zoo_table

@@ -7,13 +7,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from hdsp.arena import ArenaSettings
-from hdsp.errors import InputError
-from hdsp.labelling import LabelSettings
-from hdsp.terrain import TerrainSettings
+from hdsp.base.errors import InputError
+from hdsp.labels.rules import LabelSettings
+from hdsp.terrain.arenas import ArenaSettings
+from hdsp.terrain.scenes import TerrainSettings
 from pipeline.config import CONF, compose, expand_choices, flatten, plain, settings, write_params
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests import ROOT
 
 
 def test_params_yaml_is_the_composition_of_conf(tmp_path):
@@ -104,7 +103,7 @@ def test_no_stage_depends_on_the_runtime_group():
 
 
 def test_each_robot_file_exists_once():
-    assert (ROOT / "conf/robot").resolve() == ROOT / "hdsp/robots"
+    assert (ROOT / "conf/robot").resolve() == ROOT / "hdsp/robot/presets"
     assert not Path((ROOT / "conf/robot").readlink()).is_absolute()
 
 

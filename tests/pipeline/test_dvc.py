@@ -80,7 +80,7 @@ def test_an_experiment_beside_the_working_tree_is_tracked_in_the_project(reprodu
 
 
 def test_a_killed_label_stage_continues_to_the_same_shards(tmp_path):
-    from hdsp.shards import read_shard, shard_paths
+    from hdsp.labels.shards import read_shard, shard_paths
 
     more = ["labelling.splits.val.maps_per_category=3", "labelling.splits.val.maps_per_shard=3", "runtime.workers=1"]
     (tmp_path / "project").mkdir()
@@ -102,7 +102,7 @@ def test_a_killed_label_stage_continues_to_the_same_shards(tmp_path):
 
 def kill_in_the_middle(project, folder, shards: int) -> dict[str, int]:
     """Start `dvc repro label@val`, kill -9 the stage between two shards; returns the finished ones and their times."""
-    from hdsp.shards import shard_paths
+    from hdsp.labels.shards import shard_paths
 
     command, quiet = [sys.executable, "-m", "dvc", "repro", "label@val"], subprocess.DEVNULL
     dvc = subprocess.Popen(command, cwd=project, env=dvc_environment(), stdout=quiet, stderr=quiet)

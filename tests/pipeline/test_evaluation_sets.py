@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hdsp.errors import InputError
-from hdsp.shards import write_shard
+from hdsp.base.errors import InputError
+from hdsp.labels.shards import write_shard
 from pipeline.config import compose
-from pipeline.data import read_evaluation_set, read_set
 from pipeline.label import shards_place
 from pipeline.stage import Folders
+from pipeline.task_sets import read_evaluation_set, read_set
 from pipeline.train import folder_hash, part_of, train
-from tests.task_sets import random_tasks
+from tests.labels.task_sets import random_tasks
 
 
 @pytest.fixture(scope="module")

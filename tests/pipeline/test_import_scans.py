@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import yaml
 
-from hdsp.heightmap import HeightMap
-from pipeline.data import read_set
+from hdsp.terrain.height_map import HeightMap
+from pipeline.task_sets import read_set
 from tests.pipeline.conftest import ROOT, run_python
-from tests.pointcloud.clouds import box, rectangle
+from tests.terrain.pointcloud.clouds import box, rectangle
 
 pytestmark = [pytest.mark.pipeline]
 

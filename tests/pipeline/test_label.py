@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from hdsp.shards import read_tasks
+from hdsp.labels.shards import read_tasks
 from tests.pipeline.conftest import SPLITS, run_python, tiny
 
 pytestmark = [pytest.mark.pipeline, pytest.mark.xdist_group("chain")]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hdsp import HeightMap, InputError, Planner, Robot
-from hdsp.labelling import LabelSettings, label_map
+from hdsp.labels.rules import LabelSettings, label_map
 from pipeline import own_robot
 from pipeline.config import compose
 from pipeline.own_robot import PAGE, check_name, markers, place, section, write_page

@@ -1,15 +1,14 @@
 """The page of the paper's network and recipe."""
 
 import json
-from pathlib import Path
 
 import pytest
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 from pipeline.paper_training import begin_end, paper_training, read_history, read_published, table
 from pipeline.stage import Folders
+from tests import ROOT
 
-ROOT = Path(__file__).parents[2]
 HEADER = "epoch,feasibility_accuracy/val,cost_error/val,feasibility_accuracy/random,cost_error/random\n"
 
 

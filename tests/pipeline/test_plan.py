@@ -6,11 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hdsp.arena import read_arena
-from hdsp.errors import InputError
-from hdsp.heightmap import HeightMap
-from hdsp.planner import Planner
-from hdsp.robot import Robot
+from hdsp.base.errors import InputError
+from hdsp.planning.planner import Planner
+from hdsp.robot.robot import Robot
+from hdsp.terrain.arenas import read_arena
+from hdsp.terrain.height_map import HeightMap
 from pipeline.config import compose, plain
 from pipeline.plan import checked, collisions, describe, in_words, read_ground, read_tasks, series_to_show, timed
 from pipeline.stage import Folders

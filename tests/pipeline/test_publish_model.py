@@ -5,7 +5,7 @@ import json
 import pytest
 
 import hdsp
-from hdsp.shards import read_tasks
+from hdsp.labels.shards import read_tasks
 from tests.pipeline.conftest import run_python, tiny
 
 pytestmark = [pytest.mark.pipeline, pytest.mark.xdist_group("chain")]
@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.pipeline, pytest.mark.xdist_group("chain")]
 def test_the_folder_holds_a_calibrated_model_and_a_card_of_its_figures(chain, tmp_path):
     source = chain / "models/abstraction"
     said = run_python("pipeline.publish_model", str(source), *tiny(chain), f"runtime.outputs={tmp_path}").stdout
-    folder = tmp_path / "hdsp/pretrained/momaro"
+    folder = tmp_path / "hdsp/learning/shipped/momaro"
     abstraction = hdsp.load_abstraction(folder, "momaro")
     config = json.loads((folder / "config.json").read_text())
     tasks = read_tasks(chain / "data/labels/random")

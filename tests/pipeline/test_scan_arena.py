@@ -7,14 +7,14 @@ import sys
 import numpy as np
 import pytest
 
-from hdsp.errors import InputError
-from hdsp.heightmap import HeightMap
-from hdsp.shards import read_shard
+from hdsp.base.errors import InputError
+from hdsp.labels.shards import read_shard
+from hdsp.terrain.height_map import HeightMap
 from pipeline.config import compose
-from pipeline.data import read_set
 from pipeline.scan_arena import PICTURES, scan_arena
 from pipeline.scan_courses import scan_courses
 from pipeline.stage import Folders
+from pipeline.task_sets import read_set
 from tests.pipeline.conftest import run_python, tiny
 
 pytestmark = [pytest.mark.pipeline]

@@ -1,15 +1,13 @@
 """The tables put our numbers beside the paper's, and leave empty what is not there."""
 
 import json
-from pathlib import Path
 
 import pytest
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 from pipeline.report import BEGIN, END, put_between_markers, summary
 from pipeline.tables import abstraction_quality_table, heuristic_table
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests import ROOT
 
 METHOD = {"feasibility_accuracy": 0.9512, "cost_error": 0.0201, "abstract_cost_mean": 0.44}
 QUALITY = {

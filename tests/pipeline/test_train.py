@@ -47,8 +47,8 @@ def test_a_training_is_tracked_with_everything(chain, mlflow):
 
 
 def test_the_tracked_model_has_a_signature_and_predicts_as_the_saved_one(chain, mlflow):
+    from hdsp.labels.shards import read_tasks
     from hdsp.learning import LearnedAbstraction
-    from hdsp.shards import read_tasks
 
     (run,) = runs(mlflow, lambda run: "sweep" not in run.data.tags and "mlflow.parentRunId" not in run.data.tags)
     model = mlflow.pyfunc.load_model(f"runs:/{run.info.run_id}/abstraction")

@@ -3,11 +3,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hdsp.errors import InputError
-from hdsp.heightmap import HeightMap
-from hdsp.lattice import robot_frame_goals
-from hdsp.robot import Robot
-from hdsp.tasks import FIELDS, TaskSet
+from hdsp.base.errors import InputError
+from hdsp.labels.tasks import FIELDS, TaskSet
+from hdsp.robot.lattice import robot_frame_goals
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
 from hdsp.viz import (
     draw_terrain,
     save_example_patches,
@@ -17,7 +17,7 @@ from hdsp.viz import (
     save_quality_bars,
     save_training_curves,
 )
-from hdsp.viz.patches import JUDGEMENTS, spread
+from hdsp.viz.patch_figure import JUDGEMENTS, spread
 from hdsp.viz.style import figure
 
 MOMARO = Robot.load("momaro")

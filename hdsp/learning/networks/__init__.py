@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 from hdsp.learning.encoding import HeightEncoding
+from hdsp.learning.network_settings import settings_from
 from hdsp.learning.networks.base import TaskNetwork, count_parameters, initialise_he
 from hdsp.learning.networks.compact import Compact, CompactOptions
 from hdsp.learning.networks.dilated import Dilated, DilatedOptions
@@ -18,7 +19,6 @@ from hdsp.learning.networks.goalmap import GoalMap, GoalMapOptions
 from hdsp.learning.networks.klamt2019 import Klamt2019, Klamt2019Options
 from hdsp.learning.networks.swept import Swept, SweptOptions
 from hdsp.learning.networks.table import Table, TableOptions
-from hdsp.learning.settings import settings_from
 
 #: name -> (network class, dataclass of its options)
 ARCHITECTURES: dict[str, tuple[type[TaskNetwork], type]] = {

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from hdsp.errors import InputError
+from hdsp.base.errors import InputError
 from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features

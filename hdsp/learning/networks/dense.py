@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from hdsp.errors import InputError
-from hdsp.lattice import PATCH_CELLS
+from hdsp.base.errors import InputError
+from hdsp.robot.lattice import PATCH_CELLS
 
 
 class DenseEvaluation(Protocol):

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 from torch import Tensor, nn
 
-from hdsp.errors import InputError
-from hdsp.lattice import PATCH_CELLS
+from hdsp.base.errors import InputError
 from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.dense import DenseTrunk
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
+from hdsp.robot.lattice import PATCH_CELLS
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from hdsp.errors import InputError
-from hdsp.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
+from hdsp.base.errors import InputError
 from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
-from hdsp.learning.networks.stance import FEET, POSE_FEATURES, STANCE_FEATURES, Stance, StanceOptions, told
+from hdsp.learning.networks.requirements import FEET, POSE_FEATURES, STANCE_FEATURES, Stance, StanceOptions, told
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
 
 #: Cells that the base may move along each axis on its way to a goal: the longest action at any heading residue.
 REACH = 9

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from hdsp.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
 from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
 
 #: Side of the feature maps that goals are painted on, and cells of a patch that one of theirs spans.
 SIDE, SPAN = PATCH_CELLS // 2, 2

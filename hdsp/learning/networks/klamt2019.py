@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 from torch import Tensor, nn
 
-from hdsp.errors import InputError
-from hdsp.lattice import PATCH_CELLS
+from hdsp.base.errors import InputError
 from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import MapGoalLinear, TaskNetwork
 from hdsp.learning.networks.dense import DenseTrunk
+from hdsp.robot.lattice import PATCH_CELLS
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from hdsp.errors import InputError
-from hdsp.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
+from hdsp.base.errors import InputError
 from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from hdsp.errors import InputError
-from hdsp.lattice import ABSTRACT_HEADINGS, robot_frame_goals
+from hdsp.base.errors import InputError
 from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.dense import DenseTrunk
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, robot_frame_goals
 
 #: Largest difference, in abstract steps, of a goal to the action that it is taken for.
 TOLERANCE = 1e-3

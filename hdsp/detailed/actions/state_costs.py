@@ -1,0 +1,88 @@
+"""What a detailed state costs, where its feet are, and whether it stands.
+
+State costs are those of the paper, Sec. V-A: ``C = 1 + k (max S + sum S)`` over the feet; see docs/cost-model.md.
+"""
+
+import numpy as np
+
+from hdsp.base.jit import njit
+from hdsp.detailed.states import unpack
+from hdsp.detailed.world.world import body_is_free, cell_index
+
+
+@njit(allocates=False)
+def state_cost(world, key):
+    """State cost C of a packed state; inf if a foot cannot stand there or the body collides."""
+    ix, iy, heading, o0, o1, o2, o3 = unpack(key)
+    p = cell_index(world, ix, iy)
+    t = world.tables
+    if not body_is_free(world, heading, p):
+        return np.inf
+    uneven, contacts = world.uneven, t.contacts
+    s0, s1 = uneven[p + contacts[foot_row(t, heading, 0, o0)]], uneven[p + contacts[foot_row(t, heading, 1, o1)]]
+    s2, s3 = uneven[p + contacts[foot_row(t, heading, 2, o2)]], uneven[p + contacts[foot_row(t, heading, 3, o3)]]
+    return merged_cost(world.constants.unevenness, s0, s1, s2, s3)
+
+
+@njit(inline="always")
+def merged_cost(k, s0, s1, s2, s3):
+    """State cost C (unitless) from S under the feet."""
+    largest = max(max(s0, s1), max(s2, s3))
+    return 1.0 + k * (np.float64(largest) + s0 + s1 + s2 + s3)
+
+
+@njit(inline="always")
+def foot_row(tables, heading, foot, offset):
+    """Where the samples of a foot begin in ``tables.feet`` and ``tables.contacts``."""
+    return ((heading * 4 + foot) * tables.n_offsets + offset) * tables.n_samples
+
+
+@njit(inline="always")
+def feet_cells(p, feet, n_offsets, n_samples, heading, o0, o1, o2, o3):
+    """Flat cells of the four feet; with ``tables.contacts``, where their S is in ``world.uneven``.
+
+    Takes arrays and numbers, since each tuple handed on counts references.
+    """
+    row = heading * 4 * n_offsets
+    return (
+        p + feet[(row + o0) * n_samples], p + feet[(row + n_offsets + o1) * n_samples],
+        p + feet[(row + 2 * n_offsets + o2) * n_samples], p + feet[(row + 3 * n_offsets + o3) * n_samples],
+    )  # fmt: skip
+
+
+@njit(inline="always")
+def separated(constants, key):
+    """Whether front and rear foot of each side keep their distance in a packed state."""
+    apart = 2 * constants.neutral_x - constants.min_separation
+    _, _, _, o0, o1, o2, o3 = unpack(key)
+    return o1 - o0 <= apart and o2 - o3 <= apart
+
+
+@njit(inline="always")
+def level(world, key):
+    """Whether the feet of a packed state stand at about the same height."""
+    t = world.tables
+    height, feet, n_offsets, n_samples = world.height, t.feet, t.n_offsets, t.n_samples
+    ix, iy, heading, o0, o1, o2, o3 = unpack(key)
+    p = cell_index(world, ix, iy)
+    p0, p1, p2, p3 = feet_cells(p, feet, n_offsets, n_samples, heading, o0, o1, o2, o3)
+    h0, h1, h2, h3 = height[p0], height[p1], height[p2], height[p3]
+    return max(max(h0, h1), max(h2, h3)) - min(min(h0, h1), min(h2, h3)) <= world.constants.level
+
+
+@njit(inline="always")
+def supported(constants, lowest, lifted, o0, o1, o2, o3):
+    """Whether the base centre lies in the triangle of the three feet that stay, ``support_margin`` cells inside its
+    edges."""
+    x, y = constants.neutral_x + lowest, constants.neutral_y
+    back = -constants.neutral_x + lowest
+    px = (x + o0, back + o1, back + o2, x + o3)
+    py = (y, y, -y, -y)
+    a, b, c = (lifted + 1) % 4, (lifted + 2) % 4, (lifted + 3) % 4
+    # The feet run counter-clockwise, so the centre is inside if it is to the left of each edge.
+    for i, j in ((a, b), (b, c), (c, a)):
+        ex, ey = px[j] - px[i], py[j] - py[i]
+        left = (ey * px[i] - ex * py[i]) / np.sqrt(ex * ex + ey * ey)
+        if left < constants.support_margin - 1e-9:
+            return False
+    return True

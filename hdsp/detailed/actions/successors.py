@@ -1,0 +1,179 @@
+"""The detailed actions: all successors of a state. Driving and turning are here, feet and base in ``manoeuvres``.
+
+Source: paper, Sec. V-A, with the cost model of docs/cost-model.md. The robot drives and turns on neutral feet; where
+they stand at different heights, as on stairs, it only drives straight.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.jit import njit
+from hdsp.detailed.actions.manoeuvres import manoeuvres
+from hdsp.detailed.actions.state_costs import feet_cells
+from hdsp.detailed.states import FEET_MASK, TURN_LEFT, TURN_RIGHT, neutral_feet, unpack
+from hdsp.detailed.world.world import FREE, cell_index, look_at_body
+from hdsp.robot.lattice import HEADINGS
+
+MAX_SUCCESSORS = 160
+
+_INF = np.inf
+_ONE = np.float32(1)
+
+
+class Rules(NamedTuple):
+    """How a search may move, beyond what the robot can do.
+
+    Attributes:
+        heading_center: heading about which the window below lies.
+        heading_window: most heading steps a state may differ from the centre; 32 or more means any heading.
+        turn_cost_factor: multiplies the cost of turning.
+        drive_only: only driving and turning, which takes place on neutral feet: a problem of three dimensions.
+    """
+
+    heading_center: int = 0
+    heading_window: int = HEADINGS
+    turn_cost_factor: float = 1.0
+    drive_only: bool = False
+
+
+@njit(allocates=False)
+def successors(world, rules, key, out_key, out_cost, out_action):
+    """Write all successors of a valid state.
+
+    Args:
+        world: terrain and robot.
+        rules: restrictions of this search.
+        key: packed state.
+        out_key, out_cost, out_action: arrays int64, float64, uint8 [MAX_SUCCESSORS] to write to.
+
+    Returns:
+        Number of successors written.
+    """
+    if key & FEET_MASK == neutral_feet(world.tables.lowest):
+        return pose_successors(world, rules, key, out_key, out_cost, out_action)
+    return 0 if rules.drive_only else other_successors(world, key, out_key, out_cost, out_action)
+
+
+@njit(allocates=False)
+def other_successors(world, key, out_key, out_cost, out_action):
+    """``successors`` of a state with feet off neutral."""
+    t = world.tables
+    uneven, steps = world.uneven, world.steps
+    ix, iy, heading, o0, o1, o2, o3 = unpack(key)
+    p = cell_index(world, ix, iy)
+    p0, p1, p2, p3 = feet_cells(p, t.feet, t.n_offsets, t.n_samples, heading, o0, o1, o2, o3)
+    can_step = _can_step(steps[p0] | steps[p1] | steps[p2] | steps[p3], heading, world.constants.step_backward)
+    p0, p1, p2, p3 = feet_cells(p, t.contacts, t.n_offsets, t.n_samples, heading, o0, o1, o2, o3)
+    unevenness = uneven[p0], uneven[p1], uneven[p2], uneven[p3]
+    return manoeuvres(world, key, can_step, unevenness, out_key, out_cost, out_action, 0)
+
+
+@njit(inline="always")
+def _can_step(ways, heading, backward):
+    ahead = (ways >> np.uint64(heading)) & np.uint64(1)
+    behind = (ways >> np.uint64((heading + HEADINGS // 2) % HEADINGS)) & np.uint64(1)
+    return ahead != 0 or (backward and behind != 0)
+
+
+@njit(inline="always")
+def pose_successors(world, rules, key, out_key, out_cost, out_action):
+    """``successors`` of a state on neutral feet."""
+    t = world.tables
+    uneven, height, feet, contacts, steps = world.uneven, world.height, t.feet, t.contacts, world.steps
+    ix, iy, heading, _, _, _, _ = unpack(key)
+    p = cell_index(world, ix, iy)
+    rows = neutral_rows(t, heading)
+    p0, p1, p2, p3 = p + feet[rows[0]], p + feet[rows[1]], p + feet[rows[2]], p + feet[rows[3]]
+    h0, h1, h2, h3 = height[p0], height[p1], height[p2], height[p3]
+    level = max(max(h0, h1), max(h2, h3)) - min(min(h0, h1), min(h2, h3)) <= world.constants.level
+    price = t.drive_price[0 if level else 1, heading]
+    n = _drives(world, key, heading, p, rows, price, out_key, out_cost, out_action)
+    if level:
+        n = _turns(world, rules, key, heading, p, rows, out_key, out_cost, out_action, n)
+    ways = steps[p0] | steps[p1] | steps[p2] | steps[p3]
+    if not rules.drive_only and _can_step(ways, heading, world.constants.step_backward):
+        p0, p1, p2, p3 = p + contacts[rows[0]], p + contacts[rows[1]], p + contacts[rows[2]], p + contacts[rows[3]]
+        unevenness = uneven[p0], uneven[p1], uneven[p2], uneven[p3]
+        n = manoeuvres(world, key, True, unevenness, out_key, out_cost, out_action, n)
+    return n
+
+
+@njit(inline="always")
+def neutral_rows(tables, heading):
+    """Where the samples of the four feet begin in ``tables.feet`` and ``tables.contacts`` if they are neutral."""
+    between = tables.n_offsets * tables.n_samples
+    first = (heading * 4 * tables.n_offsets - tables.lowest) * tables.n_samples
+    return first, first + between, first + 2 * between, first + 3 * between
+
+
+@njit(inline="always")
+def _drives(world, key, heading, p, rows, price, out_key, out_cost, out_action):
+    # The innermost loop of every search.
+    t = world.tables
+    uneven, contacts, base, k = world.uneven, t.contacts, world.base, world.constants.unevenness
+    r0, r1, r2, r3 = rows
+    p0, p1, p2, p3 = p + contacts[r0], p + contacts[r1], p + contacts[r2], p + contacts[r3]
+    b = heading * len(world.standable) + p
+    n = 0
+    for m in range(20):
+        if price[m] == _INF:
+            continue
+        step = t.move_flat[m]
+        s0, s1, s2, s3 = uneven[p0 + step], uneven[p1 + step], uneven[p2 + step], uneven[p3 + step]
+        largest = max(max(s0, s1), max(s2, s3))
+        if largest == _INF:
+            continue
+        body = base[b + step]
+        if body == 0:
+            body = look_at_body(world, heading, p + step)
+        if body != FREE:
+            continue
+        total = np.float64(largest) + s0 + s1 + s2 + s3
+        first = t.move_first[m]
+        for s in range(first, first + t.move_count[m]):
+            s0, s1 = uneven[p + contacts[r0 + s]], uneven[p + contacts[r1 + s]]
+            s2, s3 = uneven[p + contacts[r2 + s]], uneven[p + contacts[r3 + s]]
+            body = base[b + t.base_sample[s]]
+            if body == 0:
+                body = look_at_body(world, heading, p + t.base_sample[s])
+            if body != FREE:
+                total = _INF
+                break
+            total += np.float64(max(max(s0, s1), max(s2, s3))) + s0 + s1 + s2 + s3
+        if total == _INF:
+            continue
+        out_key[n] = key + t.move_key[m]
+        out_cost[n] = price[m] * (1.0 + k * total / (t.move_count[m] + 1))
+        out_action[n] = m
+        n += 1
+    return n
+
+
+@njit(inline="always")
+def _turns(world, rules, key, heading, p, rows, out_key, out_cost, out_action, n):
+    t, c = world.tables, world.constants
+    here = _summed_unevenness(world.uneven, t.contacts, p, rows)
+    for action in (TURN_LEFT, TURN_RIGHT):
+        new = (heading + (1 if action == TURN_LEFT else HEADINGS - 1)) % HEADINGS
+        off = (new - rules.heading_center + HEADINGS // 2) % HEADINGS - HEADINGS // 2
+        if abs(off) > rules.heading_window:
+            continue
+        body = world.base[new * len(world.standable) + p]
+        if body == 0:
+            body = look_at_body(world, new, p)
+        there = _summed_unevenness(world.uneven, t.contacts, p, neutral_rows(t, new))
+        if body != FREE or there == _INF:
+            continue
+        out_key[n] = key + ((new - heading) << 20)
+        out_cost[n] = c.turn * rules.turn_cost_factor * (1.0 + c.turn_unevenness * 0.5 * (here + there))
+        out_action[n] = action
+        n += 1
+    return n
+
+
+@njit(inline="always")
+def _summed_unevenness(uneven, contacts, p, rows):
+    r0, r1, r2, r3 = rows
+    left = np.float64(uneven[p + contacts[r0]]) + uneven[p + contacts[r1]]
+    return left + (np.float64(uneven[p + contacts[r2]]) + uneven[p + contacts[r3]])

@@ -1,0 +1,191 @@
+"""From a plan to a motion: where the base is over the feet, how high feet and base are, how a foot steps.
+
+The paper refines only the steps of a plan to motions that regard stability and the way of the foot; so does this. While
+all feet roll, the base stays over the planned position unless it would lose its balance there. For a step the base
+shifts, leans and rolls until its centre of mass is inside the triangle of the other feet, the foot is lifted straight
+up, swings over the highest ground on its way, and is lowered straight down.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hdsp.base.errors import RefinementError
+from hdsp.detailed.actions.state_costs import foot_row
+from hdsp.detailed.motion.motion import PHASES, Motion
+from hdsp.detailed.motion.stance import FOUND, OUT_OF_REACH, UNBALANCED, Ground, find_stance, limits_of, resting_stances
+from hdsp.detailed.world.world import World, cell_index
+from hdsp.robot.lattice import RESOLUTION, Grid
+from hdsp.robot.robot import FEET, Robot
+from hdsp.terrain.height_map import HeightMap
+
+_STRIDE = RESOLUTION  # m; how far a foot or the base moves from one configuration to the next, at most
+_LEAN = 0.05  # rad; how far the base turns about any axis meanwhile
+_ABOVE = 0.002  # m; a swinging foot keeps this much more than its clearance
+
+ROLL, LEAN, LIFT, SWING, LOWER = range(len(PHASES))
+
+
+def refine(terrain: HeightMap, robot: Robot, states: np.ndarray, actions: list[str]) -> Motion:
+    """The motion that carries out a plan.
+
+    Args:
+        terrain: the map it was planned on.
+        robot: whose plan it is.
+        states: float64 [n, 7], world coordinates.
+        actions: names of the n - 1 actions between them.
+
+    Returns:
+        a motion without problems.
+
+    Raises:
+        RefinementError: names the action that cannot be carried out, and says why.
+    """
+    return _Refinement(terrain, robot, np.asarray(states, float), actions).motion()
+
+
+def last_step(actions: list[str], before: int) -> int | None:
+    """Number of the last step among actions 0 to ``before``, inclusive: what an action that cannot be carried out is
+    put down to. None if there is none."""
+    return next((k for k in range(before, -1, -1) if actions[k].startswith("step ")), None)
+
+
+def ban(banned: np.ndarray, world: World, grid: Grid, state: np.ndarray, action: str) -> np.ndarray:
+    """Add a step to those that a search must not use (``World.banned``).
+
+    A step is banned with the feet as they stand. When the same foot fails again at the same place, feet that stand
+    within 1, then 2, 4, ... cells of that are banned with it, so that searches do not go through them one by one.
+
+    Args:
+        banned: int64 [n, 7], so far.
+        world, grid: terrain and robot, and where they lie.
+        state: float64 [7], world coordinates, from which the foot steps.
+        action: name of the step.
+    """
+    ix, iy, heading, *offsets = (int(v) for v in grid.to_lattice(state[:3], state[3:]))
+    foot = FEET.index(action.split()[1])
+    row = foot_row(world.tables, heading, foot, offsets[foot] - world.tables.lowest)
+    cell = int(cell_index(world, ix, iy)) + int(world.tables.feet[row])
+    again = int((banned[:, :3] == (foot, cell, heading)).all(axis=1).sum())
+    ahead = [offsets[(foot + j) % 4] - offsets[foot] for j in (1, 2, 3)]
+    return np.concatenate([banned, np.array([[foot, cell, heading, *ahead, 1 << again >> 1]], dtype=np.int64)])
+
+
+class _Refinement:
+    def __init__(self, terrain, robot, states, actions):
+        self.terrain, self.robot, self.states, self.actions = terrain, robot, states, actions
+        self.limits = limits_of(robot)
+        self.ground = Ground(terrain.heights, *terrain.origin, terrain.resolution)
+        self.feet = self._on_ground(robot.foot_positions(states))
+        self.wanted_z, self.wanted_pitch = self._wanted()
+        self.parts: list[tuple] = []
+
+    def motion(self) -> Motion:
+        lacking, resting = resting_stances(
+            self.limits, self.ground, self.states[:, :3].copy(), self.feet, self.wanted_z, self.wanted_pitch
+        )
+        stances = np.concatenate([resting, self.states[:, 2:3]], axis=1)
+        stances[:, 5] = np.unwrap(stances[:, 5])
+        if (lacking != FOUND).any():
+            first = int(np.flatnonzero(lacking != FOUND)[0])
+            raise self._refusal(first - 1, f"on four feet, {self._why(lacking[first], 'the feet')}")
+        self._add(0, ROLL, stances[:1], self.feet[:1])
+        for k, action in enumerate(self.actions):
+            if action.startswith("step "):
+                self._step(k, FEET.index(action.split()[1]), stances[k], stances[k + 1])
+            else:
+                self._roll(k, stances[k], stances[k + 1])
+        motion = self._joined()
+        for configuration, words in motion.problems():
+            raise self._refusal(int(motion.action[configuration]), words)
+        return motion
+
+    def _step(self, k: int, foot: int, before: np.ndarray, after: np.ndarray) -> None:
+        feet, landed = self.feet[k], self.feet[k + 1]
+        top = self._highest_between(feet[foot], landed[foot]) + self.robot.stance.swing_clearance + _ABOVE
+        raised, over = np.array([*feet[foot, :2], top]), np.array([*landed[foot, :2], top])
+        ways = [_line(feet[foot], raised), _line(raised, over), _line(over, landed[foot])]
+        pitch = 0.5 * (self.wanted_pitch[k] + self.wanted_pitch[k + 1])
+        height = 0.5 * (self.wanted_z[k] + self.wanted_z[k + 1])
+        found = find_stance(
+            self.limits, self.ground, *self.states[k, :3], feet, foot, np.concatenate(ways), height, pitch
+        )
+        if found[0] != FOUND:
+            raise self._refusal(k, self._why(found[0], f"the {FEET[foot]} foot in the air"))
+        stance = np.array([*found[1:], before[5]])
+        self._lean(k, before, stance, feet)
+        for phase, way in zip((LIFT, SWING, LOWER), ways, strict=True):
+            placed = np.repeat(feet[None], len(way), axis=0)
+            placed[:, foot] = way
+            self._add(k, phase, np.repeat(stance[None], len(way), axis=0), placed, lifted=foot)
+        self._add(k, LEAN, stance[None], landed[None])
+        self._lean(k, stance, after, landed)
+
+    def _lean(self, k: int, before: np.ndarray, after: np.ndarray, feet: np.ndarray) -> None:
+        n = max(1, int(np.ceil(max(abs(after - before)[:3].max() / _STRIDE, abs(after - before)[3:].max() / _LEAN))))
+        stances = before + np.linspace(0, 1, n + 1)[1:, None] * (after - before)
+        self._add(k, LEAN, stances, np.repeat(feet[None], n, axis=0))
+
+    def _roll(self, k: int, before: np.ndarray, after: np.ndarray) -> None:
+        far = np.linalg.norm((self.feet[k + 1] - self.feet[k])[:, :2], axis=1).max()
+        leaning = abs(after - before)
+        n = max(1, int(np.ceil(max(far / _STRIDE, leaning[:3].max() / _STRIDE, leaning[3:].max() / _LEAN) - 1e-9)))
+        t = np.linspace(0, 1, n + 1)[1:, None]
+        state = self.states[k] + t * (self.states[k + 1] - self.states[k])
+        state[:, 2] = self.states[k, 2] + t[:, 0] * (after[5] - before[5])
+        self._add(k, ROLL, before + t * (after - before), self._on_ground(self.robot.foot_positions(state)))
+
+    def _add(self, k: int, phase: int, stances: np.ndarray, feet: np.ndarray, lifted: int | None = None) -> None:
+        carries = np.ones((len(stances), 4), bool)
+        if lifted is not None:
+            carries[:, lifted] = False
+        self.parts.append((stances, feet, carries, np.full(len(stances), k), np.full(len(stances), phase, np.uint8)))
+
+    def _joined(self) -> Motion:
+        base, feet, carries, action, phase = (np.concatenate(part) for part in zip(*self.parts, strict=True))
+        return Motion(base, feet, carries, action, phase, self.terrain, self.robot)
+
+    def _wanted(self) -> tuple[np.ndarray, np.ndarray]:
+        """The most comfortable height and pitch over the feet of each state: parallel to the ground under them."""
+        z = self.feet[..., 2]
+        length = np.linalg.norm(self.feet[:, [0, 3], :2] - self.feet[:, [1, 2], :2], axis=2).mean(axis=1)
+        rise = (z[:, [0, 3]] - z[:, [1, 2]]).mean(axis=1)
+        limit = self.robot.stance.max_pitch
+        return z.mean(axis=1) + self.robot.stance.base_height, np.clip(-np.arctan2(rise, length), -limit, limit)
+
+    def _highest_between(self, start: np.ndarray, end: np.ndarray) -> float:
+        """Highest known ground (m) within the clearance of a foot on its way; unknown ground is not stepped over."""
+        reach = self.robot.feet.clearance
+        n = int(np.ceil(np.linalg.norm((end - start)[:2]) / (RESOLUTION / 2))) + 1
+        line = start[:2] + np.linspace(0, 1, n)[:, None] * (end - start)[:2]
+        steps = np.arange(-reach, reach + RESOLUTION / 2, RESOLUTION / 2)
+        around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+        around = around[np.linalg.norm(around, axis=1) <= reach + 1e-9]
+        heights = self.terrain.height_at(line[:, None, 0] + around[:, 0], line[:, None, 1] + around[:, 1])
+        return float(np.nanmax(heights))
+
+    def _on_ground(self, xy: np.ndarray) -> np.ndarray:
+        """Foot positions [..., 3] that touch the ground at (x, y) [..., 2]."""
+        return np.concatenate([xy, self.terrain.height_at(xy[..., 0], xy[..., 1])[..., None].astype(float)], axis=-1)
+
+    def _why(self, lacking: int, with_what: str) -> str:
+        stance, legs = self.robot.stance, self.robot.legs
+        if lacking == UNBALANCED:
+            return f"no position of the base keeps its centre of mass {stance.margin:g} m inside the support polygon"
+        if lacking == OUT_OF_REACH:
+            return (
+                f"with {with_what}, no balanced position of the base is within reach of all legs "
+                f"({legs.min_length:g} to {legs.max_length:g} m)"
+            )
+        return "wherever the base is balanced and the legs reach, the body touches the ground"
+
+    def _refusal(self, k: int, why: str) -> RefinementError:
+        x, y = self.states[max(k, 0), :2]
+        what = self.actions[k] if k >= 0 else "the start"
+        return RefinementError(k, f"{what} at ({x:.2f}, {y:.2f}) m cannot be carried out: {why}")
+
+
+def _line(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Points after ``start`` up to ``end``, float64 [n, 3]."""
+    n = max(1, int(np.ceil(np.linalg.norm(end - start) / _STRIDE - 1e-9)))
+    return start + np.linspace(0, 1, n + 1)[1:, None] * (end - start)

@@ -1,0 +1,191 @@
+"""The heuristic as the kernels see it: a flat array plus a lookup rule, never a call back into Python.
+
+``h = max(geometric, table) + feet + steps``, where any part can be switched off.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.jit import njit
+from hdsp.detailed.states import unpack
+from hdsp.robot.lattice import HEADINGS, RESOLUTION
+
+
+class Estimate(NamedTuple):
+    """Parameters of ``estimate``.
+
+    Attributes:
+        distance: cost per cell of straight distance to the goal's base position.
+        turn: cost per heading step to the goal's heading.
+        goal_x, goal_y, goal_heading: base of the goal, lattice units.
+        foot: cost per cell by which feet differ from the goal's configuration, up to a common shift.
+        goal_feet: int64 [n, 4], foot offsets of one or several goals counted from the lowest; the nearest counts.
+        table: float32 [layers, headings, nx, ny] flattened, costs to go; empty = none.
+        layered: whether the table has two layers, for neutral feet and for any.
+        follow: times the sum of the foot offsets, counted from the lowest, is what a state has less to go than its
+            entry in the table.
+        neutral: the offset of a neutral foot, counted from the lowest.
+        table_nx, table_ny: its extent.
+        cells: detailed cells per table cell.
+        heading_steps: detailed headings per table heading.
+        region: int32 flat as in ``World``, the region of each foothold (see ``footing``).
+        effort: float32 [4 * regions], per foot the least effort of steps from a region to the goal; empty = none.
+        feet, n_offsets, n_samples, pad, stride: where the feet are, as in ``World`` and its tables.
+        outside: added to the geometric part where the table is inf or ends; inf to cut such states off.
+    """
+
+    distance: float
+    turn: float
+    goal_x: int
+    goal_y: int
+    goal_heading: int
+    foot: float
+    goal_feet: np.ndarray
+    table: np.ndarray
+    layered: bool
+    follow: float
+    neutral: int
+    table_nx: int
+    table_ny: int
+    cells: int
+    heading_steps: int
+    outside: float
+    region: np.ndarray
+    effort: np.ndarray
+    feet: np.ndarray
+    n_offsets: int
+    n_samples: int
+    pad: int
+    stride: int
+
+
+NO_TABLE = np.empty(0, dtype=np.float32)
+NO_REGION = np.empty(0, dtype=np.int32)
+
+
+@njit(inline="always")
+def _feet(goal_feet, o0, o1, o2, o3):
+    """Least total length by which feet must move one by one to match a goal, whatever the base does, in cells."""
+    least = 1 << 30
+    for i in range(len(goal_feet)):
+        d0, d1 = o0 - goal_feet[i, 0], o1 - goal_feet[i, 1]
+        d2, d3 = o2 - goal_feet[i, 2], o3 - goal_feet[i, 3]
+        # Sum of distances to the median: two largest minus two smallest.
+        lo1, hi1, lo2, hi2 = min(d0, d1), max(d0, d1), min(d2, d3), max(d2, d3)
+        least = min(least, abs(max(hi1, hi2) - min(lo1, lo2)) + abs(min(hi1, hi2) - max(lo1, lo2)))
+    return least
+
+
+@njit(inline="always")
+def estimate(e, key):
+    """Estimated cost from a packed state to the goal, float64."""
+    ix, iy, heading, o0, o1, o2, o3 = unpack(key)
+    dx, dy = np.float64(ix - e.goal_x), np.float64(iy - e.goal_y)
+    turned = abs((heading - e.goal_heading + HEADINGS // 2) % HEADINGS - HEADINGS // 2)
+    h = e.distance * np.sqrt(dx * dx + dy * dy) + e.turn * turned
+    if len(e.table) > 0:
+        a, b = ix // e.cells, iy // e.cells
+        k = ((heading + e.heading_steps // 2) // e.heading_steps) % (HEADINGS // e.heading_steps)
+        looked_up = np.float64(np.inf)
+        if a < e.table_nx and b < e.table_ny:
+            row = k
+            if e.layered and not (o0 == e.neutral and o1 == e.neutral and o2 == e.neutral and o3 == e.neutral):
+                row += HEADINGS
+            looked_up = np.float64(e.table[(row * e.table_nx + a) * e.table_ny + b]) - e.follow * (o0 + o1 + o2 + o3)
+        if looked_up == np.inf:
+            h += e.outside
+        else:
+            h = max(h, looked_up)
+    if e.foot > 0:
+        h += e.foot * _feet(e.goal_feet, o0, o1, o2, o3)
+    if len(e.effort) > 0:
+        h += _steps(e, ix, iy, heading, o0, o1, o2, o3)
+    return h
+
+
+@njit(inline="always")
+def _steps(e, ix, iy, heading, o0, o1, o2, o3):
+    """Least effort of the steps that the feet still have to make, each for itself."""
+    p = (ix + e.pad) * e.stride + iy + e.pad
+    n = len(e.effort) // 4
+    row = heading * 4 * e.n_offsets
+    r0 = e.region[p + e.feet[(row + o0) * e.n_samples]]
+    r1 = e.region[p + e.feet[(row + e.n_offsets + o1) * e.n_samples]]
+    r2 = e.region[p + e.feet[(row + 2 * e.n_offsets + o2) * e.n_samples]]
+    r3 = e.region[p + e.feet[(row + 3 * e.n_offsets + o3) * e.n_samples]]
+    if min(min(r0, r1), min(r2, r3)) < 0:
+        return np.inf
+    steps = np.float64(e.effort[r0]) + e.effort[n + r1]
+    return steps + (np.float64(e.effort[2 * n + r2]) + e.effort[3 * n + r3])
+
+
+def geometric_estimate(world, goal) -> Estimate:
+    """The admissible geometric heuristic: distance, difference of headings and of foot configurations, each at the
+    least it can cost on even ground (paper, Sec. VI-B).
+
+    Args:
+        world: terrain and robot.
+        goal: int64 [7], lattice units.
+    """
+    c = world.constants
+    return Estimate(
+        distance=min(RESOLUTION * float(world.tables.deviation.min()), c.base_shift),
+        turn=c.turn,
+        goal_x=int(goal[0]),
+        goal_y=int(goal[1]),
+        goal_heading=int(goal[2]),
+        foot=least_foot_cost(world),
+        goal_feet=np.asarray(goal[None, 3:], dtype=np.int64) - world.tables.lowest,
+        table=NO_TABLE,
+        layered=False,
+        follow=0.0,
+        neutral=-world.tables.lowest,
+        table_nx=0,
+        table_ny=0,
+        cells=1,
+        heading_steps=1,
+        outside=0.0,
+        region=NO_REGION,
+        effort=NO_TABLE,
+        feet=world.tables.feet,
+        n_offsets=world.tables.n_offsets,
+        n_samples=world.tables.n_samples,
+        pad=world.pad,
+        stride=world.stride,
+    )
+
+
+def pose_estimate(world, to_go: np.ndarray, follow: float, feet: np.ndarray) -> Estimate:
+    """Costs-to-go of the relaxed problem, plus the feet that still have to reach a goal's configuration.
+
+    Args:
+        world: terrain and robot.
+        to_go: float32 [2, 64, nx, ny], see ``relaxed``.
+        follow: what of the feet's way is in there already, cost per cell.
+        feet: int64 [n, 4], configurations of the goals.
+    """
+    table = np.ascontiguousarray(to_go, dtype=np.float32).ravel()
+    return geometric_estimate(world, np.zeros(7, dtype=np.int64))._replace(
+        distance=0.0,
+        turn=0.0,
+        foot=0.0 if follow > 0 else least_foot_cost(world),
+        goal_feet=np.unique(np.asarray(feet, dtype=np.int64), axis=0) - world.tables.lowest,
+        table=table,
+        layered=True,
+        follow=follow,
+        table_nx=to_go.shape[2],
+        table_ny=to_go.shape[3],
+        outside=np.inf,
+    )
+
+
+def with_footing(e: Estimate, footing, efforts: np.ndarray) -> Estimate:
+    """The estimate plus the steps that each foot must make at least: ``efforts`` float32 [4, regions]."""
+    return e._replace(region=footing.region, effort=np.ascontiguousarray(efforts, dtype=np.float32).ravel())
+
+
+def least_foot_cost(world) -> float:
+    """Least cost per cell by which one foot moves relative to the others."""
+    c, longest = world.constants, world.tables.line.shape[1] - 1
+    return min(c.foot_move, c.step_per_metre * RESOLUTION + c.step / max(longest, 1))

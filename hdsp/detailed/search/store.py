@@ -1,0 +1,294 @@
+"""Where a search keeps the states it has seen: their costs, how it came to them, and what became of them.
+
+The robot drives and turns on neutral feet only, so nearly all states are poses (ix, iy, heading). These lie in *tiles*
+of 8 x 8 cells at one heading, made when first touched: the neighbours of a pose then share a few cache lines, and
+nothing need be hashed or compared. States with feet off neutral are few; a hash table finds them.
+
+Both kinds live in blocks of 64 *nodes*, 6 bytes each (cost 4, action 1, flags 1). A tile adds 4 bytes to its block, and
+4 bytes of a directory over all tiles of the map; a state off neutral adds its packed form (8 bytes) and 4 bytes a slot
+of the hash table. The way back is found by undoing actions.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.jit import njit
+from hdsp.detailed.actions.successors import MAX_SUCCESSORS
+from hdsp.detailed.states import FEET_MASK, START, pack, undo, unpack
+from hdsp.robot.lattice import HEADINGS
+
+#: Slots of ``Store.count``.
+SEEN, BLOCKS, KEYS, NEAR, FAR, EXPANDED, GOALS_LEFT, CUT = range(8)
+
+#: Bits of ``Store.flags``.
+CLOSED = 1  # expanded since its present cost was found
+GOAL = 2
+VISITED = 4  # expanded in the present round of an anytime search
+
+BLOCK = 64  # nodes
+TILE = 8  # cells on a side
+#: Most blocks that the successors of one state can need.
+SPARE_BLOCKS = 32
+_GROWTH = 1.25
+
+
+class Store(NamedTuple):
+    """Everything a search has seen, and what it has yet to expand; fixed arrays, exchanged for larger ones by
+    ``grown``. Block 0 stays empty: it stands for all tiles that were never touched."""
+
+    directory: np.ndarray  # int32 [64 * tiles along x * tiles along y], block of a tile, 0 = none
+    tiles_x: int
+    tiles_y: int
+    neutral: int  # the feet bits of a packed state on neutral feet
+    g: np.ndarray  # float32 [64 * blocks], cost from the start, inf = not seen
+    action: np.ndarray  # uint8 [64 * blocks], the action that led here
+    flags: np.ndarray  # uint8 [64 * blocks]
+    origin: np.ndarray  # int32 [blocks], place in ``directory``, or -1 - n for the n-th block of states off neutral
+    key: np.ndarray  # int64 [states off neutral], packed
+    key_block: np.ndarray  # int32 [states off neutral / 64], the block that holds their nodes
+    slot: np.ndarray  # int32 [power of two], hash table: place in ``key``, -1 = free
+    open_f: np.ndarray  # float32 [room], see ``open_list``
+    open_node: np.ndarray  # int32 [room]
+    open_least: np.ndarray  # float32 [4], the last is the bound between its parts
+    count: np.ndarray  # int64 [8]; CUT tells whether the cost limit kept a state out
+    out_key: np.ndarray  # buffers for the successors of one state
+    out_cost: np.ndarray
+    out_action: np.ndarray
+
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        return sum(array.nbytes for array in self if isinstance(array, np.ndarray))
+
+    def open_nbytes(self) -> int:
+        """Bytes of the open list, part of ``nbytes``."""
+        return self.open_f.nbytes + self.open_node.nbytes
+
+
+def new_store(shape: tuple[int, int], neutral: int, blocks: int = 128) -> Store:
+    """An empty store.
+
+    Args:
+        shape: cells (nx, ny) of the map.
+        neutral: the feet bits of a packed state on neutral feet.
+        blocks: room for so many blocks of 64 states at first.
+    """
+    tiles_x, tiles_y = (-(-n // TILE) for n in shape)
+    blocks = max(blocks, 2 * SPARE_BLOCKS)
+    keys = 4 * BLOCK
+    count = np.zeros(8, np.int64)
+    count[BLOCKS] = 1
+    store = Store(
+        directory=np.zeros(HEADINGS * tiles_x * tiles_y, np.int32),
+        tiles_x=tiles_x,
+        tiles_y=tiles_y,
+        neutral=neutral,
+        g=np.empty(BLOCK * blocks, np.float32),
+        action=np.empty(BLOCK * blocks, np.uint8),
+        flags=np.empty(BLOCK * blocks, np.uint8),
+        origin=np.empty(blocks, np.int32),
+        key=np.empty(keys, np.int64),
+        key_block=np.empty(keys // BLOCK, np.int32),
+        slot=np.full(2 * keys, -1, np.int32),
+        open_f=np.empty(1 << 11, np.float32),
+        open_node=np.empty(1 << 11, np.int32),
+        open_least=np.full(4, -np.inf, np.float32),
+        count=count,
+        out_key=np.empty(MAX_SUCCESSORS, np.int64),
+        out_cost=np.empty(MAX_SUCCESSORS, np.float64),
+        out_action=np.empty(MAX_SUCCESSORS, np.uint8),
+    )
+    store.g[:BLOCK], store.flags[:BLOCK] = np.inf, 0
+    return store
+
+
+def grown(store: Store) -> Store:
+    """The same store with more room for states, of whichever kind ran short."""
+    changed = {}
+    for name, length in _new_lengths(store).items():
+        changed[name] = _longer(getattr(store, name), length)
+        if name == "slot":
+            changed[name][:] = -1
+            _fill_slots(changed[name], store.key, store.count[KEYS])
+    return store._replace(**changed)
+
+
+def growth_nbytes(store: Store) -> int:
+    """Bytes that ``grown`` needs besides those of the store."""
+    return sum(length * getattr(store, name).itemsize for name, length in _new_lengths(store).items())
+
+
+def _new_lengths(store: Store) -> dict[str, int]:
+    """Arrays that are too short for the successors of one more state, and their new lengths."""
+    lengths = {}
+    if store.count[BLOCKS] + SPARE_BLOCKS > len(store.origin):
+        blocks = int(_GROWTH * len(store.origin)) + SPARE_BLOCKS
+        lengths |= {"g": BLOCK * blocks, "action": BLOCK * blocks, "flags": BLOCK * blocks, "origin": blocks}
+    if store.count[KEYS] + MAX_SUCCESSORS > len(store.key):
+        blocks = int(_GROWTH * len(store.key_block)) + 4
+        lengths |= {"key": BLOCK * blocks, "key_block": blocks}
+    if 4 * (store.count[KEYS] + MAX_SUCCESSORS) > 3 * len(store.slot):
+        lengths["slot"] = 2 * len(store.slot)
+    return lengths
+
+
+def _longer(array: np.ndarray, length: int) -> np.ndarray:
+    longer = np.empty(length, array.dtype)
+    longer[: len(array)] = array
+    return longer
+
+
+@njit(inline="always")
+def has_room(store):
+    """Whether the successors of any one state still find room."""
+    keys = store.count[KEYS] + MAX_SUCCESSORS
+    return (
+        store.count[BLOCKS] + SPARE_BLOCKS <= len(store.origin)
+        and keys <= len(store.key)
+        and 4 * keys <= 3 * len(store.slot)
+    )
+
+
+@njit(inline="always")
+def node_of(store, key):
+    """Node of a packed state, which is added if it is new."""
+    if key & FEET_MASK == store.neutral:
+        return _pose_node(store, key)
+    return _other_node(store, key)
+
+
+@njit(inline="always")
+def _pose_node(store, key):
+    tile = _tile(store, key)
+    block = np.int64(store.directory[tile])
+    if block == 0:
+        block = _new_block(store, tile)
+        store.directory[tile] = block
+    return BLOCK * block + _cell(key)
+
+
+@njit(inline="always")
+def _other_node(store, key):
+    mask = len(store.slot) - 1
+    s = _hash(key, mask)
+    at = np.int64(store.slot[s])
+    while at >= 0 and store.key[at] != key:
+        s = (s + 1) & mask
+        at = np.int64(store.slot[s])
+    if at < 0:
+        at = store.count[KEYS]
+        store.count[KEYS] += 1
+        if at % BLOCK == 0:
+            store.key_block[at // BLOCK] = _new_block(store, -1 - at // BLOCK)
+        store.key[at] = key
+        store.slot[s] = at
+    return BLOCK * np.int64(store.key_block[at // BLOCK]) + at % BLOCK
+
+
+@njit(inline="always")
+def _new_block(store, where):
+    block = store.count[BLOCKS]
+    store.count[BLOCKS] += 1
+    store.origin[block] = where
+    for node in range(BLOCK * block, BLOCK * (block + 1)):
+        store.g[node] = np.inf
+        store.flags[node] = 0
+    return block
+
+
+@njit(inline="always")
+def _tile(store, key):
+    """Place of a pose's tile in the directory."""
+    ix, iy, heading, _, _, _, _ = unpack(key)
+    return (heading * store.tiles_x + ix // TILE) * store.tiles_y + iy // TILE
+
+
+@njit(inline="always")
+def _cell(key):
+    """Place of a pose in its tile."""
+    ix, iy, _, _, _, _, _ = unpack(key)
+    return ix % TILE * TILE + iy % TILE
+
+
+@njit(inline="always")
+def _hash(key, mask):
+    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
+    return np.int64((mixed ^ (mixed >> np.uint64(32))) & np.uint64(mask))
+
+
+@njit()
+def _fill_slots(slot, keys, n):
+    mask = len(slot) - 1
+    for i in range(n):
+        s = _hash(keys[i], mask)
+        while slot[s] >= 0:
+            s = (s + 1) & mask
+        slot[s] = i
+
+
+@njit(inline="always")
+def key_of(store, node):
+    """Packed state of a node."""
+    block, cell = node // BLOCK, node % BLOCK
+    tile = np.int64(store.origin[block])
+    if tile < 0:
+        return store.key[BLOCK * (-1 - tile) + cell]
+    column, y = tile // store.tiles_y, tile % store.tiles_y
+    heading, x = column // store.tiles_x, column % store.tiles_x
+    return pack(x * TILE + cell // TILE, y * TILE + cell % TILE, heading, 0, 0, 0, 0) | store.neutral
+
+
+@njit(allocates=False)
+def find(store, key):
+    """Node of a packed state, -1 if the store has none for it."""
+    if key & FEET_MASK == store.neutral:
+        block = np.int64(store.directory[_tile(store, key)])
+        return BLOCK * block + _cell(key) if block > 0 else np.int64(-1)
+    mask = len(store.slot) - 1
+    s = _hash(key, mask)
+    while store.slot[s] >= 0:
+        at = np.int64(store.slot[s])
+        if store.key[at] == key:
+            return BLOCK * np.int64(store.key_block[at // BLOCK]) + at % BLOCK
+        s = (s + 1) & mask
+    return np.int64(-1)
+
+
+@njit(inline="always")
+def waits(store, node):
+    """Whether a node was seen, but not expanded at its present cost."""
+    return store.g[node] < np.inf and store.flags[node] & CLOSED == 0
+
+
+@njit(allocates=False)
+def count_waiting(store):
+    """Number of states that still wait for their expansion."""
+    n = 0
+    for node in range(BLOCK, BLOCK * store.count[BLOCKS]):
+        n += waits(store, node)
+    return n
+
+
+@njit()
+def trace(world, store, key):
+    """The way to a state that was seen.
+
+    Returns:
+        Packed states from the start to ``key``, int64 [n], and the actions between them, uint8 [n - 1].
+    """
+    t = world.tables
+    n = 1
+    at = key
+    action = store.action[find(store, at)]
+    while action != START:
+        at = undo(at, action, t.move_dx, t.move_dy, t.shifts)
+        action = store.action[find(store, at)]
+        n += 1
+    path, actions = np.empty(n, np.int64), np.empty(n - 1, np.uint8)
+    at = key
+    for i in range(n - 1, -1, -1):
+        path[i] = at
+        if i > 0:
+            actions[i - 1] = store.action[find(store, at)]
+            at = undo(at, actions[i - 1], t.move_dx, t.move_dy, t.shifts)
+    return path, actions

@@ -1,0 +1,148 @@
+"""Where a robot's feet and body are on the lattice, as flat integer tables for the kernels.
+
+Convention: a foot is in the cell nearest to ``base + t * move + R(theta) * (neutral + offset)``. A position exactly
+between two cells goes forward along x and toward the body along y, in the frame of the robot, and forward where these
+two pull apart (on diagonal headings), so that mirrored and quarter-turned worlds get mirrored and quarter-turned cells.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.robot.lattice import DRIVE_MOVES, HEADINGS, RESOLUTION, cells, heading_angle, rotation
+from hdsp.robot.robot import Rectangle, Robot
+
+#: How far a position exactly between two cells is nudged before rounding, in cells.
+_NUDGE = 1e-6
+
+
+class MoveSamples(NamedTuple):
+    """The points of the drive moves at which the state cost is read: ``t = 1/n .. 1``, ``n = floor(length) + 1``.
+
+    Attributes:
+        displacement: float64 [n, 2], cells; row 0 is the state itself (t = 0), the rest are the samples with t < 1.
+        first: int64 [20], first row of each move.
+        count: int64 [20], number of rows of each move; the sample at t = 1 is row 0 of the state reached.
+    """
+
+    displacement: np.ndarray
+    first: np.ndarray
+    count: np.ndarray
+
+
+def _move_samples() -> MoveSamples:
+    rows, first, count = [(0.0, 0.0)], [], []
+    for dx, dy in DRIVE_MOVES:
+        n = math.floor(math.hypot(dx, dy)) + 1
+        first.append(len(rows))
+        count.append(n - 1)
+        rows += [(dx * i / n, dy * i / n) for i in range(1, n)]
+    return MoveSamples(np.array(rows), np.array(first), np.array(count))
+
+
+MOVE_SAMPLES = _move_samples()
+
+
+@lru_cache(maxsize=8)
+def foot_cells(robot: Robot) -> np.ndarray:
+    """Cells of the feet relative to the base cell.
+
+    Returns:
+        int64 [64 headings, 4 feet, offsets, samples, 2]; offsets from ``robot.offset_range()``, samples as in
+        MOVE_SAMPLES.
+    """
+    low, high = robot.offset_range()
+    neutral = robot.neutral_feet() / RESOLUTION
+    offsets = np.arange(low, high + 1)
+    table = np.empty((HEADINGS, 4, len(offsets), len(MOVE_SAMPLES.displacement), 2), dtype=np.int64)
+    for heading in range(HEADINGS):
+        turn = rotation(float(heading_angle(heading)))
+        for foot, (x, y) in enumerate(neutral):
+            at = np.stack([x + offsets, np.full(len(offsets), y)], axis=1) @ turn.T + _inward(turn, y)
+            table[heading, foot] = np.floor(at[:, None, :] + MOVE_SAMPLES.displacement[None] + 0.5)
+    table.flags.writeable = False
+    return table
+
+
+@lru_cache(maxsize=8)
+def contact_cells(robot: Robot) -> np.ndarray:
+    """Cells in the middle of the contacts of the feet relative to the base cell, in the shape of ``foot_cells``.
+
+    A contact moves by whole cells: its cell at the start of a move, plus the displacement rounded as for a foot.
+    """
+    low, high = robot.offset_range()
+    neutral = robot.neutral_feet()
+    middle = (neutral - np.sign(neutral) * robot.feet.contact_inward) / RESOLUTION
+    offsets = np.arange(low, high + 1)
+    table = np.empty((HEADINGS, 4, len(offsets), len(MOVE_SAMPLES.displacement), 2), dtype=np.int64)
+    for heading in range(HEADINGS):
+        turn = rotation(float(heading_angle(heading)))
+        for foot, (x, y) in enumerate(middle):
+            inward = _inward(turn, y)
+            at = np.stack([x + offsets, np.full(len(offsets), y)], axis=1) @ turn.T + inward
+            moved = np.floor(MOVE_SAMPLES.displacement + inward + 0.5)
+            table[heading, foot] = np.floor(at + 0.5)[:, None, :] + moved[None]
+    table.flags.writeable = False
+    return table
+
+
+def _inward(turn: np.ndarray, y: float) -> np.ndarray:
+    """What decides between two cells for a foot on the side of ``y``, float64 [2]."""
+    return turn @ np.array([2 * _NUDGE, -_NUDGE * np.sign(y)])
+
+
+@lru_cache(maxsize=8)
+def base_cells() -> np.ndarray:
+    """Cell of the base at each sample, int64 [samples, 2]; halfway between two cells it counts as arrived."""
+    arrived = _NUDGE * np.sign(MOVE_SAMPLES.displacement)
+    return np.floor(MOVE_SAMPLES.displacement + arrived + 0.5).astype(np.int64)
+
+
+def rectangle_cells(rectangle: Rectangle, heading: int) -> np.ndarray:
+    """Cells, int64 [n, 2] relative to the base cell, whose centres lie in a rectangle of the robot turned to
+    ``heading``."""
+    corner = math.hypot(max(abs(rectangle.x_min), abs(rectangle.x_max)), rectangle.half_width)
+    reach = math.ceil(cells(corner))
+    span = np.arange(-reach, reach + 1)
+    grid = np.stack(np.meshgrid(span, span, indexing="ij"), axis=-1).reshape(-1, 2)
+    local = grid @ rotation(float(heading_angle(heading)))  # row vectors: this is R(-theta) applied to each
+    tolerance = 1e-9
+    x_min, x_max = cells(rectangle.x_min) - tolerance, cells(rectangle.x_max) + tolerance
+    inside = (
+        (local[:, 0] >= x_min) & (local[:, 0] <= x_max) & (abs(local[:, 1]) <= cells(rectangle.half_width) + tolerance)
+    )
+    return grid[inside]
+
+
+@lru_cache(maxsize=1)
+def base_shifts() -> np.ndarray:
+    """The longitudinal base shift of each heading as (dx, dy, n), int64 [64, 3].
+
+    The base goes to another cell and every foot offset changes by ``-n``, so that the feet rest. At headings off the
+    axes no single cell lies exactly ahead: of one to four steps along the heading the one is taken that ends nearest to
+    a cell.
+    """
+    table = np.empty((HEADINGS, 3), dtype=np.int64)
+    for heading in range(HEADINGS):
+        ahead = rotation(float(heading_angle(heading))) @ np.array([1.0, 0.0])
+        candidates = []
+        for n in range(1, 5):
+            cell = np.rint(n * ahead)
+            candidates.append((round(float(np.hypot(*(cell - n * ahead))), 9), n, *cell.astype(int)))
+        _, n, dx, dy = min(candidates)
+        table[heading] = dx, dy, n
+    return table
+
+
+@lru_cache(maxsize=8)
+def step_line(robot: Robot) -> np.ndarray:
+    """Cells ahead of a foot, int64 [64 headings, longest step + 1, 2], relative to the cell of the foot."""
+    length = math.floor(cells(robot.step.max_length) + 1e-9)
+    reach = np.arange(length + 1)
+    table = np.empty((HEADINGS, length + 1, 2), dtype=np.int64)
+    for heading in range(HEADINGS):
+        ahead = rotation(float(heading_angle(heading))) @ np.array([1.0, 0.0])
+        table[heading] = np.rint(reach[:, None] * np.round(ahead, 12))
+    return table

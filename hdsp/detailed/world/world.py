@@ -1,0 +1,323 @@
+"""A terrain and a robot, compiled into the arrays that the search kernels read.
+
+The maps are one-dimensional with a border on which no foot can stand, so that no kernel tests bounds. What depends on
+the base alone (whether the body is free) is computed when a pose is first seen and kept.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.jit import njit
+from hdsp.detailed.states import pack_steps
+from hdsp.detailed.world.geometry import (
+    MOVE_SAMPLES,
+    base_cells,
+    base_shifts,
+    contact_cells,
+    foot_cells,
+    rectangle_cells,
+    step_line,
+)
+from hdsp.robot.lattice import DRIVE_MOVES, HEADINGS, RESOLUTION, cells, heading_angle
+from hdsp.robot.robot import Robot
+from hdsp.terrain.cost_maps import CostMaps, cost_maps, disc_mask
+from hdsp.terrain.height_map import HeightMap
+
+
+class Tables(NamedTuple):
+    """What depends on the robot and the size of the padded map, not on the terrain."""
+
+    feet: np.ndarray  # int32 [64 * 4 * offsets * samples], foot cell relative to base cell
+    contacts: np.ndarray  # int32, the same, plus where in ``World.uneven`` the foot finds what it pays
+    contact_offsets: np.ndarray  # int64 [layers, 2], of the layers of ``World.uneven``
+    n_offsets: int
+    n_samples: int
+    lowest: int  # smallest foot offset, steps
+    move_dx: np.ndarray  # int64 [20]
+    move_dy: np.ndarray
+    move_flat: np.ndarray  # int64 [20]
+    move_key: np.ndarray  # int64 [20], what a move adds to a packed state
+    move_first: np.ndarray  # int64 [20]
+    move_count: np.ndarray
+    deviation: np.ndarray  # float64 [64, 20], factor on driving
+    straight: np.ndarray  # bool [64, 20], whether the move leads ahead or back
+    drive_price: np.ndarray  # float64 [2, 64, 20], length times factor; [1] for feet not level: inf unless straight
+    base_sample: np.ndarray  # int64 [samples]
+    shifts: np.ndarray  # int64 [64, 3]
+    line: np.ndarray  # int64 [64, longest step + 1]
+    box_cells: np.ndarray  # int64 [boxes, 64, n]
+    box_count: np.ndarray  # int64 [boxes, 64]
+    box_above: np.ndarray  # float32 [boxes]
+
+
+class Constants(NamedTuple):
+    """Scalars of the cost model, in metres and unitless costs."""
+
+    unevenness: float
+    turn: float
+    turn_unevenness: float
+    level: float
+    foot_move: float
+    base_shift: float
+    shift_backward: bool
+    step_backward: bool
+    step: float
+    step_per_metre: float
+    step_per_height: float
+    step_max_height: float
+    step_max_clearance: float
+    support_margin: float
+    neutral_x: float
+    neutral_y: float
+    min_separation: int
+    neutral_penalty: float  # in units of S, per step off the neutral position
+
+
+class World(NamedTuple):
+    """Terrain of nx x ny cells with a border of ``pad`` cells around it; flat index ``(ix + pad) * stride + iy +
+    pad``."""
+
+    nx: int
+    ny: int
+    pad: int
+    stride: int
+    standable: np.ndarray  # bool flat: whether a foot can stand
+    uneven: np.ndarray  # float32 [layers * cells]: S under a foot in a cell, inf where it cannot stand; one layer for
+    # each offset from the cell of a foot to the middle of its contact (``Tables.contact_offsets``)
+    height: np.ndarray  # float32 flat; -inf where unknown
+    swing: np.ndarray  # float32 flat: highest cell within the clearance of a foot, inf next to unknown cells
+    window_height: np.ndarray  # float32 flat: highest cell within the body's reach
+    edge: np.ndarray  # bool flat: no wheel passes
+    steps: np.ndarray  # uint64 flat: bit h set if a foot here can step toward heading h
+    banned: np.ndarray  # int64 [n, 7]: steps that a search must not use (manoeuvres.is_banned)
+    base: np.ndarray  # uint8 [64 * cells]: whether the body is FREE or BLOCKED, 0 = not yet computed
+    tables: Tables
+    constants: Constants
+
+
+#: What ``World.base`` says of a pose.
+FREE, BLOCKED = np.uint8(1), np.uint8(2)
+
+
+@njit(inline="always")
+def cell_index(world, ix, iy):
+    """Flat index of a cell of the map."""
+    return (ix + world.pad) * world.stride + iy + world.pad
+
+
+def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) -> World:
+    """Compile a terrain for a robot. ``maps`` saves computing the cost maps again."""
+    from scipy.ndimage import maximum_filter  # half a second to import, and ``import hdsp`` shall be quick
+
+    maps = maps or cost_maps(terrain, robot)
+    nx, ny = terrain.heights.shape
+    pad = math.ceil(cells(robot.reach())) + 4
+    stride = ny + 2 * pad
+    heights = np.where(np.isnan(terrain.heights), -np.inf, terrain.heights).astype(np.float32)
+    window = 2 * math.ceil(_body_reach(robot)) + 1
+
+    def padded(values, border):
+        return np.pad(values, pad, constant_values=border).astype(np.float32).ravel()
+
+    tables = _tables(robot, stride, (nx + 2 * pad) * stride)
+    constants = _constants(robot)
+    height, standable = padded(heights, -np.inf), np.pad(maps.standable, pad).ravel()
+    longest = 2 * tables.line.shape[1] - 1
+    near_edge = np.pad(maximum_filter(maps.edge, longest, mode="constant", cval=False), pad).ravel()
+    edge = np.pad(maps.edge, pad).ravel()
+    limits = constants.step_max_height, constants.step_max_clearance
+    lifted = np.where(np.isnan(terrain.heights), np.inf, terrain.heights).astype(np.float32)
+    disc = disc_mask(cells(robot.feet.clearance))
+    swing = padded(maximum_filter(lifted, footprint=disc, mode="constant", cval=-np.inf), np.inf)
+    steps = _possible_steps(standable, height, swing, edge, near_edge, tables.line, *limits)
+    return World(
+        nx=nx,
+        ny=ny,
+        pad=pad,
+        stride=stride,
+        standable=standable,
+        uneven=_uneven_under_feet(np.pad(maps.unevenness, pad), standable, robot, tables.contact_offsets),
+        height=height,
+        swing=swing,
+        edge=edge,
+        window_height=padded(maximum_filter(heights, window, mode="constant", cval=-np.inf), -np.inf),
+        steps=steps,
+        banned=np.empty((0, 7), dtype=np.int64),
+        base=np.zeros(HEADINGS * len(standable), dtype=np.uint8),
+        tables=tables,
+        constants=constants,
+    )
+
+
+def _body_reach(robot: Robot) -> float:
+    corners = [math.hypot(max(abs(r.x_min), abs(r.x_max)), r.half_width) for r in robot.body.boxes]
+    return cells(max(corners, default=0.0))
+
+
+def _uneven_under_feet(unevenness: np.ndarray, standable: np.ndarray, robot: Robot, offsets: np.ndarray) -> np.ndarray:
+    """``World.uneven`` from S of the padded map, float32 [nx, ny]."""
+    from scipy.ndimage import maximum_filter
+
+    size = 2 * math.floor(cells(robot.feet.contact_half_width) + 1e-9) + 1
+    largest = maximum_filter(unevenness, size, mode="constant", cval=0.0).ravel()
+    footholds = np.flatnonzero(standable)
+    layers = np.full((len(offsets), len(standable)), np.inf, dtype=np.float32)
+    # No foothold is so near the border that its contact would lie beyond it.
+    for layer, (dx, dy) in zip(layers, offsets, strict=True):
+        layer[footholds] = largest[footholds + (dx * unevenness.shape[1] + dy)]
+    return layers.ravel()
+
+
+def _constants(robot: Robot) -> Constants:
+    step = robot.step
+    return Constants(
+        unevenness=robot.drive.unevenness_cost,
+        turn=robot.turn.cost,
+        turn_unevenness=robot.turn.unevenness_cost,
+        level=robot.drive.level,
+        foot_move=robot.foot_move.cost_per_metre * RESOLUTION,
+        base_shift=robot.base_shift.cost_per_metre * RESOLUTION,
+        shift_backward=robot.base_shift.backward,
+        step_backward=step.backward,
+        step=step.cost,
+        step_per_metre=step.cost_per_metre,
+        step_per_height=step.cost_per_height,
+        step_max_height=step.max_height,
+        step_max_clearance=step.max_clearance,
+        support_margin=cells(step.support_margin),
+        neutral_x=cells(robot.feet.neutral_x),
+        neutral_y=cells(robot.feet.neutral_y),
+        neutral_penalty=robot.feet.neutral_preference * RESOLUTION / robot.drive.unevenness_cost,
+        min_separation=math.ceil(cells(robot.feet.min_separation) - 1e-9),
+    )
+
+
+@lru_cache(maxsize=16)
+def _tables(robot: Robot, stride: int, size: int) -> Tables:
+    def flat(offsets):
+        return offsets[..., 0] * stride + offsets[..., 1]
+
+    feet = flat(foot_cells(robot))
+    between = contact_cells(robot) - foot_cells(robot)
+    contact_offsets, layer = np.unique(between.reshape(-1, 2), axis=0, return_inverse=True)
+    contacts = feet + layer.reshape(feet.shape) * size
+    boxes = [[flat(rectangle_cells(box, h)) for h in range(HEADINGS)] for box in robot.body.boxes]
+    widest = max((len(c) for box in boxes for c in box), default=0)
+    box_cells = np.zeros((len(boxes), HEADINGS, widest), dtype=np.int64)
+    for i, box in enumerate(boxes):
+        for h, offsets in enumerate(box):
+            box_cells[i, h, : len(offsets)] = offsets
+    travel = np.arctan2(DRIVE_MOVES[:, 1], DRIVE_MOVES[:, 0])
+    turned = travel[None, :] - heading_angle(np.arange(HEADINGS))[:, None]
+    deviation = abs(np.mod(turned + math.pi, 2 * math.pi) - math.pi)
+    factor = np.vectorize(robot.drive.deviation_cost)(np.round(deviation, 12))
+    length = np.hypot(DRIVE_MOVES[:, 0], DRIVE_MOVES[:, 1]) * RESOLUTION
+    straight = np.minimum(deviation, math.pi - deviation) <= robot.drive.straight_deviation + 1e-9
+    return Tables(
+        feet=np.ascontiguousarray(feet.astype(np.int32).ravel()),
+        contacts=np.ascontiguousarray(contacts.astype(np.int32).ravel()),
+        contact_offsets=contact_offsets,
+        n_offsets=feet.shape[2],
+        n_samples=feet.shape[3],
+        lowest=robot.offset_range()[0],
+        move_dx=DRIVE_MOVES[:, 0].copy(),
+        move_dy=DRIVE_MOVES[:, 1].copy(),
+        move_flat=flat(DRIVE_MOVES),
+        move_key=pack_steps(DRIVE_MOVES),
+        move_first=MOVE_SAMPLES.first,
+        move_count=MOVE_SAMPLES.count,
+        deviation=factor,
+        straight=straight,
+        drive_price=np.stack([length * factor, np.where(straight, length * factor, np.inf)]),
+        base_sample=flat(base_cells()),
+        shifts=base_shifts(),
+        line=flat(step_line(robot)),
+        box_cells=box_cells,
+        box_count=np.array([[len(c) for c in box] for box in boxes], dtype=np.int64).reshape(len(boxes), HEADINGS),
+        box_above=np.array([box.above for box in robot.body.boxes], dtype=np.float32),
+    )
+
+
+@njit()
+def _possible_steps(standable, height, swing, edge, near_edge, line, max_height, max_clearance):
+    """For each cell the headings toward which a foot that stands there can step over an edge; uint64 flat."""
+    n_headings, reach = line.shape
+    result = np.zeros(len(standable), dtype=np.uint64)
+    longest = np.max(np.abs(line))
+    for p in range(longest, len(standable) - longest):
+        if not (near_edge[p] and standable[p]):
+            continue
+        for h in range(n_headings):
+            if standable[p + line[h, 1]]:
+                continue
+            crossed = False
+            highest = height[p]
+            for n in range(1, reach):
+                q = p + line[h, n]
+                highest = max(highest, swing[q])
+                crossed = crossed or edge[q]
+                if crossed and standable[q] and step_fits(height[p], height[q], highest, max_height, max_clearance):
+                    result[p] |= np.uint64(1) << np.uint64(h)
+                    break
+    return result
+
+
+@njit(inline="always")
+def step_fits(before, after, highest, max_height, max_clearance):
+    """Whether a foot can be lifted from height ``before`` over ``highest`` to ``after`` (all m)."""
+    return abs(after - before) <= max_height and highest - min(before, after) <= max_clearance
+
+
+@njit(inline="always")
+def step_effort(fixed, per_metre, per_height, length, before, after):
+    """What a step costs beside the state costs: ``length`` in cells, from height ``before`` to ``after`` (m)."""
+    return fixed + per_metre * length * RESOLUTION + per_height * abs(after - before)
+
+
+@njit(inline="always")
+def body_is_free(world, heading, p):
+    """Whether the body neither collides at flat cell ``p`` nor has unknown ground under its centre."""
+    known = world.base[heading * len(world.standable) + p]
+    if known == 0:
+        known = look_at_body(world, heading, p)
+    return known == FREE
+
+
+@njit(allocates=False)
+def look_at_body(world, heading, p):
+    """Compute and keep an entry of ``world.base``."""
+    known = BLOCKED if collides(world, heading, p) else FREE
+    world.base[heading * len(world.standable) + p] = known
+    return known
+
+
+@njit(allocates=False)
+def collides(world, heading, p):
+    """Whether the body hits what rises from the ground at flat cell ``p``, or has no known ground under its centre."""
+    tables, height = world.tables, world.height
+    if height[p] == -np.inf:
+        return True
+    ground = min(height[p], _mean_foot_height(world, heading, p))
+    for b in range(len(tables.box_above)):
+        limit = ground + tables.box_above[b]
+        if world.window_height[p] > limit:
+            for k in range(tables.box_count[b, heading]):
+                if height[p + tables.box_cells[b, heading, k]] > limit:
+                    return True
+    return False
+
+
+@njit(allocates=False)
+def _mean_foot_height(world, heading, p):
+    """Mean height of the known cells under the neutral feet; inf if none is known."""
+    t = world.tables
+    total, known = np.float32(0), 0
+    for foot in range(4):
+        height = world.height[p + t.feet[((heading * 4 + foot) * t.n_offsets - t.lowest) * t.n_samples]]
+        if height > -np.inf:
+            total += height
+            known += 1
+    return np.float32(total / known) if known else np.float32(np.inf)

@@ -1,0 +1,129 @@
+"""How well an abstraction agrees with the detailed planner: the figures of the paper's Table I.
+
+An abstraction judges each task twice. *Feasibility* counts as correct where it says the same as the label. *Cost* is
+compared only over the tasks that both judge feasible: the mean absolute difference is the cost error, the smaller the
+more similar are the two cost functions (paper, Sec. VI-A).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hdsp.abstract.abstract_costs import TaskPredictor
+from hdsp.base.errors import InputError
+
+if TYPE_CHECKING:
+    from hdsp.labels.tasks import TaskSet
+
+#: Columns of the table of rows, see `rows`.
+COLUMNS = (
+    "set", "category", "method", "maps", "tasks", "feasible", "judged_feasible", "both_feasible",
+    "feasibility_accuracy", "detailed_cost_mean", "detailed_cost_std", "abstract_cost_mean", "cost_error",
+)  # fmt: skip
+
+
+def evaluate_set(predictors: Mapping[str, TaskPredictor], tasks: TaskSet) -> dict[str, Any]:
+    """All figures of one set of tasks.
+
+    Args:
+        predictors: the abstractions by the name of their method.
+        tasks: labelled tasks; at least one map.
+
+    Returns:
+        `maps`, `tasks`, `feasible`, `detailed_cost_mean`, `detailed_cost_std`, then `methods`: for each method what
+        `evaluate_predictor` returns, and `categories`: for each category of the set again all of this.
+        Plain numbers, ready for JSON: a mean over no task is None.
+
+    Raises:
+        InputError: the set is empty, or a predictor's answer has the wrong shape.
+    """
+    if len(tasks.heights) == 0:
+        raise InputError("evaluation: the set has no tasks, need at least one map")
+    judged = {name: predict(predictor, tasks) for name, predictor in predictors.items()}
+    everything = np.ones(len(tasks.heights), dtype=bool)
+    names = np.array([str(name) for name in tasks.category])
+    result = _figures(tasks, judged, everything)
+    result["categories"] = {str(name): _figures(tasks, judged, names == name) for name in _in_order(names)}
+    return result
+
+
+def evaluate_predictor(predictor: TaskPredictor, tasks: TaskSet) -> dict[str, Any]:
+    """Figures of one abstraction on one set.
+
+    Returns:
+        `feasibility_accuracy` in [0, 1] over all tasks; over the tasks both judge feasible `cost_error` (mean absolute
+        difference of cost), `abstract_cost_mean` and `compared_cost_mean` (of the labels of the same tasks); counts
+        `judged_feasible` and `both_feasible`. A mean over no task is None.
+    """
+    return evaluate_set({"it": predictor}, tasks)["methods"]["it"]
+
+
+def predict(predictor: TaskPredictor, tasks: TaskSet) -> tuple[np.ndarray, np.ndarray]:
+    """The predictor's answers `(feasible bool [n, 22], cost float [n, 22])`.
+
+    Raises:
+        InputError: an answer has the wrong shape, or a task is judged feasible without a finite cost.
+    """
+    feasible, cost = (np.asarray(answer) for answer in predictor.predict(tasks.heights, tasks.goals))
+    expected = np.shape(tasks.feasible)
+    if feasible.shape != expected or cost.shape != expected:
+        raise InputError(f"predictions have shapes {feasible.shape} and {cost.shape}, expected twice {expected}")
+    feasible = feasible.astype(bool)
+    if not np.isfinite(cost[feasible]).all():
+        raise InputError(f"prediction: {np.sum(~np.isfinite(cost[feasible]))} tasks judged feasible lack a finite cost")
+    return feasible, cost
+
+
+def rows(quality: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The figures as a flat table with the columns `COLUMNS`: for each set and method one row for all categories, then
+    one for each category.
+
+    Args:
+        quality: by the name of the set what `evaluate_set` returns; sets without figures (no `methods`) are left out.
+    """
+    table = []
+    for set_name, figures in quality.items():
+        for category, part in {"all": figures, **figures.get("categories", {})}.items():
+            for method, values in part.get("methods", {}).items():
+                row = {"set": set_name, "category": category, "method": method, **part, **values}
+                table.append({column: row[column] for column in COLUMNS})
+    return table
+
+
+def _figures(tasks: TaskSet, judged: Mapping[str, tuple[np.ndarray, np.ndarray]], maps: np.ndarray) -> dict[str, Any]:
+    """Figures of the maps where `maps` (bool [n]) is true."""
+    feasible, cost = np.asarray(tasks.feasible, bool)[maps], np.asarray(tasks.cost, float)[maps]
+    return {
+        "maps": int(maps.sum()),
+        "tasks": int(feasible.size),
+        "feasible": int(feasible.sum()),
+        "detailed_cost_mean": _number(cost[feasible], np.mean),
+        "detailed_cost_std": _number(cost[feasible], np.std),
+        "methods": {
+            name: _agreement(feasible, cost, answer[maps], costs[maps]) for name, (answer, costs) in judged.items()
+        },
+    }
+
+
+def _agreement(feasible, cost, judged, abstract_cost) -> dict[str, Any]:
+    both = feasible & judged
+    return {
+        "feasibility_accuracy": float(np.mean(judged == feasible)),
+        "abstract_cost_mean": _number(abstract_cost[both], np.mean),
+        "compared_cost_mean": _number(cost[both], np.mean),
+        "cost_error": _number(np.abs(abstract_cost[both] - cost[both]), np.mean),
+        "judged_feasible": int(judged.sum()),
+        "both_feasible": int(both.sum()),
+    }
+
+
+def _number(values: np.ndarray, statistic) -> float | None:
+    return float(statistic(values.astype(float))) if values.size else None
+
+
+def _in_order(names: np.ndarray) -> list[str]:
+    """The distinct names in the order of their first appearance."""
+    return list(dict.fromkeys(names.tolist()))

@@ -1,0 +1,88 @@
+"""Labels of a map: the patch that a network sees, its 22 goals, and what the detailed planner says of them.
+
+Source: paper, Sec. V-C.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.abstract.oracle import LabelSettings, task_costs
+from hdsp.abstract.transform import feet_at
+from hdsp.base.errors import InputError
+from hdsp.detailed.search.solve import Status
+from hdsp.detailed.world.world import build_world
+from hdsp.robot.lattice import HEADINGS, HEADINGS_PER_ABSTRACT, PATCH_CELLS, Grid, robot_frame_goals
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+
+__all__ = ["LabelSettings", "MapTasks", "label_map"]
+
+
+class MapTasks(NamedTuple):
+    """The 22 tasks of one start state with their labels.
+
+    Convention: patch and goals in the robot frame; see ``hdsp.terrain.height_map`` and ``hdsp.robot.lattice.robot_frame_goals``.
+
+    Attributes:
+        heights: float32 [72, 72], m, NaN = unknown.
+        goals: float32 [22, 3], abstract steps.
+        feasible: bool [22].
+        cost: float32 [22], 0 where infeasible.
+        reason: uint8 [22], ``Status`` of each task's search.
+        start: float32 [7], detailed start state in the world: m, m, rad, 4 x m.
+        goal: float32 [22, 7], detailed goal states; feet NaN-free, neutral where no state is valid.
+    """
+
+    heights: np.ndarray
+    goals: np.ndarray
+    feasible: np.ndarray
+    cost: np.ndarray
+    reason: np.ndarray
+    start: np.ndarray
+    goal: np.ndarray
+
+
+def label_map(
+    terrain: HeightMap, robot: Robot, settings: LabelSettings | None = None, start_heading: int = 0
+) -> MapTasks | None:
+    """Label the 22 tasks that start in the middle cell of a map.
+
+    Args:
+        terrain: at least 72 x 72 cells; the base starts in cell (nx // 2, ny // 2).
+        robot: whose planner labels.
+        settings: the rules of labelling.
+        start_heading: detailed heading of the start, a multiple of 4 in [0, 64).
+
+    Returns:
+        The tasks, or None if no valid start state exists.
+
+    Raises:
+        InputError: for a map smaller than a patch or a heading between abstract ones.
+    """
+    settings = settings or LabelSettings()
+    if min(terrain.shape) < PATCH_CELLS:
+        raise InputError(
+            f"map of {terrain.shape[0]} x {terrain.shape[1]} cells: labels need at least {PATCH_CELLS} x {PATCH_CELLS}"
+        )
+    if start_heading % HEADINGS_PER_ABSTRACT or not 0 <= start_heading < HEADINGS:
+        raise InputError(
+            f"start heading {start_heading}: need a multiple of {HEADINGS_PER_ABSTRACT} in [0, {HEADINGS})"
+        )
+    world = build_world(terrain, robot)
+    base = (terrain.shape[0] // 2, terrain.shape[1] // 2, start_heading)
+    start = feet_at(world, base)
+    if start is None:
+        return None
+    goals, cost, reason = task_costs(world, start, settings)
+    grid = Grid(terrain.origin, terrain.shape)
+    feasible = reason == Status.SOLVED
+    return MapTasks(
+        heights=terrain.crop_cells(base[0], base[1], start_heading).heights,
+        goals=robot_frame_goals(start_heading // HEADINGS_PER_ABSTRACT),
+        feasible=feasible,
+        cost=np.where(feasible, cost, 0).astype(np.float32),
+        reason=reason.astype(np.uint8),
+        start=grid.to_world(start).astype(np.float32),
+        goal=grid.to_world(goals).astype(np.float32),
+    )

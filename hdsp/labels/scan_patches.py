@@ -1,0 +1,183 @@
+"""Patches of a scanned map where the robot can stand, and the labels of their tasks."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hdsp.abstract.transform import feet_at
+from hdsp.base.errors import InputError
+from hdsp.base.provenance import code_fingerprint
+from hdsp.detailed.world.world import build_world
+from hdsp.labels.rules import LabelSettings, MapTasks, label_map
+from hdsp.labels.run.splits import TURNED_MAP_CELLS
+from hdsp.labels.shards import SCHEMA_VERSION, read_shard, write_shard
+from hdsp.labels.tasks import TaskSet
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, RESOLUTION, cells
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+
+#: Positions and headings tried before a map counts as used up.
+_ATTEMPTS = 20_000
+#: m, range of heights in a patch of bare floor.
+FLAT = 0.05
+
+
+@dataclass(frozen=True)
+class PatchSettings:
+    """Which start states are drawn from a map.
+
+    Attributes:
+        seed: of positions and headings; together with the map it decides all.
+        count: of patches of a map, if it has room for them.
+        spacing: m, least distance between two positions.
+        known: least share of a patch's cells that are known.
+        flat: greatest share of ``count`` that patches without anything higher or lower than `FLAT` may have: most of
+            the known ground is bare floor, which tells little about an abstraction.
+        heading_residues: abstract headings modulo a quarter turn, as in labels: which are drawn, with any quarter turn.
+
+    Raises:
+        InputError: for a value out of range.
+    """
+
+    seed: int = 0
+    count: int = 16
+    spacing: float = 0.4
+    known: float = 0.5
+    flat: float = 0.25
+    heading_residues: tuple[int, ...] = (0, 1, 2, 3)
+
+    def __post_init__(self):
+        object.__setattr__(self, "heading_residues", tuple(self.heading_residues))
+        if self.count < 1 or self.spacing < 0 or not (0 <= self.known <= 1 and 0 <= self.flat <= 1):
+            raise InputError(f"patches: {self}: need a count of at least 1, a spacing of at least 0, shares in [0, 1]")
+        quarter = ABSTRACT_HEADINGS // 4
+        if not self.heading_residues or not set(self.heading_residues) <= set(range(quarter)):
+            raise InputError(
+                f"patches: heading_residues is {list(self.heading_residues)}; need some of 0 to {quarter - 1}"
+            )
+
+
+def draw_starts(terrain: HeightMap, robot: Robot, settings: PatchSettings) -> np.ndarray:
+    """Base states at which the robot can stand, drawn uniformly over known ground, with little of it bare floor.
+
+    Args:
+        terrain: cells of the detailed lattice.
+        robot: who has to stand there.
+        settings: how many, how dense.
+
+    Returns:
+        int64 [n, 3]: (ix, iy, detailed heading), in the order drawn; n <= count.
+
+    Raises:
+        InputError: if the map has other cells.
+    """
+    if abs(terrain.resolution - RESOLUTION) > 1e-9:
+        raise InputError(f"patches: cells of {terrain.resolution} m; need {RESOLUTION} m")
+    # With unknown ground around it, as the cut that is labelled has it: feet keep off the border as off any other.
+    margin = TURNED_MAP_CELLS // 2
+    around = HeightMap(np.pad(terrain.heights, margin, constant_values=np.nan))
+    world = build_world(around, robot)
+    known = np.argwhere(np.isfinite(terrain.heights))
+    rng = np.random.default_rng(settings.seed)
+    starts: list[tuple[int, int, int]] = []
+    flat = 0
+    for _ in range(_ATTEMPTS if len(known) else 0):
+        ix, iy = known[rng.integers(len(known))].tolist()
+        residue = settings.heading_residues[len(starts) % len(settings.heading_residues)]
+        heading = (int(rng.integers(4)) * ABSTRACT_HEADINGS // 4 + residue) * HEADINGS_PER_ABSTRACT
+        distance = np.hypot(*(np.array(starts, int).reshape(-1, 3)[:, :2] - (ix, iy)).T)
+        if (
+            distance.min(initial=np.inf) < cells(settings.spacing)
+            or feet_at(world, (ix + margin, iy + margin, heading)) is None
+        ):
+            continue
+        patch = terrain.crop_cells(ix, iy, heading).heights
+        if np.isfinite(patch).mean() < settings.known:
+            continue
+        bare = bool(np.nanmax(patch) - np.nanmin(patch) < FLAT)
+        if bare and flat >= settings.flat * settings.count:
+            continue
+        flat += bare
+        starts.append((ix, iy, heading))
+        if len(starts) == settings.count:
+            break
+    return np.array(starts, dtype=np.int64).reshape(-1, 3)
+
+
+def label_scan(
+    terrain: HeightMap,
+    robot: Robot,
+    patches: PatchSettings,
+    settings: LabelSettings,
+    path: str | os.PathLike,
+    about: Mapping[str, str],
+) -> TaskSet:
+    """Labels the patches of a map into a shard; one that is there and was made from the same stays.
+
+    Args:
+        terrain: the map of a scan.
+        robot: whose planner labels.
+        patches: which start states.
+        settings: the rules of labelling.
+        path: of the shard.
+        about: texts by name that the shard keeps; ``place`` becomes the category of its tasks.
+
+    Returns:
+        the tasks; ``index`` is the number of the patch in its scan.
+    """
+    inputs = json.dumps(_inputs(terrain, robot, patches, settings, about), sort_keys=True)
+    labels_hash = hashlib.sha256(inputs.encode()).hexdigest()
+    if (kept := _valid(Path(path), labels_hash)) is not None:
+        return kept
+    starts = draw_starts(terrain, robot, patches)
+    labels = [
+        label_map(terrain.crop_cells(ix, iy, 0, TURNED_MAP_CELLS), robot, settings, heading)
+        for ix, iy, heading in starts.tolist()
+    ]
+    tasks = _task_set(labels, starts, about["place"], patches.seed)
+    write_shard(path, tasks, {"labels_hash": labels_hash, **about})
+    return tasks
+
+
+def _inputs(terrain, robot, patches, settings, about) -> dict[str, Any]:
+    heights = hashlib.sha256(terrain.heights.tobytes()).hexdigest()
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "code": code_fingerprint(["hdsp.labels.rules", "hdsp.labels.scan_patches"]),
+        "map": [heights, *terrain.shape],
+        "robot": robot.to_dict(),
+        "patches": asdict(patches),
+        "settings": asdict(settings),
+        "about": dict(about),
+    }
+
+
+def _valid(path: Path, labels_hash: str) -> TaskSet | None:
+    try:
+        shard = read_shard(path)
+    except InputError:
+        return None
+    return shard.tasks if shard.attributes.get("labels_hash") == labels_hash else None
+
+
+def _task_set(labels: list[MapTasks | None], starts: np.ndarray, place: str, seed: int) -> TaskSet:
+    kept = [k for k, tasks in enumerate(labels) if tasks is not None]
+    if not kept:
+        return TaskSet.empty()
+    columns = zip(*(labels[k] for k in kept), strict=True)
+    arrays = {name: np.array(column) for name, column in zip(MapTasks._fields, columns, strict=True)}
+    return TaskSet(
+        **arrays,
+        category=np.full(len(kept), place),
+        index=np.array(kept),
+        heading=starts[kept, 2],
+        seed=np.full(len(kept), seed),
+    )

@@ -1,0 +1,149 @@
+"""A folder of scans or of labelled tasks that somebody has: judged as it is, without a word in the configuration.
+
+Looked for anywhere in the folder:
+
+- ``*.yaml``: descriptions of scans as in conf/scans. Their files are taken from ``NAME/`` or ``real/NAME/`` beside the
+  description or from the folder of the description itself, else from where they always are (``hdsp.terrain.scans``). NAME is
+  what ``# @package scans.sources.NAME`` says, else the name of the description.
+- shards of labelled tasks (``*.h5``): taken as they are.
+- height maps (``.npz``, ``.h5``) and files of points that no description names: each a scan of its own; metres, z up.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import yaml
+
+from hdsp.base.downloads import verify
+from hdsp.base.errors import InputError
+from hdsp.labels.rules import LabelSettings
+from hdsp.labels.scan_patches import PatchSettings, label_scan
+from hdsp.labels.shards import is_shard, read_shard
+from hdsp.labels.tasks import TaskSet
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.map_files import is_map
+from hdsp.terrain.pointcloud import FORMATS
+from hdsp.terrain.scans import FOLDER, Scan, build_map, find_files
+
+_PACKAGE = re.compile(r"^#\s*@package\s+scans\.sources\.(\S+)", re.MULTILINE)
+_PACKED = (".gz", ".bz2")
+
+
+class Described(NamedTuple):
+    """A scan and where it was described."""
+
+    scan: Scan
+    path: Path
+
+
+class ScanFolder(NamedTuple):
+    """What a folder gave.
+
+    Attributes:
+        tasks: all labelled tasks; the category is the place.
+        used: for each scan or shard, by name, how many maps it gave.
+        skipped: for each that gave none, why.
+    """
+
+    tasks: TaskSet
+    used: dict[str, int]
+    skipped: dict[str, str]
+
+
+def read_scan_folder(
+    folder: str | os.PathLike,
+    robot: Robot,
+    patches: PatchSettings,
+    rules: LabelSettings,
+    work: str | os.PathLike,
+    data_dir: str | os.PathLike | None = None,
+) -> ScanFolder:
+    """The tasks of a folder: those of its shards, and patches of its scans, labelled.
+
+    Args:
+        folder: see above.
+        robot: whose planner labels.
+        patches: which start states are drawn from each map.
+        rules: of labelling.
+        work: receives the shards of the scans; labels that are there already and still hold are not made again.
+        data_dir: as in ``hdsp.terrain.scans.find_files``.
+
+    Raises:
+        InputError: there is no such folder, a description is not one, a shard is damaged, or nothing in it gave tasks.
+    """
+    folder, work = Path(folder), Path(work)
+    if not folder.is_dir():
+        raise InputError(f"folder of scans {folder}: no such folder")
+    sets: list[TaskSet] = []
+    used: dict[str, int] = {}
+    skipped: dict[str, str] = {}
+
+    def take(name: str, tasks: TaskSet) -> None:
+        if len(tasks) == 0:
+            skipped[name] = "no place in it where the robot can stand"
+            return
+        sets.append(tasks)
+        used[name] = len(tasks)
+
+    named: set[Path] = set()
+    for scan, path in _descriptions(folder):
+        files, reason = _files(scan, path.parent, data_dir)
+        named.update(file.resolve() for file in files)
+        if not files:
+            skipped[scan.name] = reason
+            continue
+        about = {key: getattr(scan, key) for key in ("place", "sensor", "licence", "source")} | {"scan": scan.name}
+        take(scan.name, label_scan(build_map(scan, files), robot, patches, rules, work / f"{scan.name}.h5", about))
+    for path in _maps(folder, named):
+        name = path.relative_to(folder).as_posix()
+        if path.suffix == ".h5" and is_shard(path):
+            take(name, read_shard(path).tasks)
+            continue
+        try:
+            terrain = HeightMap.load(path)
+        except InputError as error:  # a text about the scans is no scan
+            skipped[name] = str(error)
+            continue
+        digest = hashlib.sha256(name.encode()).hexdigest()[:8]
+        take(name, label_scan(terrain, robot, patches, rules, work / f"{path.stem}-{digest}.h5", {"place": path.stem}))
+    if not sets:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in skipped.items())
+        raise InputError(f"folder of scans {folder} gave no tasks ({reasons or 'it holds none'})")
+    return ScanFolder(TaskSet.concatenate(sets), used, skipped)
+
+
+def _descriptions(folder: Path) -> Iterator[Described]:
+    for path in sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")]):
+        text = path.read_text(encoding="utf-8")
+        try:
+            values = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise InputError(f"{path}: not a description of a scan: {' '.join(str(error).split())}") from None
+        if not isinstance(values, dict):
+            raise InputError(f"{path}: not a description of a scan: need a mapping")
+        if "defaults" in values:  # the list of conf/scans, not a scan
+            continue
+        found = _PACKAGE.search(text)
+        yield Described(Scan.from_dict(found.group(1) if found else path.stem, values), path)
+
+
+def _files(scan: Scan, beside: Path, data_dir: str | os.PathLike | None) -> tuple[list[Path], str]:
+    """As ``hdsp.terrain.scans.find_files``, which looks beside the description first."""
+    for place in (beside / FOLDER / scan.name, beside / scan.name, beside):
+        if all((place / file.place).is_file() for file in scan.files):
+            return [verify(place / file.place, file.sha256) for file in scan.files], ""
+    return find_files(scan, data_dir)
+
+
+def _maps(folder: Path, named: set[Path]) -> Iterator[Path]:
+    for path in sorted(path for path in folder.rglob("*") if path.is_file() and path.resolve() not in named):
+        suffixes = path.suffixes[:-1] if path.suffix in _PACKED else path.suffixes
+        if not path.name.startswith(".") and (is_map(path) or (suffixes and suffixes[-1] in FORMATS)):
+            yield path

@@ -1,0 +1,203 @@
+"""Shards: labelled tasks in HDF5 files that are whole or absent, and that name what their labels depend on.
+
+The file is plain HDF5 (heights: chunk = one map, LZF). Its user block, the first 512 bytes, which HDF5 leaves to
+applications, holds a magic word, the schema version and the SHA-256 of the rest, so that any damage is found before
+HDF5 parses the file.
+"""
+
+import hashlib
+import io
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.base.files import existing_file
+from hdsp.base.storage import Place, is_folder, is_url, open_folder, split_place
+from hdsp.labels.tasks import FIELDS, TaskSet
+
+__all__ = [
+    "SCHEMA_VERSION",
+    "SUFFIX",
+    "Shard",
+    "TaskSet",
+    "is_shard",
+    "read_shard",
+    "read_shards",
+    "read_tasks",
+    "shard_bytes",
+    "shard_names",
+    "shard_of",
+    "shard_paths",
+    "write_shard",
+]
+
+#: Raised when the layout of the file changes.
+SCHEMA_VERSION = 1
+SUFFIX = ".h5"
+
+_MAGIC = "hdsp task shard"
+_USER_BLOCK = 512
+_MAPS_PER_CHUNK = 256  # of the arrays that are small for one map
+_CATEGORY_NAMES = "category_names"
+_OWN_ATTRIBUTES = ("schema_version", _CATEGORY_NAMES)
+
+Attributes = Mapping[str, str | int | float]
+
+
+class Shard(NamedTuple):
+    """What a shard holds: its tasks, and the attributes it was written with (`labels_hash` among them)."""
+
+    tasks: TaskSet
+    attributes: dict[str, str | int | float]
+
+
+def write_shard(path: Place, tasks: TaskSet, attributes: Attributes) -> Place:
+    """Writes a shard.
+
+    Args:
+        path: the file, or its URL; a shard that is there is replaced.
+        tasks, attributes: see `shard_bytes`.
+
+    Raises:
+        InputError: as `shard_bytes`, or if the file cannot be written.
+    """
+    folder, name = split_place(path)
+    folder.write(name, shard_bytes(tasks, attributes, str(path)))
+    return path if is_url(path) else Path(path)
+
+
+def shard_bytes(tasks: TaskSet, attributes: Attributes, where: str = "") -> bytes:
+    """The contents of a shard's file.
+
+    Args:
+        tasks: what it holds; may be empty.
+        attributes: texts and numbers by name; `labels_hash`, a hash of all that the labels depend on, has to be there.
+        where: names the shard in errors.
+
+    Raises:
+        InputError: if `labels_hash` is missing, or an attribute is of another type.
+    """
+    import h5py
+
+    if "labels_hash" not in attributes:
+        raise InputError(f"shard {where}: attribute labels_hash is missing")
+    for name, value in attributes.items():
+        if name in _OWN_ATTRIBUTES or not isinstance(value, str | int | float):
+            raise InputError(f"shard {where}: attribute {name} = {value!r}; need a text or number, and a free name")
+    names = sorted(set(tasks.category.tolist()))
+    if len(names) > 256:
+        raise InputError(f"shard {where}: {len(names)} categories; at most 256 fit")
+    arrays = {name: tasks.arrays()[name] for name in FIELDS}
+    arrays["category"] = np.searchsorted(names, tasks.category).astype(np.uint8)
+    # Through memory: a full disk is then an ordinary OSError, which HDF5 reports in ways of its own.
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", userblock_size=_USER_BLOCK, libver=("v110", "v110")) as file:
+        for name, array in sorted(arrays.items()):
+            maps = min(1 if name == "heights" else _MAPS_PER_CHUNK, len(array))
+            layout = {"chunks": (maps, *array.shape[1:]), "compression": "lzf"} if maps else {}
+            file.create_dataset(name, data=array, track_times=False, **layout)
+        file.attrs["schema_version"] = SCHEMA_VERSION
+        file.attrs[_CATEGORY_NAMES] = np.array(names, dtype=h5py.string_dtype())
+        for name, value in attributes.items():
+            file.attrs[name] = value
+    body = buffer.getvalue()[_USER_BLOCK:]
+    return _header(SCHEMA_VERSION, body) + body
+
+
+def read_shard(path: Place) -> Shard:
+    """Reads and verifies a shard.
+
+    Args:
+        path: the file, or its URL.
+
+    Raises:
+        InputError: names the file and what is wrong: missing, no shard, other schema version, cut off, or damaged.
+    """
+    if not is_url(path):
+        existing_file(path, "shard")
+    folder, name = split_place(path)
+    return shard_of(folder.read(name), str(path))
+
+
+def shard_of(content: bytes, where: str = "") -> Shard:
+    """The shard in the contents of a file; ``where`` names it in errors.
+
+    Raises:
+        InputError: names what is wrong: no shard, other schema version, cut off, or damaged.
+    """
+    import h5py
+
+    _verify(content, where)
+    try:
+        with h5py.File(io.BytesIO(content)) as file:
+            arrays = {name: file[name][()] for name in (*FIELDS, "category")}
+            names = np.array([*file.attrs[_CATEGORY_NAMES], ""], dtype=np.str_)
+            attributes = {name: _plain(value) for name, value in file.attrs.items() if name not in _OWN_ATTRIBUTES}
+        return Shard(TaskSet(**{**arrays, "category": names[arrays["category"]]}), attributes)
+    except (OSError, KeyError, IndexError, ValueError, TypeError) as error:
+        raise InputError(f"shard {where}: {' '.join(str(error).split())}") from error
+
+
+def is_shard(path: str | os.PathLike) -> bool:
+    """Whether a local file begins as a shard does; it may still be damaged."""
+    with existing_file(path, "shard").open("rb") as file:
+        return file.read(len(_MAGIC)) == _MAGIC.encode()
+
+
+def read_tasks(path: Place) -> TaskSet:
+    """The tasks of a shard, or of all shards of a folder in the order of their names; path or URL.
+
+    Raises:
+        InputError: if there is no such file or folder, the folder holds no shard, or a shard is damaged.
+    """
+    if not is_folder(path):
+        return read_shard(path).tasks
+    return TaskSet.concatenate([shard.tasks for shard in read_shards(path)])
+
+
+def read_shards(folder: Place) -> Iterator[Shard]:
+    """The shards of a folder one by one, in the order of their names; never more than one is in memory.
+
+    Raises:
+        InputError: if the folder holds no shard, or when a damaged one is met.
+    """
+    paths = shard_paths(folder)
+    if not paths:
+        raise InputError(f"folder {folder} holds no shard (*{SUFFIX})")
+    return map(read_shard, paths)
+
+
+def shard_paths(folder: Place) -> list[Place]:
+    """The shards of a folder by name: paths, or URLs if the folder is one."""
+    names = shard_names(open_folder(folder).names())
+    return [f"{str(folder).rstrip('/')}/{name}" if is_url(folder) else Path(folder) / name for name in names]
+
+
+def shard_names(names: list[str]) -> list[str]:
+    """Those that are shards; temporary files of a writer at work, or of one that was killed, are none."""
+    return [name for name in names if name.endswith(SUFFIX) and not name.startswith(".")]
+
+
+def _header(version: int, body: bytes) -> bytes:
+    text = f"{_MAGIC}\nschema {version}\nsha256 {hashlib.sha256(body).hexdigest()}\n"
+    return text.encode("ascii").ljust(_USER_BLOCK, b"\0")
+
+
+def _verify(content: bytes, where: str) -> None:
+    if not content.startswith(_MAGIC.encode()):
+        raise InputError(f"shard {where} is damaged or no shard: it does not begin with {_MAGIC!r}")
+    header, body = content[:_USER_BLOCK], content[_USER_BLOCK:]
+    if header == _header(SCHEMA_VERSION, body):
+        return
+    line = header.split(b"\n")[1].decode("ascii", "replace") if header.count(b"\n") > 1 else ""
+    if line.startswith("schema ") and line[7:].isdigit() and header == _header(int(line[7:]), body):
+        raise InputError(f"shard {where} has schema version {line[7:]}; need {SCHEMA_VERSION}: make it again")
+    raise InputError(f"shard {where} is damaged: its contents do not fit their checksum (cut off, or changed)")
+
+
+def _plain(value):
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,359 @@
+"""A trained abstraction as a folder: ``config.json`` + ``model.safetensors``.
+
+The configuration carries everything in which inference has to agree with training, and it is checked on loading.
+"""
+
+import hashlib
+import json
+import math
+import os
+import secrets
+import shutil
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load as load_tensors
+from safetensors.torch import save as tensor_bytes
+from scipy.special import expit
+
+from hdsp.base.errors import InputError
+from hdsp.base.files import existing_file
+from hdsp.learning.calibration import Calibration, calibration_figures, fit_calibration
+from hdsp.learning.hardware import HardwareSettings, autocast
+from hdsp.learning.metrics import MINIMUM_COST
+from hdsp.learning.network_settings import settings_from
+from hdsp.learning.networks import ModelSettings, TaskNetwork, build_network
+from hdsp.learning.networks.dense import DenseEvaluation
+from hdsp.robot import lattice
+from hdsp.robot.robot import Robot
+from hdsp.terrain.cost_maps import COST_MODEL_VERSION
+
+if TYPE_CHECKING:
+    from hdsp.labels.tasks import TaskSet
+
+FORMAT_VERSION = 1
+WINDOWS = 24  # patches of a map whose goals are judged at once
+Precision = Literal["float32", "float16"]
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where the labels came from.
+
+    Attributes:
+        robot: name of the robot.
+        robot_hash: ``Robot.hash()`` of the robot that was labelled for; empty = not recorded.
+        cost_model_version: version of the cost model of the labels.
+        labels_hash: hash of everything the labels depend on; empty = not recorded.
+        notes: anything else worth keeping, as plain values.
+    """
+
+    robot: str = ""
+    robot_hash: str = ""
+    cost_model_version: int = COST_MODEL_VERSION
+    labels_hash: str = ""
+    notes: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, robot: Robot, labels_hash: str = "", **notes: Any) -> "Provenance":
+        """Provenance of labels made now, with the present cost model, for ``robot``."""
+        return cls(robot.name, robot.hash(), COST_MODEL_VERSION, labels_hash, notes)
+
+
+class LearnedAbstraction:
+    """A trained network with its configuration: patches and goals to feasibility and cost.
+
+    Attributes:
+        network: in evaluation mode, on the device of ``hardware``.
+        model: the settings it was built from.
+        provenance: where its labels came from.
+        metrics: flat metrics at the end of training.
+        calibration: corrects probabilities, and knows quantiles of costs.
+        quantile: level of the costs that are predicted, see ``at_quantile``; None = as the network says.
+    """
+
+    def __init__(
+        self,
+        network: TaskNetwork,
+        model: ModelSettings,
+        provenance: Provenance | None = None,
+        metrics: Mapping[str, float] | None = None,
+        hardware: HardwareSettings | None = None,
+        calibration: Calibration | None = None,
+    ):
+        self.model, self.provenance, self.metrics = model, provenance or Provenance(), dict(metrics or {})
+        self.calibration = calibration or Calibration()
+        self.quantile: float | None = None
+        self._flat: dict[bytes, np.ndarray] = {}
+        self.hardware = hardware or HardwareSettings()
+        self.device = self.hardware.device()
+        self.network = network.to(self.device, memory_format=torch.channels_last).eval()
+
+    def predict(self, patches: np.ndarray, goals: np.ndarray, batch: int = 128) -> tuple[np.ndarray, np.ndarray]:
+        """Judges tasks.
+
+        Args:
+            patches: float32 [n, 72, 72], metres, NaN = unknown.
+            goals: float32 [n, G, 3] in abstract steps in the robot frame, or [G, 3] for all patches.
+            batch: patches evaluated at once.
+
+        Returns:
+            feasible: bool [n, G], probability above one half.
+            cost: float32 [n, G], at least ``MINIMUM_COST``; meaningful where feasible; that quantile for an abstraction
+                ``at_quantile``.
+
+        Raises:
+            InputError: on wrong shapes.
+
+        Convention: axis 1 of ``patches`` is x, along the robot's heading; the base stands at the centre of cell (36,
+        36).
+        """
+        logits, cost = self._predict(patches, goals, batch)
+        return logits > 0, self._at_level(cost, goals)
+
+    def predict_probability(
+        self, patches: np.ndarray, goals: np.ndarray, batch: int = 128
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """As ``predict``, with the probability of feasibility, float32 [n, G], instead of the judgement."""
+        logits, cost = self._predict(patches, goals, batch)
+        return expit(logits / np.float32(self.calibration.temperature)), self._at_level(cost, goals)
+
+    def at_quantile(self, level: float) -> "LearnedAbstraction":
+        """The same abstraction (the network is shared) with a quantile of the cost instead of its prediction: 0.05
+        gives costs that in one task of twenty are above the label.
+
+        Raises:
+            InputError: the level is not among those that the abstraction was calibrated for.
+        """
+        self.calibration.factors(level)
+        other = copy(self)
+        other.quantile = level
+        return other
+
+    def calibrated(self, tasks: "TaskSet") -> "LearnedAbstraction":
+        """The same abstraction (the network is shared), calibrated on tasks that it was not trained on."""
+        logits, cost = self._predict(tasks.heights, tasks.goals)
+        other = copy(self)
+        other.calibration = fit_calibration(logits, cost, self.flat_costs(tasks.goals), tasks.feasible, tasks.cost)
+        return other
+
+    def calibration_figures(self, tasks: "TaskSet") -> dict[str, Any]:
+        """Of labelled tasks what ``hdsp.learning.calibration.calibration_figures`` returns."""
+        logits, cost = self._predict(tasks.heights, tasks.goals)
+        flat = self.flat_costs(tasks.goals)
+        bounds = {level: self.calibration.at_level(level, cost, flat) for level in self.calibration.cost_quantiles}
+        probability = expit(logits / np.float32(self.calibration.temperature))
+        return calibration_figures(probability, tasks.feasible, bounds, tasks.cost, logits > 0)
+
+    def flat_costs(self, goals: np.ndarray) -> np.ndarray:
+        """What the network predicts for goals [..., 3] on flat ground; float32 [...]."""
+        goals = np.asarray(goals, np.float32)
+        distinct, which = np.unique(goals.reshape(-1, 3), axis=0, return_inverse=True)
+        flat = np.zeros((1, lattice.PATCH_CELLS, lattice.PATCH_CELLS), np.float32)
+        _, cost = self._predict(flat, distinct)
+        return cost[0][which.reshape(-1)].reshape(goals.shape[:-1])
+
+    def _at_level(self, cost: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        """The costs [n, G] that the network predicts, at the level that is asked for."""
+        if self.quantile is None:
+            return cost
+        key = np.asarray(goals, np.float32).tobytes()
+        if key not in self._flat:  # the goals of a heading are asked for again and again
+            if len(self._flat) == lattice.ABSTRACT_HEADINGS:
+                self._flat.clear()
+            self._flat[key] = self.flat_costs(goals)
+        flat = np.broadcast_to(self._flat[key], cost.shape)
+        return np.maximum(self.calibration.at_level(self.quantile, cost, flat), np.float32(MINIMUM_COST))
+
+    @torch.inference_mode()
+    def _predict(self, patches: np.ndarray, goals: np.ndarray, batch: int = 128) -> tuple[np.ndarray, np.ndarray]:
+        """Logits of feasibility and costs as the network says, float32 [n, G]."""
+        patches, goals = np.asarray(patches, np.float32), np.asarray(goals, np.float32)
+        cells = lattice.PATCH_CELLS
+        if patches.ndim != 3 or patches.shape[1:] != (cells, cells):
+            raise InputError(f"patches: shape {patches.shape} is not [n, {cells}, {cells}]")
+        if goals.ndim == 2:
+            goals = np.broadcast_to(goals, (len(patches), *goals.shape))
+        if goals.ndim != 3 or len(goals) != len(patches) or goals.shape[2] != 3:
+            raise InputError(f"goals: shape {goals.shape} is not [{len(patches)}, goals, 3]")
+        logits, cost = np.empty((2, *goals.shape[:2]), np.float32)
+        for start in range(0, len(patches), batch):
+            part = slice(start, start + batch)
+            predicted, of_feasible = self._evaluate(patches[part], goals[part])
+            logits[part] = of_feasible.float().cpu().numpy()
+            cost[part] = predicted.clamp_min(MINIMUM_COST).cpu().numpy()
+        return logits, cost
+
+    @torch.inference_mode()
+    def predict_windows(
+        self, trunk: DenseEvaluation, heights: np.ndarray, corners: np.ndarray, wanted: np.ndarray, goals: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """As ``predict`` with the same goals for all, for patches that are windows of one array.
+
+        Args:
+            trunk: the network's.
+            heights: float32 [nx, ny], metres, NaN = unknown; with ``trunk.margin`` cells around the patches.
+            corners: int64 [n, 2], lower corners of the patches, relative to cell (margin, margin) of ``heights``.
+            wanted: bool [n], patches whose answer matters. To the last bit it does not depend on which others do.
+            goals: float32 [G, 3] in abstract steps in the robot frame.
+        """
+        network = self.network
+        with autocast(self.device, self.hardware.uses_bfloat16()):
+            encoded = network.encoding(torch.from_numpy(heights)[None, None].to(self.device))
+            # Channels innermost, as the weights are.
+            dense = trunk(encoded.contiguous(memory_format=torch.channels_last))
+        shared_goals = torch.from_numpy(goals)[None].to(self.device)
+        feasible, costs = np.zeros((len(corners), len(goals)), bool), np.zeros((len(corners), len(goals)), np.float32)
+        # Some at a time: what belongs to all goals of all patches would not stay in the processor's cache. And always
+        # the same ones together: sums of another number of rows may round otherwise.
+        for start in range(0, len(corners), WINDOWS):
+            part = slice(start, start + WINDOWS)
+            if wanted[part].any():
+                features = trunk.windows(dense, torch.from_numpy(corners[part]).to(self.device)).float()
+                cost, logits = network.goal_part(features, shared_goals)
+                feasible[part] = (logits > 0).cpu().numpy()
+                costs[part] = cost.clamp_min(MINIMUM_COST).cpu().numpy()
+        return feasible, self._at_level(costs, goals)
+
+    def _evaluate(self, patches: np.ndarray, goals: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+        heights = torch.tensor(patches)[:, None].to(self.device, memory_format=torch.channels_last)
+        with autocast(self.device, self.hardware.uses_bfloat16()):
+            return self.network(heights, torch.tensor(goals).to(self.device))
+
+    def save_pretrained(
+        self, folder: str | Path, precision: Precision = "float32", beside: Mapping[str, str] | None = None
+    ) -> Path:
+        """Writes the abstraction; a folder that is there already is replaced as a whole.
+
+        Args:
+            folder: receives ``config.json`` and ``model.safetensors``.
+            precision: of the trained values in the file; ``float16`` halves it and rounds them.
+            beside: further texts to put into the folder, by the name of their file.
+
+        Raises:
+            InputError: if the folder cannot be written, or holds something else than an abstraction.
+        """
+        folder = Path(folder)
+        if folder.exists() and any(folder.iterdir()) and not (folder / "config.json").is_file():
+            raise InputError(f"{folder}: holds other files than a pretrained abstraction; it is not replaced")
+        weights = tensor_bytes(self._tensors(precision))
+        config = {
+            "format_version": FORMAT_VERSION,
+            "model": self.model.to_dict(),
+            "lattice": _lattice_contract(),
+            "provenance": asdict(self.provenance),
+            # JSON has no NaN; a metric that does not exist is left out.
+            "metrics": {key: value for key, value in self.metrics.items() if math.isfinite(value)},
+            "calibration": self.calibration.to_dict(),
+            "precision": precision,
+            "weights_sha256": hashlib.sha256(weights).hexdigest(),
+        }
+        files = {"config.json": json.dumps(config, indent=2) + "\n", **(beside or {})}
+        work = folder.with_name(f".{folder.name}.{os.getpid()}-{secrets.token_hex(4)}")
+        try:
+            work.mkdir(parents=True)
+            (work / "model.safetensors").write_bytes(weights)
+            for name, text in files.items():
+                (work / name).write_text(text, encoding="utf-8")
+            if folder.exists():
+                folder.rename(work.with_suffix(".old"))
+            work.rename(folder)
+        except OSError as error:
+            raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
+        finally:
+            shutil.rmtree(work, ignore_errors=True)
+            if folder.exists():
+                shutil.rmtree(work.with_suffix(".old"), ignore_errors=True)
+        return folder
+
+    def _tensors(self, precision: Precision) -> dict[str, torch.Tensor]:
+        if precision not in ("float32", "float16"):
+            raise InputError(f"precision {precision!r}: allowed are float32, float16")
+        # What is no parameter (running means of normalisation) is little, and may be out of the range of half floats.
+        halved = {key for key, _ in self.network.named_parameters()} if precision == "float16" else set()
+        return {
+            key: (value.detach().half() if key in halved else value.detach()).cpu().contiguous()
+            for key, value in self.network.state_dict().items()
+        }
+
+    @classmethod
+    def from_pretrained(
+        cls, folder: str | Path, robot: Robot | None = None, hardware: HardwareSettings | None = None
+    ) -> "LearnedAbstraction":
+        """Reads an abstraction and checks that it fits.
+
+        Args:
+            folder: with ``config.json`` and ``model.safetensors``.
+            robot: if given, the abstraction has to be one of this robot.
+            hardware: device and precision of inference.
+
+        Raises:
+            InputError: if a file is missing or damaged, or if the lattice, the actions, the cost model or the robot
+                differ from those of training.
+        """
+        folder = Path(folder)
+        config_path = existing_file(folder / "config.json", "pretrained abstraction")
+        weights_path = existing_file(folder / "model.safetensors", "weights of a pretrained abstraction")
+        try:
+            config = json.loads(config_path.read_text())
+            found = {
+                key: config[key]
+                for key in ("format_version", "model", "lattice", "provenance", "metrics", "weights_sha256")
+            }
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{config_path}: not the configuration of an abstraction ({error})") from None
+        _check_agreement(config_path, "format_version", found["format_version"], FORMAT_VERSION)
+        for key, value in _lattice_contract().items():
+            _check_agreement(config_path, f"lattice.{key}", found["lattice"].get(key), value)
+        provenance = settings_from(Provenance, found["provenance"], f"{config_path} provenance")
+        _check_agreement(config_path, "cost_model_version", provenance.cost_model_version, COST_MODEL_VERSION)
+        if robot is not None and provenance.robot_hash not in ("", robot.hash()):
+            raise InputError(
+                f"{config_path}: trained for another robot ({provenance.robot!r}) than {robot.name!r} as it is now"
+            )
+
+        weights = weights_path.read_bytes()
+        if hashlib.sha256(weights).hexdigest() != found["weights_sha256"]:
+            raise InputError(
+                f"{weights_path}: damaged or of another abstraction, its checksum is not the one in config.json"
+            )
+        model = settings_from(ModelSettings, found["model"], f"{config_path} model")
+        network = build_network(model)
+        try:
+            network.load_state_dict(load_tensors(weights))
+        except (RuntimeError, SafetensorError) as error:
+            raise InputError(
+                f"{weights_path}: does not fit {model.architecture}: {str(error).splitlines()[0]}"
+            ) from None
+        calibration = Calibration.from_dict(config["calibration"]) if "calibration" in config else None
+        return cls(network, model, provenance, found["metrics"], hardware, calibration)
+
+
+def example_input() -> dict[str, np.ndarray]:
+    """One flat patch and its 22 goals, shaped as the network takes them: ``heights`` [1, 1, 72, 72], ``goals`` [1, 22,
+    3]."""
+    cells = lattice.PATCH_CELLS
+    return {"heights": np.zeros((1, 1, cells, cells), np.float32), "goals": lattice.robot_frame_goals(0)[None]}
+
+
+def _lattice_contract() -> dict[str, Any]:
+    return {
+        "resolution": lattice.RESOLUTION,
+        "patch_cells": lattice.PATCH_CELLS,
+        "patch_center": lattice.PATCH_CENTER,
+        "headings": lattice.HEADINGS,
+        "abstract_resolution": lattice.ABSTRACT_RESOLUTION,
+        "abstract_headings": lattice.ABSTRACT_HEADINGS,
+        "abstract_actions": lattice.ABSTRACT_ACTIONS.tolist(),
+    }
+
+
+def _check_agreement(path: Path, what: str, found: Any, expected: Any) -> None:
+    if found != expected:
+        raise InputError(f"{path}: {what} is {found}, but this program works with {expected}")

@@ -1,0 +1,78 @@
+"""A map turned to a heading of the robot, so that the patches of all its states are windows of one array.
+
+A patch that is cut at its own base (`hdsp.terrain.height_map.crop_patches`) rounds each of its cells on its own, so that two
+such patches share no cells even where they overlap. Here one grid for the whole map is turned, and every base stands in
+the centre of that cell of the grid that holds it. At multiples of 90 degrees the two are equal. At other headings the
+base is moved by up to half a cell along each axis, an eighth of an abstract cell; in return a network can be evaluated
+once for a cell instead of once for each patch that holds it.
+"""
+
+import numpy as np
+
+from hdsp.base.jit import njit
+from hdsp.robot import lattice
+from hdsp.robot.lattice import ABSTRACT_HEADINGS
+from hdsp.terrain.height_map import TIE
+
+
+class TurnedMap:
+    """Heights on a grid whose first axis lies along a heading.
+
+    Convention: grid cell (u, v) takes the height of the map cell nearest to ``R @ (u, v)``, with R the rotation by the
+    heading; halves are rounded away from zero. Grid cell (0, 0) is map cell (0, 0). Cells may be negative.
+
+    Args:
+        heights: float32 [nx, ny], metres, NaN = unknown.
+        heading: abstract heading, index in [0, 16).
+    """
+
+    def __init__(self, heights: np.ndarray, heading: int):
+        self.rotation = lattice.rotation(float(lattice.heading_angle(heading, ABSTRACT_HEADINGS)))
+        nx, ny = heights.shape
+        corners = self.cells(np.array([(0, 0), (nx - 1, 0), (0, ny - 1), (nx - 1, ny - 1)]))
+        self.first = corners.min(axis=0) - 1
+        self.heights = np.empty(corners.max(axis=0) + 2 - self.first, np.float32)
+        _turn(np.ascontiguousarray(heights, np.float32), *self.first, self.rotation, TIE, self.heights)
+
+    def cells(self, bases: np.ndarray) -> np.ndarray:
+        """Grid cells, int64 [..., 2], that hold the centres of map cells ``bases`` [..., 2]."""
+        return np.rint(np.asarray(bases) @ self.rotation).astype(np.int64)
+
+    def window(self, first: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+        """Heights, float32 [shape], from grid cell ``first`` = (u, v) on; NaN outside the map."""
+        window = np.full(shape, np.nan, np.float32)
+        low = np.asarray(first) - self.first
+        begin = np.clip(low, 0, self.heights.shape)
+        end = np.clip(low + shape, begin, self.heights.shape)
+        inside = tuple(slice(b - at, e - at) for b, e, at in zip(begin, end, low, strict=True))
+        if (end > begin).all():
+            window[inside] = self.heights[begin[0] : end[0], begin[1] : end[1]]
+        return window
+
+    def patches(self, bases: np.ndarray) -> np.ndarray:
+        """Patches, float32 [n, 72, 72], whose bases are the map cells ``bases`` [n, 2]."""
+        cells = lattice.PATCH_CELLS
+        starts = self.cells(bases) - lattice.PATCH_CENTER
+        patches = np.empty((len(starts), cells, cells), np.float32)
+        for patch, start in zip(patches, starts, strict=True):
+            patch[:] = self.window(start, (cells, cells))
+        return patches
+
+
+@njit()
+def _turn(heights, first_u, first_v, rotation, tie, turned):
+    nx, ny = heights.shape
+    for i in range(turned.shape[0]):
+        u = np.float64(first_u + i)
+        for j in range(turned.shape[1]):
+            v = np.float64(first_v + j)
+            x = _nearest(rotation[0, 0] * u + rotation[0, 1] * v, tie)
+            y = _nearest(rotation[1, 0] * u + rotation[1, 1] * v, tie)
+            inside = 0 <= x < nx and 0 <= y < ny
+            turned[i, j] = heights[x, y] if inside else np.float32(np.nan)
+
+
+@njit(inline="always")
+def _nearest(value, tie):
+    """The nearest whole number; halves go away from zero."""
+    return np.int64(np.floor(value + 0.5 + tie)) if value >= 0 else -np.int64(np.floor(-value + 0.5 + tie))

@@ -1,0 +1,126 @@
+"""From a height map to what the terrain costs a robot: edges, unevenness, where a foot can stand.
+
+The model and its evidence: docs/cost-model.md. In short, with ``dH`` the height difference of a cell (largest
+difference to its eight neighbours):
+
+- unevenness ``S(c)``: sum of ``dH`` over the cells within a radius, weighted linearly down to zero at the radius;
+- a foot can stand (and roll) on a cell if no cell with ``dH`` over the drivable limit lies within its clearance;
+- a foot pays for the most uneven cell of its contact, a small square on the inner side of its cell (``hdsp.robot.robot``);
+- foot cost ``C_F = 1 + 0.309 S`` and base cost ``C_B = 1`` merge into the state cost
+  ``C = 0.5 C_B + 0.1 (sum C_F + max C_F) = 1 + k (max S + sum S)`` (paper, Sec. V-A).
+
+Convention: arrays are indexed ``[ix, iy]``; heights in metres, NaN = unknown. Unknown cells bear no foot, and a foot
+keeps the same clearance from them as from an edge.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.jit import njit
+from hdsp.robot.lattice import cells
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+
+#: Raised whenever the same map, robot and task would get another cost; labels and pretrained models carry it.
+COST_MODEL_VERSION = 3
+
+
+class CostMaps(NamedTuple):
+    """Cost-relevant maps of a terrain, all [nx, ny].
+
+    Attributes:
+        height_difference: float32, m; 0 where unknown.
+        unevenness: float32, m; S of the module's docstring.
+        edge: bool; whether no wheel passes the cell: too large a height difference, or unknown.
+        standable: bool; whether a foot can stand on (and roll over) the cell.
+    """
+
+    height_difference: np.ndarray
+    unevenness: np.ndarray
+    edge: np.ndarray
+    standable: np.ndarray
+
+    def foot_cost(self, robot: Robot) -> np.ndarray:
+        """Foot cost map C_F of the paper, float32 [nx, ny], of the ground in each cell alone; inf where a foot cannot
+        stand."""
+        cost = 1 + 10 * robot.drive.unevenness_cost * self.unevenness
+        return np.where(self.standable, cost, np.inf).astype(np.float32)
+
+
+def cost_maps(terrain: HeightMap, robot: Robot) -> CostMaps:
+    """Compute the cost maps of a terrain for a robot."""
+    heights = terrain.heights
+    difference = _height_difference(heights)
+    unevenness = _unevenness(difference, _disc_weights(cells(robot.drive.unevenness_radius)))
+    edge = np.isnan(heights) | (difference > np.float32(robot.drive.max_height_difference))
+    standable = ~_near(edge, _disc(cells(robot.feet.clearance)))
+    return CostMaps(difference, unevenness, edge, standable)
+
+
+def disc_mask(radius: float) -> np.ndarray:
+    """The cells whose centres lie within ``radius`` cells of the middle one, bool [2 r + 1, 2 r + 1]."""
+    reach = math.floor(radius + 1e-9)
+    span = np.arange(-reach, reach + 1)
+    return np.hypot(span[:, None], span[None, :]) <= radius + 1e-9
+
+
+def _disc(radius: float) -> np.ndarray:
+    """The cells of ``disc_mask`` as offsets (dx, dy), int64 [n, 2]."""
+    mask = disc_mask(radius)
+    return np.argwhere(mask) - len(mask) // 2
+
+
+def _disc_weights(radius: float) -> np.ndarray:
+    """Rows (dx, dy, weight), float64 [n, 3], with the weight falling from 1 at the centre to 0 at ``radius`` cells."""
+    offsets = _disc(radius)
+    weight = 1 - np.hypot(offsets[:, 0], offsets[:, 1]) / radius
+    return np.column_stack([offsets, weight])[weight > 0]
+
+
+@njit()
+def _height_difference(heights):
+    nx, ny = heights.shape
+    result = np.zeros((nx, ny), dtype=np.float32)
+    for x in range(nx):
+        for y in range(ny):
+            h = heights[x, y]
+            largest = np.float32(0)
+            for i in range(max(x - 1, 0), min(x + 2, nx)):
+                for j in range(max(y - 1, 0), min(y + 2, ny)):
+                    d = abs(heights[i, j] - h)
+                    if d > largest:  # false for NaN: unknown neighbours do not count
+                        largest = d
+            result[x, y] = largest
+    return result
+
+
+@njit()
+def _unevenness(difference, weights):
+    # Most of a map is even, so each uneven cell spreads to its surroundings rather than each cell gathering from them.
+    nx, ny = difference.shape
+    total = np.zeros((nx, ny), dtype=np.float64)
+    for x in range(nx):
+        for y in range(ny):
+            d = np.float64(difference[x, y])
+            if d > 0:
+                for k in range(len(weights)):
+                    i, j = x + int(weights[k, 0]), y + int(weights[k, 1])
+                    if 0 <= i < nx and 0 <= j < ny:
+                        total[i, j] += d * weights[k, 2]
+    return total.astype(np.float32)
+
+
+@njit()
+def _near(mask, offsets):
+    nx, ny = mask.shape
+    result = np.zeros((nx, ny), dtype=np.bool_)
+    for x in range(nx):
+        for y in range(ny):
+            if mask[x, y]:
+                for k in range(len(offsets)):
+                    i, j = x + offsets[k, 0], y + offsets[k, 1]
+                    if 0 <= i < nx and 0 <= j < ny:
+                        result[i, j] = True
+    return result

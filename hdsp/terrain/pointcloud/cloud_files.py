@@ -1,0 +1,138 @@
+"""Files of points: PCD, PLY, OBJ, LAS, LAZ, legacy VTK, OctoMap (.bt) and text; each also packed by gzip or bzip2."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import io
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.base.files import existing_file
+from hdsp.terrain.pointcloud.octree import read_octree
+from hdsp.terrain.pointcloud.vtk import read_vtk
+
+_UNPACK: dict[str, Callable[[bytes], bytes]] = {".gz": gzip.decompress, ".bz2": bz2.decompress}
+
+#: Axes by name, as (index, sign).
+_AXES = {f"{sign}{name}": (k, -1.0 if sign == "-" else 1.0) for k, name in enumerate("xyz") for sign in ("", "+", "-")}
+
+
+def read_points(path: str | os.PathLike, units: float = 1.0, axes: Sequence[str] = ("x", "y", "z")) -> np.ndarray:
+    """The points of a file; those that are not finite (no echo) are left out.
+
+    Args:
+        path: a file of a kind that its suffix names (`FORMATS`), perhaps with .gz or .bz2 behind it.
+        units: metres per unit of the file, e.g. 0.001 for millimetres.
+        axes: which of the file's axes are our x (ahead), y (left) and z (up), e.g. ("z", "-x", "-y") for a camera.
+
+    Returns:
+        float64 [n, 3], metres.
+
+    Raises:
+        InputError: if the file is missing, damaged, of another kind, or has no finite point; or for bad units or axes.
+    """
+    suffixes = [suffix.lower() for suffix in Path(path).suffixes[-2:]]
+    unpack = _UNPACK.get(suffixes[-1]) if suffixes else None
+    suffix = (suffixes[-2] if len(suffixes) > 1 else "") if unpack else (suffixes[-1] if suffixes else "")
+    if suffix not in FORMATS:
+        raise InputError(
+            f"point cloud {path}: suffix {suffix!r}; need one of {', '.join(FORMATS)}, or these + .gz, .bz2"
+        )
+    path = existing_file(path, "point cloud")
+    try:
+        content = path.read_bytes()
+        points = np.asarray(FORMATS[suffix](unpack(content) if unpack else content), dtype=float)
+    except ImportError as error:
+        raise InputError(
+            f"point cloud {path}: {error}; install the extra 'scans': pip install 'hdsp[scans]'"
+        ) from error
+    except Exception as error:  # readers of other projects fail in ways of their own on damaged files
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(f"point cloud {path} cannot be read: {reason}") from error
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"point cloud {path}: points have shape {points.shape}; need [n, 3]")
+    finite = points[np.isfinite(points).all(axis=1)]
+    if len(finite) == 0:
+        raise InputError(f"point cloud {path}: none of its {len(points)} points is finite")
+    return _turned(finite, axes) * _positive(units)
+
+
+def _read_pcd(content: bytes) -> np.ndarray:
+    from pypcd4 import PointCloud
+
+    cloud = PointCloud.from_fileobj(io.BytesIO(content))
+    points = cloud.numpy(("x", "y", "z"))
+    if len(points) != cloud.metadata.points:
+        raise ValueError(f"cut off: {len(points)} of {cloud.metadata.points} points")
+    return points
+
+
+def _read_mesh(kind: str) -> Callable[[bytes], np.ndarray]:
+    def read(content: bytes) -> np.ndarray:
+        import trimesh
+
+        loaded = trimesh.load(io.BytesIO(content), file_type=kind, process=False, maintain_order=True)
+        parts = loaded.geometry.values() if isinstance(loaded, trimesh.Scene) else [loaded]
+        return np.concatenate([np.asarray(part.vertices) for part in parts] or [np.zeros((0, 3))])
+
+    return read
+
+
+def _read_las(content: bytes) -> np.ndarray:
+    import laspy
+
+    return np.asarray(laspy.read(io.BytesIO(content)).xyz)
+
+
+def _read_text(content: bytes) -> np.ndarray:
+    """Lines of x y z and perhaps more, split by spaces, commas or semicolons; # begins a comment."""
+    text = content.decode("utf-8").replace(",", " ").replace(";", " ")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of an empty file, which is reported by the caller
+        values = np.loadtxt(io.StringIO(text), ndmin=2)
+    if values.size == 0:
+        return np.zeros((0, 3))
+    if values.shape[1] < 3:
+        raise ValueError(f"lines of {values.shape[1]} numbers; need at least x y z")
+    return values[:, :3]
+
+
+#: What each suffix is read by: contents of the file -> points [n, 3] in its own units.
+FORMATS: dict[str, Callable[[bytes], np.ndarray]] = {
+    ".pcd": _read_pcd,
+    ".ply": _read_mesh("ply"),
+    ".obj": _read_mesh("obj"),
+    ".las": _read_las,
+    ".laz": _read_las,
+    ".vtk": read_vtk,
+    ".bt": read_octree,
+    ".xyz": _read_text,
+    ".txt": _read_text,
+    ".csv": _read_text,
+    ".dat": _read_text,
+}
+
+
+def _turned(points: np.ndarray, axes: Sequence[str]) -> np.ndarray:
+    picked = [_AXES.get(str(name).lower()) for name in axes]
+    indices = [axis[0] for axis in picked if axis]
+    signs = [axis[1] for axis in picked if axis]
+    if sorted(indices) != [0, 1, 2]:
+        raise InputError(f"axes are {list(axes)}; need each of x, y, z once, perhaps with a minus sign")
+    order = np.zeros((3, 3))
+    order[range(3), indices] = signs
+    if np.linalg.det(order) < 0:
+        raise InputError(f"axes are {list(axes)}: they mirror the scan; need a right-handed choice, e.g. z, -x, -y")
+    return points[:, indices] * signs
+
+
+def _positive(units: float) -> float:
+    if not (np.isfinite(units) and units > 0):
+        raise InputError(f"units is {units}; need a positive number of metres per unit of the file")
+    return float(units)

@@ -1,0 +1,185 @@
+"""A levelled cloud -> height map: overhangs off, cells, small holes filled, noise smoothed, the rest unknown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.robot.lattice import RESOLUTION
+from hdsp.terrain.filling import filled, smoothed
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.pointcloud.alignment import FloorSettings, fit_floor, level, thinned
+
+_LARGEST_MAP = 100_000_000  # cells; more is a scan in other units than metres
+_SMALLEST_EXTENT = 0.2  # m
+_GREATEST_RELIEF = 10_000.0  # m
+
+
+@dataclass(frozen=True)
+class MapSettings:
+    """How points become heights.
+
+    Attributes:
+        level: whether the cloud is levelled on its floor first.
+        floor: how the floor is found.
+        box: (x_min, y_min, x_max, y_max) in m after levelling; points outside are dropped. None = all.
+        lowest, highest: m above the floor; points outside are dropped: reflections below it, ceilings above.
+        headroom: m; points above a gap of this height in their column are dropped: lintels, table tops on thin air.
+        surface: m; the height of a cell is the mean of its points this far below its highest one.
+        neighbours, near: points with fewer than that many others within ``near`` m are dropped. 0 = none is.
+        fill: cells; holes that a disc of this radius closes are filled from the nearest known cells. 0 = none.
+        smooth: m; each height becomes the mean of those around (5 x 5 cells) that differ by less, after a median of
+            3 x 3, so that edges stay. 0 = nothing is smoothed.
+        island: cells; connected known cells fewer than this are unknown after all.
+
+    Raises:
+        InputError: for a value out of range.
+    """
+
+    level: bool = True
+    floor: FloorSettings = field(default_factory=FloorSettings)
+    box: tuple[float, float, float, float] | None = None
+    lowest: float = -0.5
+    highest: float = 1.9
+    headroom: float = 1.2
+    surface: float = 0.05
+    neighbours: int = 3
+    near: float = 0.1
+    fill: int = 3
+    smooth: float = 0.03
+    island: int = 40
+
+    def __post_init__(self):
+        for name in ("neighbours", "fill", "smooth", "island", "near"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"map settings: {name} is {getattr(self, name)}; need 0 or more")
+        for name in ("headroom", "surface"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"map settings: {name} is {getattr(self, name)}; need a positive number of metres")
+        if not self.lowest < self.highest:
+            raise InputError(f"map settings: lowest {self.lowest} is not below highest {self.highest}")
+        if self.box is not None and not (
+            len(self.box) == 4 and self.box[0] < self.box[2] and self.box[1] < self.box[3]
+        ):
+            raise InputError(f"map settings: box is {self.box}; need x_min, y_min, x_max, y_max")
+
+
+def height_map(points: np.ndarray, settings: MapSettings | None = None, resolution: float = RESOLUTION) -> HeightMap:
+    """The height map of a cloud.
+
+    Args:
+        points: float [n, 3], m, z up; points that are not finite are left out.
+        settings: how points become heights.
+        resolution: side of a cell, m.
+
+    Returns:
+        a map just large enough for all known cells, with its floor at 0 if levelled. Its x and y are those of the cloud
+        after levelling; cell borders are whole multiples of the resolution.
+
+    Raises:
+        InputError: if no point is left, or the extent is not one of metres.
+    """
+    settings = settings or MapSettings()
+    points = _finite(points)
+    _check_extent(points, resolution)
+    if settings.level:
+        points = level(points, fit_floor(points, settings.floor))
+    points = _cut(points, settings)
+    if len(points) == 0:
+        raise InputError("height map of points: none is left in the box, between lowest and highest; check the axes")
+    _check_extent(points, resolution)
+    points = thinned(points, resolution / 2)  # dense scans hold many more points than cells can show
+    points = _without_lone_points(points, settings)
+    cells = np.floor(points[:, :2] / resolution + 1e-6).astype(np.int64)
+    low = cells.min(axis=0)
+    heights = _surface(cells - low, points[:, 2], settings)
+    if settings.fill or settings.smooth:
+        heights = filled(heights, settings.fill)
+        heights = smoothed(heights, settings.smooth)
+    heights, shift = _trimmed(_without_islands(heights, settings.island))
+    return HeightMap(heights, tuple((low + shift) * resolution), resolution)
+
+
+def _finite(points: np.ndarray) -> np.ndarray:
+    points = np.asarray(points, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"points have shape {points.shape}; need [n, 3]: x, y, z in metres")
+    finite = points[np.isfinite(points).all(axis=1)]
+    if len(finite) == 0:
+        raise InputError(f"height map of points: none of {len(points)} points is finite")
+    return finite
+
+
+def _check_extent(points: np.ndarray, resolution: float) -> None:
+    extent = np.ptp(points[:, :2], axis=0)
+    if extent.max() < _SMALLEST_EXTENT:
+        raise InputError(f"points span {extent[0]:.3g} x {extent[1]:.3g} m: are they in metres? see the option units")
+    if np.ptp(points[:, 2]) > _GREATEST_RELIEF:
+        raise InputError(
+            f"points span {np.ptp(points[:, 2]):.3g} m in height: are they in metres? see the option units"
+        )
+    if np.prod(extent / resolution) > _LARGEST_MAP:
+        raise InputError(
+            f"points span {extent[0]:.4g} x {extent[1]:.4g} m, more than {_LARGEST_MAP:,} cells of {resolution} m: are "
+            "they in metres (option units)? or cut a box out of them"
+        )
+
+
+def _cut(points: np.ndarray, settings: MapSettings) -> np.ndarray:
+    keep = (points[:, 2] >= settings.lowest) & (points[:, 2] <= settings.highest)
+    if settings.box:
+        keep &= (points[:, :2] >= settings.box[:2]).all(axis=1) & (points[:, :2] <= settings.box[2:]).all(axis=1)
+    return points[keep]
+
+
+def _without_lone_points(points: np.ndarray, settings: MapSettings) -> np.ndarray:
+    if settings.neighbours == 0:
+        return points
+    from scipy.spatial import cKDTree
+
+    distance = cKDTree(points).query(points, settings.neighbours + 1, distance_upper_bound=settings.near)[0]
+    company = np.isfinite(distance[:, -1])
+    if not company.any():
+        raise InputError(
+            f"no point has {settings.neighbours} others within {settings.near} m: too sparse, or not in metres"
+        )
+    return points[company]
+
+
+def _surface(cells: np.ndarray, z: np.ndarray, settings: MapSettings) -> np.ndarray:
+    """Heights float64 [nx, ny] from cells int64 [n, 2] >= 0 and heights [n] of points; NaN where there is none."""
+    shape = tuple(cells.max(axis=0) + 1)
+    flat = np.ravel_multi_index(cells.T, shape)
+    order = np.lexsort((z, flat))
+    flat, z = flat[order], z[order]
+    # Within a column, points in order of height: the first gap with headroom ends what counts as ground.
+    first = np.diff(flat, prepend=-1) > 0
+    gaps = np.cumsum((np.diff(z, prepend=z[0]) > settings.headroom) & ~first)
+    ground = gaps == gaps[first][np.cumsum(first) - 1]
+    flat, z = flat[ground], z[ground]
+    top = np.full(shape[0] * shape[1], -np.inf)
+    np.maximum.at(top, flat, z)
+    upper = z >= top[flat] - settings.surface
+    count = np.bincount(flat[upper], minlength=len(top))
+    total = np.bincount(flat[upper], z[upper], minlength=len(top))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(shape)
+
+
+def _without_islands(heights: np.ndarray, least: int) -> np.ndarray:
+    from scipy.ndimage import label
+
+    parts, count = label(np.isfinite(heights), np.ones((3, 3)))
+    sizes = np.bincount(parts.ravel(), minlength=count + 1)
+    large = sizes >= least
+    if not large[1:].any():
+        raise InputError(f"height map of points: no {least} known cells are connected; too sparse for these cells")
+    return np.where(large[parts], heights, np.nan)
+
+
+def _trimmed(heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rectangle of known cells, and where it begins."""
+    known = np.argwhere(np.isfinite(heights))
+    low, high = known.min(axis=0), known.max(axis=0) + 1
+    return heights[low[0] : high[0], low[1] : high[1]], low

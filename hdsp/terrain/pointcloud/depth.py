@@ -1,0 +1,113 @@
+"""Images as points: depth images of a camera at a known pose, and pictures of height maps."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.base.files import existing_file
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera; its axes: x right, y down, z ahead.
+
+    Attributes:
+        fx, fy, cx, cy: focal lengths and principal point, pixels.
+        depth_scale: metres per unit of the depth image; 0 in the image is "no measurement".
+        nearest, farthest: m; depths outside are left out, as the error of such cameras grows with the square of depth.
+        stride: every how many pixels of a row and of a column count.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    depth_scale: float
+    nearest: float = 0.3
+    farthest: float = 4.0
+    stride: int = 1
+
+    def __post_init__(self):
+        for name in ("fx", "fy", "depth_scale", "farthest", "stride"):
+            if not (np.isfinite(value := getattr(self, name)) and value > 0):
+                raise InputError(f"camera: {name} is {value}; need a positive number")
+
+
+def depth_points(image: np.ndarray, camera: Camera, pose=None) -> np.ndarray:
+    """Points of a depth image.
+
+    Args:
+        image: [rows, columns], units of the camera's `depth_scale`.
+        camera: which took it.
+        pose: (x, y, z, qx, qy, qz, qw), camera to world, in metres; None = points in the frame of the camera.
+
+    Returns:
+        float64 [n, 3], m, of the pixels with a depth between the camera's nearest and farthest.
+    """
+    image = np.asarray(image, dtype=float)
+    if image.ndim != 2:
+        raise InputError(f"depth image has shape {image.shape}; need [rows, columns]")
+    row, column = (index[:: camera.stride, :: camera.stride] for index in np.indices(image.shape))
+    depth = image[:: camera.stride, :: camera.stride] * camera.depth_scale
+    x, y = (column - camera.cx) / camera.fx * depth, (row - camera.cy) / camera.fy * depth
+    points = np.stack([x, y, depth], axis=-1)[(depth >= camera.nearest) & (depth <= camera.farthest)]
+    if pose is None:
+        return points
+    from scipy.spatial.transform import Rotation
+
+    values = np.asarray(pose, dtype=float)
+    if values.shape != (7,) or not np.isfinite(values).all() or not np.linalg.norm(values[3:]) > 0.5:
+        raise InputError(f"pose of a depth image is {pose}; need x, y, z and a quaternion qx, qy, qz, qw")
+    return Rotation.from_quat(values[3:]).apply(points) + values[:3]
+
+
+def elevation_points(image: np.ndarray, highest: float, pixel: float, spacing: float = 0.0125) -> np.ndarray:
+    """Points of a picture of a height map, interpolated between pixels that are known.
+
+    Convention (that of grid_map's images): a row down is a step back along x, a column to the right a step along -y.
+
+    Args:
+        image: [rows, columns] of grey values, 0 = unknown, 255 = ``highest``.
+        highest: m.
+        pixel: side of a pixel, m.
+        spacing: of the points, m.
+
+    Returns:
+        float64 [n, 3], m.
+    """
+    from scipy.ndimage import map_coordinates
+
+    image = np.asarray(image, dtype=float)[::-1, ::-1]
+    if image.ndim != 2 or min(image.shape) < 2:
+        raise InputError(f"picture of a height map has shape {image.shape}; need [rows, columns], at least 2 x 2")
+    sides = [np.arange(0, (count - 1) * pixel, spacing) for count in image.shape]
+    x, y = np.meshgrid(*sides, indexing="ij")
+    place = np.stack([x, y]) / pixel
+    heights = map_coordinates(image / 255 * highest, place, order=1)
+    known = map_coordinates((image > 0).astype(float), place, order=1) > 1 - 1e-6
+    return np.stack([x, y, heights], axis=-1)[known]
+
+
+def read_image(path: str | os.PathLike) -> np.ndarray:
+    """Grey values [rows, columns] of an image, 8 or 16 bit; of colours only such that are grey.
+
+    Raises:
+        InputError: if the file is missing or no such image.
+    """
+    path = existing_file(path, "image")
+    try:
+        from PIL import Image
+
+        with Image.open(path) as image:
+            values = np.array(image)
+    except (OSError, ValueError, SyntaxError) as error:  # SyntaxError: what Pillow says of a broken PNG
+        raise InputError(f"image {path} cannot be read: {' '.join(str(error).split())}") from error
+    if values.ndim == 3 and values.shape[2] >= 3 and (values[..., :3] == values[..., :1]).all():
+        values = values[..., 0]
+    if values.ndim != 2:
+        raise InputError(f"image {path} has shape {values.shape}; need one channel, or the same in all three")
+    return values

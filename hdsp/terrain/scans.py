@@ -1,0 +1,195 @@
+"""Scans of real places: what each one is, where its files are, and how they become a height map.
+
+A scan is described by a small YAML file (conf/scans): where its files come from, under what licence, how they are read
+and what is cut. Several scans may show one place; figures are reported by place.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from hdsp.base.downloads import DATA_DIR_VARIABLE, data_folder, fetch, first_words, verify
+from hdsp.base.errors import InputError
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.pointcloud import (
+    Camera,
+    FloorSettings,
+    MapSettings,
+    depth_points,
+    fit_floor,
+    height_map,
+    level,
+    read_points,
+)
+from hdsp.terrain.pointcloud import register as register_clouds
+from hdsp.terrain.pointcloud.depth import elevation_points, read_image
+
+#: Folder of the scans in a data folder: files lie in real/NAME/.
+FOLDER = "real"
+
+
+@dataclass(frozen=True)
+class ScanFile:
+    """One file of a scan.
+
+    Attributes:
+        path: below the address of the scan.
+        sha256: of its contents.
+        local: below the scan's folder in a data folder; default: the last part of ``path``.
+        pose: of a depth image, camera to world: x, y, z (m), qx, qy, qz, qw.
+        guess: x, y (m), yaw (rad): about where the cloud lies in that of the first file; it is registered from there.
+    """
+
+    path: str
+    sha256: str
+    local: str = ""
+    pose: tuple[float, ...] | None = None
+    guess: tuple[float, float, float] | None = None
+
+    @property
+    def place(self) -> str:
+        return self.local or PurePosixPath(self.path).name
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A scan of a real place.
+
+    Attributes:
+        name: of the scan, unique.
+        place: what was scanned; scans of one place have the same.
+        what: a sentence about it.
+        sensor: what measured it.
+        licence: of the files.
+        source: where a person finds them.
+        address: where a program finds them, ends with a slash.
+        files: at least one.
+        units, axes: of files of points, see `read_points`.
+        drop_within: m; points this near to the sensor's vertical axis are dropped: the robot that carries it.
+        level_each: whether each file is levelled on its floor before they are fused.
+        camera: of depth images; None = the files are none.
+        elevation: ``highest`` and ``pixel`` (m) of pictures of height maps; None = the files are none.
+        map: how points become heights.
+    """
+
+    name: str
+    place: str
+    what: str
+    sensor: str
+    licence: str
+    source: str
+    address: str
+    files: tuple[ScanFile, ...]
+    units: float = 1.0
+    axes: tuple[str, str, str] = ("x", "y", "z")
+    drop_within: float = 0.0
+    level_each: bool = False
+    camera: Camera | None = None
+    elevation: Mapping[str, float] | None = None
+    map: MapSettings = field(default_factory=MapSettings)
+
+    def __post_init__(self):
+        if not self.files:
+            raise InputError(f"scan {self.name}: no files")
+        for name in ("place", "licence", "source", "address"):
+            if not getattr(self, name):
+                raise InputError(f"scan {self.name}: {name} is empty; every scan names where it is from")
+
+    @classmethod
+    def from_dict(cls, name: str, values: Mapping[str, Any]) -> Scan:
+        """A scan from plain nested values, as a YAML file has them.
+
+        Raises:
+            InputError: names a key that is unknown or missing.
+        """
+        where = f"scan {name}"
+        values = dict(values)
+        mapping = dict(values.pop("map", None) or {})
+        floor = _made(FloorSettings, mapping.pop("floor", None) or {}, f"{where}, map.floor")
+        camera = values.pop("camera", None)
+        made = {
+            "files": tuple(_made(ScanFile, file, f"{where}, files") for file in values.pop("files", None) or ()),
+            "map": _made(MapSettings, {**mapping, "floor": floor}, f"{where}, map"),
+            "camera": None if camera is None else _made(Camera, camera, f"{where}, camera"),
+        }
+        return _made(cls, {"name": name, **values, **made}, where)
+
+
+def find_files(scan: Scan, data_dir: str | os.PathLike | None = None, timeout: float = 30.0) -> tuple[list[Path], str]:
+    """Where the files of a scan are: in the data folder, else fetched once from their address. Checksums are verified.
+
+    Returns:
+        (paths in the order of the scan's files, ""), or ([], why one is missing and how to get it).
+
+    Raises:
+        InputError: a file in the data folder is not the one it should be.
+    """
+    folder = data_folder(data_dir)
+    paths = []
+    for file in scan.files:
+        local = folder / FOLDER / scan.name / file.place if folder else None
+        if local and local.is_file():
+            paths.append(verify(local, file.sha256))
+            continue
+        url = scan.address + file.path
+        try:
+            paths.append(fetch(url, file.sha256, f"{scan.name}-{PurePosixPath(file.path).name}", timeout))
+        except Exception as error:  # whatever a download can fail with must not stop a pipeline that can go without
+            looked = f"not in {folder}" if folder else f"{DATA_DIR_VARIABLE} is not set"
+            return [], (
+                f"scan {scan.name}: {looked} and not fetched from {url}: {first_words(error)}; put its files into "
+                f"{FOLDER}/{scan.name}/ in a folder and name that folder in {DATA_DIR_VARIABLE}"
+            )
+    return paths, ""
+
+
+def build_map(scan: Scan, paths: list[Path]) -> HeightMap:
+    """The height map of a scan from its files: read, levelled, registered, fused, put into cells.
+
+    Raises:
+        InputError: a file cannot be read, or what it holds makes no map; names the scan.
+    """
+    try:
+        clouds = [_cloud(scan, file, path) for file, path in zip(scan.files, paths, strict=True)]
+        for k, file in enumerate(scan.files):
+            if file.guess is not None and k > 0:
+                motion = register_clouds(clouds[k], clouds[0], _motion(*file.guess))
+                clouds[k] = clouds[k] @ motion[:3, :3].T + motion[:3, 3]
+        return height_map(np.concatenate(clouds), scan.map)
+    except InputError as error:
+        raise InputError(f"scan {scan.name}: {error}") from None
+
+
+def _cloud(scan: Scan, file: ScanFile, path: Path) -> np.ndarray:
+    if scan.camera is not None:
+        points = depth_points(read_image(path), scan.camera, file.pose)
+    elif scan.elevation is not None:
+        points = elevation_points(read_image(path), **scan.elevation)
+    else:
+        points = read_points(path, scan.units, scan.axes)
+    if scan.drop_within:
+        points = points[np.hypot(points[:, 0], points[:, 1]) > scan.drop_within]
+    return level(points, fit_floor(points, scan.map.floor)) if scan.level_each else points
+
+
+def _motion(x: float, y: float, yaw: float) -> np.ndarray:
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1]])
+
+
+def _made(kind, values: Mapping[str, Any], where: str):
+    """A dataclass from plain values; lists become tuples."""
+    known = [f.name for f in fields(kind)]
+    if unknown := sorted(set(values) - set(known)):
+        raise InputError(f"{where}: unknown key {unknown[0]!r}; allowed are {', '.join(known)}")
+    try:
+        return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()})
+    except TypeError as error:  # a missing argument, or a text where a number belongs
+        raise InputError(f"{where}: {' '.join(str(error).split())}") from None

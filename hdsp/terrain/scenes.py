@@ -1,0 +1,362 @@
+"""Random terrain: cuboids, walls and staircases in the nine categories of the paper's training data, and richer ones.
+
+A map is a function of (seed, category, index) alone, so that any map can be made again anywhere and in any order.
+
+Convention: a scene has the frame of the robot that starts in it: x forward, y left, the base of the robot at (0, 0).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.robot import lattice
+from hdsp.robot.lattice import PATCH_CELLS, Grid
+from hdsp.terrain.height_map import HeightMap
+
+#: What each category contains, in order. The position of a category in this table is part of the seed of its maps.
+_CONTENTS = {
+    "cuboid_1": ("cuboid",),
+    "cuboid_2": ("cuboid", "cuboid"),
+    "cuboid_3": ("cuboid", "cuboid", "cuboid"),
+    "wall_1": ("wall",),
+    "wall_2": ("wall", "wall"),
+    "cuboid_wall": ("cuboid", "wall"),
+    "staircase": ("staircase",),
+    "staircase_wall": ("staircase", "wall"),
+    "staircase_focused": ("staircase_focused",),
+    "mixed_2": ("any",) * 2,
+    "mixed_3": ("any",) * 3,
+    "mixed_4": ("any",) * 4,
+    "ramp_mixed": ("ramp", "any"),
+    "tiles_mixed": ("tiles", "any"),
+    "clutter": ("clutter",) * 6,
+}
+#: Those of the paper.
+CATEGORIES = tuple(_CONTENTS)[:9]
+#: With those that hold more of what real places do.
+ALL_CATEGORIES = tuple(_CONTENTS)
+
+Range = tuple[float, float]
+
+_ON_SIDE = 1e-9  # m; a point computed to lie on a side does so whatever rounding error says
+
+
+@dataclass(frozen=True)
+class TerrainSettings:
+    """Ranges that obstacles are drawn from, uniformly; the defaults are those of the authors' generator.
+
+    Attributes:
+        area: side of the square in which obstacles are placed, m.
+        cuboid_side, cuboid_height: m; both sides of a cuboid are drawn from the same range.
+        wall_length, wall_thickness, wall_height: m.
+        staircase_steps: smallest and largest number of steps.
+        staircase_rise, staircase_tread, staircase_width: m.
+        staircase_depth: length of each step from its riser on, m.
+        focused_width: width of a focused staircase, m.
+        focused_yaw: largest angle between a focused staircase and the heading of the robot, rad.
+        ramp_length, ramp_width, ramp_height: m; one end of a ramp is a drop.
+        tiles_extent, tile_side: sides of a field of tiles, and of one of them, m.
+        tile_height, tile_slope: height of a tile's middle, m; its greatest slope along either side.
+        clutter_side, clutter_height: of the small things that stand about, m.
+
+    Raises:
+        InputError: for a range that is empty or not positive.
+    """
+
+    area: float = 1.8
+    cuboid_side: Range = (0.2, 2.0)
+    cuboid_height: Range = (0.02, 0.4)
+    wall_length: Range = (0.4, 3.0)
+    wall_thickness: Range = (0.05, 0.35)
+    wall_height: Range = (0.7, 2.0)
+    staircase_steps: tuple[int, int] = (2, 4)
+    staircase_rise: Range = (0.15, 0.30)
+    staircase_tread: Range = (0.25, 0.35)
+    staircase_width: Range = (0.9, 2.0)
+    staircase_depth: float = 2.0
+    focused_width: Range = (1.4, 2.0)
+    focused_yaw: float = math.pi / 16
+    ramp_length: Range = (0.6, 2.0)
+    ramp_width: Range = (0.6, 2.0)
+    ramp_height: Range = (0.05, 0.4)
+    tiles_extent: Range = (0.6, 2.0)
+    tile_side: Range = (0.25, 0.5)
+    tile_height: Range = (0.02, 0.3)
+    tile_slope: float = 0.25
+    clutter_side: Range = (0.05, 0.4)
+    clutter_height: Range = (0.05, 1.2)
+
+    def __post_init__(self):
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not isinstance(field.default, tuple):
+                if not (isinstance(value, int | float) and 0 < value < math.inf):
+                    raise InputError(f"terrain.{field.name} is {value!r}; need a positive number")
+                continue
+            if not isinstance(value, Sequence) or len(value) != 2 or not 0 < value[0] <= value[1] < math.inf:
+                raise InputError(f"terrain.{field.name} is {value!r}; need two positive numbers, the smaller one first")
+            object.__setattr__(self, field.name, tuple(value))
+        if any(steps != int(steps) for steps in self.staircase_steps):
+            raise InputError(f"terrain.staircase_steps is {self.staircase_steps}; need whole numbers")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block on the ground: a cuboid, a wall, or one step of a staircase.
+
+    Attributes:
+        x, y: its centre, m.
+        yaw: direction of its length, rad.
+        length, width, height: m.
+    """
+
+    x: float
+    y: float
+    yaw: float
+    length: float
+    width: float
+    height: float
+
+    def blocks(self) -> tuple["Block", ...]:
+        return (self,)
+
+    def covers(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Whether points (x, y) lie on the block, its sides included; bool, of their shape."""
+        turn = lattice.rotation(-self.yaw)
+        along = turn[0, 0] * (x - self.x) + turn[0, 1] * (y - self.y)
+        across = turn[1, 0] * (x - self.x) + turn[1, 1] * (y - self.y)
+        return (np.abs(along) <= self.length / 2 + _ON_SIDE) & (np.abs(across) <= self.width / 2 + _ON_SIDE)
+
+    def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray | float:
+        """Height of the upper side at points (x, y) on the block, m."""
+        return self.height
+
+
+@dataclass(frozen=True)
+class Ramp(Block):
+    """A wedge: its upper side rises along ``yaw`` from the ground to ``height`` over ``length``."""
+
+    def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        along = math.cos(self.yaw) * (x - self.x) + math.sin(self.yaw) * (y - self.y)
+        return self.height * np.clip(0.5 + along / self.length, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Tiles(Block):
+    """A field of square tiles, each at a height and tilt of its own; ``height`` is that of none.
+
+    Attributes:
+        side: of a tile, m; those at the far borders may be cut.
+        tiles: rows along the length, of (height of the middle in m, slope along, slope across).
+    """
+
+    side: float
+    tiles: tuple[tuple[tuple[float, float, float], ...], ...]
+
+    def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        turn = lattice.rotation(-self.yaw)
+        along = turn[0, 0] * (x - self.x) + turn[0, 1] * (y - self.y) + self.length / 2
+        across = turn[1, 0] * (x - self.x) + turn[1, 1] * (y - self.y) + self.width / 2
+        tiles = np.array(self.tiles)
+        i, j = (
+            np.clip(np.floor(at / self.side), 0, count - 1).astype(int)
+            for at, count in zip((along, across), tiles.shape, strict=False)
+        )
+        height, slope_along, slope_across = np.moveaxis(tiles[i, j], -1, 0)
+        top = height + slope_along * (along - (i + 0.5) * self.side) + slope_across * (across - (j + 0.5) * self.side)
+        return np.maximum(top, 0.0)
+
+
+@dataclass(frozen=True)
+class Staircase:
+    """Steps that rise along ``yaw``; each is a block that begins at its own riser.
+
+    Attributes:
+        x, y: middle of the first riser, m.
+        yaw: direction of ascent, rad.
+        steps: how many.
+        rise, tread: height of a step, distance between two risers, m.
+        width: across the direction of ascent, m.
+        depth: length of each step from its riser on, m; the last one is the landing.
+    """
+
+    x: float
+    y: float
+    yaw: float
+    steps: int
+    rise: float
+    tread: float
+    width: float
+    depth: float
+
+    def blocks(self) -> tuple[Block, ...]:
+        return tuple(self._step(number) for number in range(self.steps))
+
+    def _step(self, number: int) -> Block:
+        middle = number * self.tread + self.depth / 2
+        x, y = self.x + middle * math.cos(self.yaw), self.y + middle * math.sin(self.yaw)
+        return Block(x, y, self.yaw, self.depth, self.width, self.rise * (number + 1))
+
+
+Obstacle = Block | Staircase
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Obstacles on flat ground of height 0."""
+
+    obstacles: tuple[Obstacle, ...]
+
+    def rasterise(self, shape: tuple[int, int], center_cell: tuple[int, int], angle: float = 0.0) -> HeightMap:
+        """Heights at the centres of cells; where obstacles overlap, the highest counts.
+
+        Args:
+            shape: cells (nx, ny) of the map.
+            center_cell: the cell at whose centre the origin of the scene lies.
+            angle: the scene is turned counter-clockwise by this much, rad; quarter turns permute cells exactly.
+
+        Returns:
+            a map with the origin of the scene at world (0, 0).
+        """
+        grid = Grid((0.0, 0.0), shape)
+        offset = grid.center(center_cell)
+        x, y = np.moveaxis(grid.center(np.stack(np.indices(shape), axis=-1) - center_cell) - grid.center((0, 0)), -1, 0)
+        turn = lattice.rotation(-angle)
+        x, y = turn[0, 0] * x + turn[0, 1] * y, turn[1, 0] * x + turn[1, 1] * y
+        return HeightMap(self.heights_at(x, y), origin=tuple(-offset))
+
+    def heights_at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Heights at points (x, y) of the scene, m; float32 of their shape."""
+        heights = np.zeros(np.shape(x), np.float32)
+        for obstacle in self.obstacles:
+            for block in obstacle.blocks():
+                top = np.asarray(block.top(x, y), np.float32)
+                np.maximum(heights, top, out=heights, where=block.covers(x, y))
+        return heights
+
+
+def random_scene(seed: int, category: str, index: int, settings: TerrainSettings | None = None) -> Scene:
+    """The scene number ``index`` of a category.
+
+    Raises:
+        InputError: for an unknown category, or a negative seed or index.
+    """
+    if category not in _CONTENTS:
+        raise InputError(f"terrain category {category!r}; need one of {', '.join(ALL_CATEGORIES)}")
+    if seed < 0 or index < 0:
+        raise InputError(f"terrain seed {seed}, index {index}; need numbers of at least 0")
+    settings = settings or TerrainSettings()
+    random = np.random.default_rng(np.random.SeedSequence([seed, ALL_CATEGORIES.index(category), index]))
+    return Scene(tuple(_DRAW[kind](random, settings) for kind in _CONTENTS[category]))
+
+
+def random_map(
+    seed: int,
+    category: str,
+    index: int,
+    settings: TerrainSettings | None = None,
+    cells: int = PATCH_CELLS,
+    heading: int = 0,
+) -> HeightMap:
+    """The map of `random_scene` for a robot that starts at the centre of cell (cells // 2, cells // 2).
+
+    Args:
+        seed, category, index, settings: as in `random_scene`.
+        cells: side of the map.
+        heading: detailed heading of the robot, [0, 64). The scene is turned with it, so that what the robot sees is the
+            same at every heading; the map must then be larger than the patch that is cut from it.
+
+    Returns:
+        a map with the start at world (0, 0).
+
+    Raises:
+        InputError: as `random_scene`.
+    """
+    scene = random_scene(seed, category, index, settings)
+    return scene.rasterise((cells, cells), (cells // 2, cells // 2), float(lattice.heading_angle(heading)))
+
+
+def _position(random: np.random.Generator, settings: TerrainSettings) -> tuple[float, float]:
+    half = settings.area / 2
+    return random.uniform(-half, half), random.uniform(-half, half)
+
+
+def _any_yaw(random: np.random.Generator) -> float:
+    return random.uniform(-math.pi, math.pi)
+
+
+def _cuboid(random: np.random.Generator, settings: TerrainSettings) -> Block:
+    length, width = random.uniform(*settings.cuboid_side, size=2).tolist()
+    return Block(*_position(random, settings), _any_yaw(random), length, width, random.uniform(*settings.cuboid_height))
+
+
+def _wall(random: np.random.Generator, settings: TerrainSettings) -> Block:
+    length, thickness = random.uniform(*settings.wall_length), random.uniform(*settings.wall_thickness)
+    return Block(
+        *_position(random, settings), _any_yaw(random), length, thickness, random.uniform(*settings.wall_height)
+    )
+
+
+def _staircase(random: np.random.Generator, settings: TerrainSettings) -> Staircase:
+    return _steps(random, settings, _any_yaw(random), settings.staircase_width)
+
+
+def _staircase_focused(random: np.random.Generator, settings: TerrainSettings) -> Staircase:
+    yaw = random.uniform(-settings.focused_yaw, settings.focused_yaw)
+    return _steps(random, settings, yaw, settings.focused_width)
+
+
+def _steps(random: np.random.Generator, settings: TerrainSettings, yaw: float, width: Range) -> Staircase:
+    low, high = settings.staircase_steps
+    return Staircase(
+        *_position(random, settings),
+        yaw,
+        steps=int(random.integers(low, high, endpoint=True)),
+        rise=random.uniform(*settings.staircase_rise),
+        tread=random.uniform(*settings.staircase_tread),
+        width=random.uniform(*width),
+        depth=settings.staircase_depth,
+    )
+
+
+def _ramp(random: np.random.Generator, settings: TerrainSettings) -> Ramp:
+    length, width = random.uniform(*settings.ramp_length), random.uniform(*settings.ramp_width)
+    return Ramp(*_position(random, settings), _any_yaw(random), length, width, random.uniform(*settings.ramp_height))
+
+
+def _tiles(random: np.random.Generator, settings: TerrainSettings) -> Tiles:
+    length, width = random.uniform(*settings.tiles_extent, size=2).tolist()
+    side, highest = random.uniform(*settings.tile_side), random.uniform(*settings.tile_height)
+    shape = math.ceil(length / side), math.ceil(width / side)
+    heights = random.uniform(settings.tile_height[0], highest, shape)
+    slopes = random.uniform(-settings.tile_slope, settings.tile_slope, (*shape, 2))
+    tiles = np.concatenate([heights[..., None], slopes], axis=-1).tolist()
+    rows = tuple(tuple(tuple(tile) for tile in row) for row in tiles)
+    return Tiles(*_position(random, settings), _any_yaw(random), length, width, highest, side, rows)
+
+
+def _clutter(random: np.random.Generator, settings: TerrainSettings) -> Block:
+    length, width = random.uniform(*settings.clutter_side, size=2).tolist()
+    return Block(
+        *_position(random, settings), _any_yaw(random), length, width, random.uniform(*settings.clutter_height)
+    )
+
+
+def _any(random: np.random.Generator, settings: TerrainSettings) -> Obstacle:
+    return _DRAW[_ANY[int(random.integers(len(_ANY)))]](random, settings)
+
+
+_ANY = ("cuboid", "wall", "staircase", "ramp", "tiles")
+_DRAW = {
+    "cuboid": _cuboid,
+    "wall": _wall,
+    "staircase": _staircase,
+    "staircase_focused": _staircase_focused,
+    "ramp": _ramp,
+    "tiles": _tiles,
+    "clutter": _clutter,
+    "any": _any,
+}

@@ -1,0 +1,131 @@
+"""A spinning multi-beam lidar, carried through a world.
+
+The sensor is modelled on the paper's: a Velodyne Puck (16 beams within +-15 degrees of the plane in which it spins) at
+the robot's head, itself turned about the vertical by a motor, so that the beams sweep the whole sphere. The Puck lies
+on its side: the axis it spins about is horizontal.
+
+Convention: world coordinates, m, rad, s. Ranges are measured along the beams; noise is added to them alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.terrain.simulation.mujoco_world import World
+
+
+@dataclass(frozen=True)
+class Lidar:
+    """A sensor and how it is carried.
+
+    Attributes:
+        beams: how many, evenly spread over +- ``opening`` rad off the plane in which the sensor spins.
+        azimuth_step: between two measurements of a beam, rad.
+        spin: revolutions per second.
+        swing: turning rate of the motor about the vertical, rad/s.
+        noise: standard deviation of a range, m.
+        max_range: m.
+        height: of the sensor above the ground under it, m. Momaro's head is at about this height when it drives.
+        blind: beams within this angle of straight down see the robot itself and are dropped, rad.
+        speed: at which the robot carries it, m/s.
+
+    Raises:
+        InputError: for a value out of range.
+    """
+
+    beams: int = 16
+    opening: float = math.radians(15)
+    azimuth_step: float = math.radians(0.4)
+    spin: float = 10.0
+    swing: float = 1.5
+    noise: float = 0.03
+    max_range: float = 30.0
+    height: float = 1.6
+    blind: float = math.radians(25)
+    speed: float = 0.4
+
+    def __post_init__(self):
+        for field in fields(self):
+            value = getattr(self, field.name)
+            least_is_zero = field.name in ("noise", "blind", "swing")
+            if not (isinstance(value, int | float) and (0 if least_is_zero else 1e-9) <= value < math.inf):
+                raise InputError(f"lidar: {field.name} is {value!r}; need a positive number")
+        if self.beams != int(self.beams) or self.opening >= math.pi / 2 or self.azimuth_step > math.pi:
+            raise InputError(
+                f"lidar: {self.beams} beams, opening {self.opening}, azimuth step {self.azimuth_step}; need a whole "
+                "number, less than pi / 2, at most pi"
+            )
+
+    def directions(self, swing_angle: float) -> np.ndarray:
+        """The beams of one revolution, float64 [n, 3] of length 1, with the motor at an angle about the vertical."""
+        around = np.arange(0, 2 * math.pi - 1e-9, self.azimuth_step)[:, None]
+        off = np.linspace(-self.opening, self.opening, int(self.beams)) if self.beams > 1 else np.zeros(1)
+        # In the frame of the motor the sensor spins in the plane of y and z, about x.
+        sideways, up = np.cos(off) * np.cos(around), np.cos(off) * np.sin(around)
+        ahead = np.broadcast_to(np.sin(off), up.shape)
+        c, s = math.cos(swing_angle), math.sin(swing_angle)
+        beams = np.stack([c * ahead - s * sideways, s * ahead + c * sideways, up], axis=-1).reshape(-1, 3)
+        return beams[beams[:, 2] > -math.cos(self.blind)]
+
+
+class Cloud(NamedTuple):
+    """What a scan measured, registered by the known poses of the sensor.
+
+    Attributes:
+        points: float32 [n, 3], m, world.
+        origins: float32 [n, 3], where the sensor was for each.
+    """
+
+    points: np.ndarray
+    origins: np.ndarray
+
+
+def scan(world: World, path: np.ndarray, lidar: Lidar, random: np.random.Generator) -> Cloud:
+    """Carry the sensor along a path and measure all the time.
+
+    Args:
+        world: that is scanned.
+        path: float [n, 2], corners (x, y) of the way of the sensor over the ground, m.
+        lidar: the sensor.
+        random: for the noise.
+
+    Raises:
+        InputError: if the path is empty or leaves the arena.
+    """
+    stations = along(path, lidar.speed / lidar.spin)
+    size = world.arena.size
+    if not ((stations > 0) & (stations < size)).all():
+        raise InputError(f"scan: the path leaves the arena of {size} x {size} m")
+    ground = world.arena.scene.heights_at(*stations.T)
+    highest = max((block.height for block in world.arena.blocks()), default=0.0)
+    points, origins = [], []
+    for turn, ((x, y), floor) in enumerate(zip(stations, ground, strict=True)):
+        origin = np.array([x, y, floor + lidar.height])
+        beams = lidar.directions(turn / lidar.spin * lidar.swing)
+        if highest <= origin[2]:
+            beams = beams[beams[:, 2] < 0]  # the others meet nothing
+        ranges = world.ranges(origin, beams, lidar.max_range)
+        hit = np.isfinite(ranges)
+        measured = ranges[hit] + random.normal(0.0, lidar.noise, int(hit.sum()))
+        points.append((origin + beams[hit] * measured[:, None]).astype(np.float32))
+        origins.append(np.broadcast_to(origin.astype(np.float32), points[-1].shape))
+    return Cloud(np.concatenate(points), np.concatenate(origins))
+
+
+def along(path: np.ndarray, spacing: float) -> np.ndarray:
+    """Points (x, y) along a polyline, ``spacing`` m apart, float64 [n, 2]; its first corner is the first of them.
+
+    Raises:
+        InputError: if the path is not [n, 2] finite numbers with n >= 1.
+    """
+    path = np.asarray(path, float)
+    if path.ndim != 2 or path.shape[1:] != (2,) or len(path) == 0 or not np.isfinite(path).all():
+        raise InputError(f"path of shape {path.shape}; need finite [n, 2], n >= 1: x, y in m")
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+    stations = np.arange(0.0, way[-1] + 1e-9, spacing)
+    return np.stack([np.interp(stations, way, path[:, axis]) for axis in (0, 1)], axis=-1)

@@ -1,0 +1,84 @@
+"""A way through an arena from which all its free ground is seen from near."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from hdsp.base.errors import InputError
+from hdsp.robot import lattice
+from hdsp.terrain.arenas import Arena
+
+_COARSE = 2  # cells of the height map in a cell of the tour's grid
+_DRIVABLE = 0.05  # m; higher edges take room from the robot
+
+
+def tour(arena: Arena, start: tuple[float, float], clearance: float = 0.3, spacing: float = 1.2) -> np.ndarray:
+    """Corners of a way over free ground that comes near all of it.
+
+    Args:
+        arena: to drive through.
+        start: (x, y), where the way begins, m.
+        clearance: the way keeps so far from edges, m.
+        spacing: no free ground that is connected to the start is farther from a place that the way visits, m.
+
+    Returns:
+        float64 [n, 2], m.
+
+    Raises:
+        InputError: if the start is not free.
+    """
+    free = _free_ground(arena, clearance)
+    cell = lattice.RESOLUTION * _COARSE
+    index = np.floor(np.asarray(start[:2], float) / cell).astype(int)
+    if not ((index >= 0) & (index < len(free))).all() or not free[tuple(index)]:
+        raise InputError(f"tour: start {tuple(start)} is not on free ground with {clearance} m around it")
+    graph, number = _graph(free)
+    first = number[tuple(index)]
+    # Places: always the one farthest from those chosen, until none is far.
+    places, nearest = [first], dijkstra(graph, indices=first)
+    reachable = np.isfinite(nearest)
+    while np.max(nearest, where=reachable, initial=0) > spacing / cell:
+        places.append(int(np.argmax(np.where(reachable, nearest, -1))))
+        nearest = np.minimum(nearest, dijkstra(graph, indices=places[-1]))
+    # Order: always the nearest of those not visited yet.
+    way, rest, here = [first], set(places[1:]), first
+    while rest:
+        distance, before = dijkstra(graph, indices=here, return_predecessors=True)
+        there = min(rest, key=lambda place: (distance[place], place))
+        leg = [there]
+        while leg[-1] != here:
+            leg.append(int(before[leg[-1]]))
+        way += leg[-2::-1]
+        rest -= set(leg)
+        here = there
+    return (np.argwhere(free)[way] + 0.5) * cell
+
+
+def _free_ground(arena: Arena, clearance: float) -> np.ndarray:
+    """Coarse cells on which the sensor may be carried, bool [n, n]: low ground, away from edges."""
+    heights = arena.height_map().heights
+    edges = ndimage.maximum_filter(heights, 3) - ndimage.minimum_filter(heights, 3) > _DRIVABLE
+    room = ndimage.distance_transform_edt(~edges) * lattice.RESOLUTION
+    free = (room >= clearance) & (heights <= _DRIVABLE)
+    n = len(free) // _COARSE
+    return free[: n * _COARSE, : n * _COARSE].reshape(n, _COARSE, n, _COARSE).all(axis=(1, 3))
+
+
+def _graph(free: np.ndarray) -> tuple[csr_array, np.ndarray]:
+    """Steps between neighbouring free cells, lengths in cells; and the number of each free cell, -1 elsewhere."""
+    number = np.full(free.shape, -1)
+    number[free] = np.arange(free.sum())
+    ends, lengths = [], []
+    for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1)):
+        here = number[: len(free) - dx, max(-dy, 0) : free.shape[1] - max(dy, 0)]
+        there = number[dx:, max(dy, 0) : free.shape[1] + min(dy, 0)]
+        both = (here >= 0) & (there >= 0)
+        ends.append(np.stack([here[both], there[both]]))
+        lengths.append(np.full(both.sum(), np.hypot(dx, dy)))
+    pairs, length = np.concatenate(ends, axis=1), np.concatenate(lengths)
+    n = int(free.sum())
+    one_way = csr_array((length, (pairs[0], pairs[1])), shape=(n, n))
+    return one_way + one_way.T, number

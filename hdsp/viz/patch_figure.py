@@ -1,0 +1,129 @@
+"""Example patches with the labels of their tasks and what an abstraction says of them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from matplotlib.patches import Patch, Rectangle
+
+from hdsp.base.errors import InputError
+from hdsp.labels.tasks import TaskSet
+from hdsp.robot.lattice import PATCH_CENTER, abstract_steps_to_world
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+from hdsp.viz.robot_drawing import draw_pose, draw_robot
+from hdsp.viz.style import GOAL, GREY, SKY, START, UNKNOWN, VERMILLION, YELLOW, draw_terrain, figure, save
+
+#: Colour and meaning of a task by (feasible according to the label, according to the abstraction).
+JUDGEMENTS = {
+    (True, True): (SKY, "both feasible"),
+    (False, False): ("#DDDDDD", "both infeasible"),
+    (False, True): (VERMILLION, "wrongly judged feasible"),
+    (True, False): (YELLOW, "wrongly judged infeasible"),
+}
+
+
+def save_example_patches(
+    tasks: TaskSet,
+    judged: tuple[np.ndarray, np.ndarray],
+    path: str | os.PathLike,
+    count: int = 6,
+    robot: Robot | str = "momaro",
+) -> Path:
+    """Draws patches with their 22 tasks: labels and predictions.
+
+    Each example is a pair of pictures: the patch with the robot at its start and dots at the goals, then one field per
+    task at the place of its goal, with the cost of the label above that of the prediction.
+
+    Args:
+        tasks: labelled tasks.
+        judged: feasible bool [n, 22] and cost [n, 22] of an abstraction, as `hdsp.labels.evaluation.predict` gives them.
+        path: of the PNG.
+        count: number of examples; spread over the set.
+        robot: whose outline is drawn, or what `Robot.load` takes.
+
+    Raises:
+        InputError: there are no tasks, or count is not positive.
+    """
+    if len(tasks) == 0 or count < 1:
+        raise InputError(f"example patches: {count} of {len(tasks)} maps asked for, need at least 1 of 1")
+    robot = Robot.load(robot)
+    chosen = spread(tasks, count)
+    columns = min(2, len(chosen))
+    lines = -(-len(chosen) // columns)
+    made = figure(6.9 * columns, 3.5 * lines + 0.5)
+    grid = made.subplots(lines, 2 * columns, squeeze=False).reshape(-1, 2)
+    image = None
+    highest = max(float(np.nanmax(tasks.heights[chosen], initial=0.0)), 0.1)
+    for (left, right), index in zip(grid, chosen, strict=False):
+        image = _draw_patch(left, tasks.heights[index], tasks.goals[index], robot, min(highest, 1.5))
+        left.set_title(f"{tasks.category[index]}, no. {tasks.index[index]}", fontsize=9)
+        _draw_tasks(right, tasks, judged, index)
+    for unused in grid[len(chosen) :].flat:
+        unused.set_axis_off()
+    made.get_layout_engine().set(h_pad=0.12, w_pad=0.08)
+    bar = made.colorbar(image, ax=grid.ravel().tolist(), shrink=0.5, pad=0.01, extend="max")
+    bar.set_label("height (m)", fontsize=9)
+    bar.ax.tick_params(labelsize=8)
+    legend = [Patch(facecolor=color, edgecolor=GREY, label=meaning) for color, meaning in JUDGEMENTS.values()]
+    if np.isnan(tasks.heights[chosen]).any():
+        legend.append(Patch(facecolor=UNKNOWN, edgecolor=GREY, label="unknown ground"))
+    made.legend(handles=legend, loc="outside lower center", ncols=5, fontsize=9, frameon=False)
+    return save(made, path)
+
+
+def spread(tasks: TaskSet, count: int) -> np.ndarray:
+    """Indices of `count` maps (all if there are fewer), ascending: of as many categories as possible, and in each first
+    those that have feasible and infeasible tasks, because these show most."""
+    share = tasks.feasible.mean(axis=1)
+    one_sided = (share < 0.15) | (share > 0.85)
+    # Ranks within each category; then all first ones, all second ones, and so on.
+    ranks, categories = np.empty(len(tasks), int), np.unique(tasks.category, return_inverse=True)[1]
+    for category in np.unique(categories):
+        members = np.flatnonzero(categories == category)
+        ranks[members[np.argsort(one_sided[members], kind="stable")]] = np.arange(len(members))
+    order = np.lexsort((categories, ranks))
+    firsts = min(len(np.unique(categories)), len(order))
+    if firsts > count:  # not only the first categories of the alphabet
+        order = order[np.linspace(0, firsts - 1, count).round().astype(int)]
+    return np.sort(order[:count])
+
+
+def _draw_patch(axes, heights: np.ndarray, goals: np.ndarray, robot: Robot, highest: float):
+    in_robot_frame = HeightMap(heights).crop_cells(PATCH_CENTER, PATCH_CENTER, 0)
+    image = draw_terrain(axes, in_robot_frame, 0.0, highest)
+    draw_robot(axes, np.zeros(7), robot, START)
+    draw_pose(axes, (0, 0, 0), START, length=0.3)
+    moves = abstract_steps_to_world(goals[goals[:, 2] == 0])[:, :2]
+    axes.plot(*moves.T, ".", color=GOAL, markersize=3, zorder=9)
+    axes.set_xlabel("x (m), ahead", fontsize=8)
+    axes.set_ylabel("y (m), left", fontsize=8)
+    return image
+
+
+def _draw_tasks(axes, tasks: TaskSet, judged: tuple[np.ndarray, np.ndarray], index: int) -> None:
+    said, costs = judged[0][index], judged[1][index]
+    side = 0.92
+    for goal, feasible, cost, judged_feasible, judged_cost in zip(
+        tasks.goals[index], tasks.feasible[index], tasks.cost[index], said, costs, strict=True
+    ):
+        # Turns have no place of their own: they stand above and below the field of moves, the left turn above.
+        x, y = goal[:2] if goal[2] == 0 else (0.0, 3.15 * np.sign(goal[2]))
+        color, _ = JUDGEMENTS[bool(feasible), bool(judged_feasible)]
+        axes.add_patch(Rectangle((x - side / 2, y - side / 2), side, side, facecolor=color))
+        lines = [f"{cost:.2f}" if feasible else "–", f"{judged_cost:.2f}" if judged_feasible else "–"]
+        axes.text(x, y, "\n".join(lines), ha="center", va="center", fontsize=6.5, linespacing=1.1)
+    axes.annotate("", (0.42, 0), (-0.42, 0), arrowprops={"arrowstyle": "-|>", "color": START, "linewidth": 2})
+    axes.text(0.75, 3.15, "turn left", va="center", fontsize=7)
+    axes.text(0.75, -3.15, "turn right", va="center", fontsize=7)
+    axes.text(-2.9, 3.15, "label\nprediction", va="center", fontsize=7)
+    axes.set_xlim(-3, 3)
+    axes.set_ylim(-3.7, 3.7)
+    axes.set_aspect("equal")
+    axes.set_xlabel("goal, steps of 10 cm ahead", fontsize=8)
+    axes.set_xticks(range(-2, 3))
+    axes.set_yticks(range(-2, 3))
+    axes.tick_params(labelsize=8)
+    axes.spines[:].set_visible(False)

@@ -1,0 +1,194 @@
+"""Planned paths on their height map."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.robot.robot import FEET as FOOT_NAMES
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+from hdsp.viz.robot_drawing import draw_pose, draw_robot
+from hdsp.viz.style import (
+    BLACK,
+    BLUE,
+    FEET,
+    GOAL,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    START,
+    VERMILLION,
+    draw_terrain,
+    figure,
+    save,
+)
+
+if TYPE_CHECKING:
+    from hdsp.planning.plans import Plan
+
+_TRACKS = (VERMILLION, BLUE, GREEN, PURPLE, ORANGE, SKY, BLACK)
+
+
+def save_planned_path(
+    terrain: HeightMap,
+    plan: Plan,
+    robot: Robot,
+    path: str | os.PathLike,
+    title: str | None = None,
+    start=None,
+    goal=None,
+) -> Path:
+    """Draws a plan: base track, the robot every so often, the tracks of the feet, steps, start and goal.
+
+    Args:
+        terrain: the map it was planned on.
+        plan: with `states` float [n, 7] in world coordinates and `actions` (n - 1 names). Without states (no plan was
+            found) map, start and goal are drawn.
+        robot: whose plan it is.
+        path: of the PNG.
+        title: above the picture.
+        start: pose (x, y, theta) in m and rad; default: the first state of the plan.
+        goal: likewise the last one.
+
+    Raises:
+        InputError: there is neither a path nor a start to draw.
+    """
+    return save(planned_path_figure(terrain, plan, robot, title, start, goal), path)
+
+
+def planned_path_figure(terrain: HeightMap, plan: Plan, robot: Robot, title: str | None = None, start=None, goal=None):
+    """Draws a plan as a matplotlib figure; see `save_planned_path` for the arguments."""
+    states = np.asarray(plan.states if plan.states is not None else [], float).reshape(-1, 7)
+    start = states[0] if start is None and len(states) else start
+    goal = states[-1] if goal is None and len(states) else goal
+    if start is None:
+        raise InputError("picture of a path: the plan has no states; give start and goal to draw the map with these")
+    length, width = terrain.size
+    made = figure(*_page(length, width))
+    axes = made.subplots()
+    image = draw_terrain(axes, terrain)
+    if len(states):
+        draw_path(axes, states, list(plan.actions), robot)
+    draw_pose(axes, start, START, label="start")
+    if goal is not None:
+        draw_pose(axes, goal, GOAL, label="goal")
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+    axes.set_title(title or "", fontsize=10)
+    bar = made.colorbar(image, ax=axes, shrink=0.6, pad=0.02)
+    bar.set_label("height (m)", fontsize=9)
+    bar.ax.tick_params(labelsize=8)
+    made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    return made
+
+
+def save_planned_paths(
+    terrain: HeightMap,
+    plans: Mapping[str, Plan],
+    tasks: Mapping[str, tuple],
+    robot: Robot,
+    path: str | os.PathLike,
+    title: str | None = None,
+) -> Path:
+    """Draws the plans of several tasks on one map, each in a colour of its own: base tracks, landings of steps, goals.
+
+    Args:
+        terrain: the map they were planned on.
+        plans: by the name of the task; one without states is named in the legend as having no path.
+        tasks: (start, goal) by name; poses (x, y, theta) in m and rad.
+        robot: whose plans they are.
+        path: of the PNG.
+        title: above the picture.
+
+    Raises:
+        InputError: there is no task.
+    """
+    if not tasks:
+        raise InputError("picture of paths: there is no task")
+    made = figure(*_page(*terrain.size))
+    axes = made.subplots()
+    image = draw_terrain(axes, terrain)
+    for number, (name, (start, goal)) in enumerate(tasks.items()):
+        color = _TRACKS[number % len(_TRACKS)]
+        states = np.asarray(plans[name].states, float).reshape(-1, 7)
+        label = f"{name}: cost {plans[name].cost:.2f}" if len(states) else f"{name}: no path"
+        # A hair aside, so that paths on the same ground can be told apart.
+        axes.plot(*(states[:, :2].T + 0.012 * (number % 3 - 1)), color=color, linewidth=1.8, zorder=4, label=label)
+        feet = robot.foot_positions(states)
+        for index, action in enumerate(plans[name].actions):
+            if action.startswith("step "):
+                foot = FOOT_NAMES.index(action.split()[1])
+                axes.plot(*feet[index + 1, foot], "*", color=color, markersize=6, markeredgewidth=0, zorder=7)
+        if len(states):
+            draw_robot(axes, states[-1], robot, color)
+        draw_pose(axes, start, START)
+        draw_pose(axes, goal, color)
+        look = {"textcoords": "offset points", "color": color, "fontsize": 10, "fontweight": "bold", "zorder": 9}
+        axes.annotate(name, goal[:2], (22, -8), **look)
+    axes.plot([], [], "*", color=BLACK, label="landing of a step", linestyle="none")
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+    axes.set_title(title or "", fontsize=10)
+    made.colorbar(image, ax=axes, shrink=0.6, pad=0.02).set_label("height (m)", fontsize=9)
+    made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    return save(made, path)
+
+
+def draw_path(axes, states: np.ndarray, actions: list[str], robot: Robot, spacing: float = 0.6) -> None:
+    """Draws a path of detailed states [n, 7] with its n - 1 actions on axes in world metres.
+
+    The robot is drawn about every `spacing` metres of its way, a half turn counting as much, and before each group of
+    steps.
+    """
+    feet = robot.foot_positions(states)
+    for foot, (color, name) in enumerate(zip(FEET, FOOT_NAMES, strict=True)):
+        axes.plot(*feet[:, foot].T, color=color, linewidth=0.8, zorder=3, label=name.replace("_", " ") + " foot")
+    axes.plot(states[:, 0], states[:, 1], color=BLACK, linewidth=1.8, zorder=4, label="base")
+    for index in _shown(states, actions, spacing):
+        draw_robot(axes, states[index], robot, GREY)
+    draw_robot(axes, states[-1], robot)
+
+    stepped = False
+    for index, action in enumerate(actions):
+        if not action.startswith("step "):
+            continue
+        foot = FOOT_NAMES.index(action.split()[1])
+        (x0, y0), (x1, y1) = feet[index, foot], feet[index + 1, foot]
+        axes.annotate(
+            "", (x1, y1), (x0, y0), zorder=7,
+            arrowprops={"arrowstyle": "-|>", "color": VERMILLION, "linewidth": 1.2, "mutation_scale": 8,
+                        "shrinkA": 0, "shrinkB": 0, "connectionstyle": "arc3,rad=-0.3"},
+        )  # fmt: skip
+        look = {"color": VERMILLION, "markersize": 8, "markeredgewidth": 0, "linestyle": "none", "zorder": 7}
+        axes.plot(x1, y1, "*", label=None if stepped else "step (landing)", **look)
+        stepped = True
+
+
+def _shown(states: np.ndarray, actions: list[str], spacing: float) -> list[int]:
+    """Indices of the states at which the robot is drawn."""
+    moved = np.hypot(*np.diff(states[:, :2], axis=0).T)
+    turned = np.abs(np.angle(np.exp(1j * np.diff(states[:, 2])))) * (spacing / np.pi)
+    way = np.concatenate([[0.0], np.cumsum(moved + turned)])
+    chosen, last, since_step = [0], 0.0, np.inf
+    for index in range(1, len(states) - 1):
+        is_step = actions[index].startswith("step ")
+        begins = is_step and since_step > spacing / 2
+        since_step = 0.0 if is_step else since_step + way[index] - way[index - 1]
+        if (begins or way[index] - last >= spacing) and way[-1] - way[index] > spacing / 2:
+            chosen.append(index)
+            last = way[index]
+    return chosen
+
+
+def _page(length: float, width: float) -> tuple[float, float]:
+    """Size in inches for a map of a size in metres: the longer side 7 in, and room for bar and legend."""
+    scale = 7 / max(length, width)
+    return max(length * scale, 3.5) + 1.4, max(width * scale, 2.5) + 1.2

@@ -1,0 +1,117 @@
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hdsp.base.errors import InputError
+from hdsp.labels.shards import read_shard, read_tasks, write_shard
+from hdsp.labels.tasks import TaskSet
+from tests.labels.task_sets import assert_same_tasks, random_tasks
+
+HASH = {"labels_hash": "abc"}
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 5), st.integers(0, 100))
+def test_a_shard_gives_back_what_was_written(tmp_path_factory, maps, seed):
+    path = tmp_path_factory.mktemp("shards") / "0.h5"
+    tasks = random_tasks(maps, seed)
+    attributes = {**HASH, "maps": 3, "share": 0.5}
+    write_shard(path, tasks, attributes)
+    shard = read_shard(path)
+    assert_same_tasks(shard.tasks, tasks)
+    assert shard.attributes == attributes
+    assert [file.name for file in path.parent.iterdir()] == ["0.h5"]
+
+
+def test_a_shard_is_plain_hdf5_with_a_map_for_a_chunk(tmp_path):
+    tasks = random_tasks(4)
+    with h5py.File(write_shard(tmp_path / "a.h5", tasks, HASH)) as file:
+        assert file["heights"].chunks == (1, 72, 72)
+        assert file["heights"].compression == "lzf"
+        assert file.attrs["schema_version"] == 1
+        assert file.attrs["labels_hash"] == "abc"
+        names = file.attrs["category_names"]
+        assert [names[code] for code in file["category"]] == tasks.category.tolist()
+
+
+def test_any_flipped_byte_is_found(tmp_path):
+    path = write_shard(tmp_path / "a.h5", random_tasks(2), HASH)
+    content = path.read_bytes()
+    places = np.random.default_rng(0).integers(0, len(content), 150)
+    for place in [0, 20, 30, 100, 511, 512, 600, len(content) - 1, *places]:
+        path.write_bytes(content[:place] + bytes([content[place] ^ 0x10]) + content[place + 1 :])
+        with pytest.raises(InputError, match=r"a\.h5 is damaged"):
+            read_shard(path)
+
+
+@pytest.mark.parametrize("kept", [0, 10, 511, 512, 5000, -1])
+def test_a_shard_that_was_cut_off_is_found(tmp_path, kept):
+    path = write_shard(tmp_path / "a.h5", random_tasks(2), HASH)
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(InputError, match=r"a\.h5 is damaged") as error:
+        read_shard(path)
+    assert "\n" not in str(error.value)
+
+
+def test_files_that_are_no_shards_or_of_another_version_are_named(tmp_path):
+    with h5py.File(tmp_path / "foreign.h5", "w") as file:
+        file["heights"] = np.zeros((2, 72, 72))
+    with pytest.raises(InputError, match=r"foreign\.h5 is damaged or no shard"):
+        read_shard(tmp_path / "foreign.h5")
+    with pytest.raises(InputError, match="no such file"):
+        read_shard(tmp_path / "none.h5")
+    path = write_shard(tmp_path / "old.h5", random_tasks(1), HASH)
+    path.write_bytes(path.read_bytes().replace(b"schema 1\n", b"schema 7\n"))
+    with pytest.raises(InputError, match="schema version 7; need 1"):
+        read_shard(path)
+
+
+def test_a_failed_write_leaves_the_old_shard(tmp_path, monkeypatch):
+    path = write_shard(tmp_path / "a.h5", random_tasks(2), HASH)
+    before = path.read_bytes()
+
+    def full(self, content):
+        self.open("wb").write(content[:100])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.write_bytes", full)
+    with pytest.raises(InputError, match=r"cannot write .*a\.h5: No space left on device"):
+        write_shard(path, random_tasks(3), HASH)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_attributes_are_checked(tmp_path):
+    with pytest.raises(InputError, match="labels_hash is missing"):
+        write_shard(tmp_path / "a.h5", random_tasks(1), {})
+    with pytest.raises(InputError, match="attribute settings"):
+        write_shard(tmp_path / "a.h5", random_tasks(1), {**HASH, "settings": {}})
+
+
+def test_a_folder_is_read_in_the_order_of_names_and_without_leftovers(tmp_path):
+    first, second = random_tasks(3, 1), random_tasks(2, 2)
+    write_shard(tmp_path / "00001-x.h5", second, HASH)
+    write_shard(tmp_path / "00000-x.h5", first, HASH)
+    (tmp_path / ".00002-x.12-ab.tmp.h5").write_bytes(b"half a shard")
+    (tmp_path / "absent.json").write_text("{}")
+    assert_same_tasks(read_tasks(tmp_path), TaskSet.concatenate([first, second]))
+    assert_same_tasks(read_tasks(tmp_path / "00000-x.h5"), first)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="holds no shard"):
+        read_tasks(tmp_path / "empty")
+
+
+def test_task_sets_check_shapes_and_costs():
+    arrays = random_tasks(3).arrays()
+    with pytest.raises(InputError, match=r"goals has shape \(3, 21, 3\); need \(3, 22, 3\)"):
+        TaskSet(**{**arrays, "goals": arrays["goals"][:, 1:]})
+    with pytest.raises(InputError, match="cost is not finite"):
+        TaskSet(**{**arrays, "cost": np.full((3, 22), np.inf)})
+
+
+def test_maps_are_picked_like_elements_of_an_array():
+    tasks = random_tasks(5)
+    assert_same_tasks(TaskSet.concatenate([tasks[:2], tasks[[2, 3]], tasks[tasks.index == 4]]), tasks)
+    assert len(TaskSet.concatenate([])) == 0

@@ -1,0 +1,226 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from hdsp.base.errors import InputError
+from hdsp.robot.lattice import HEADINGS, heading_angle
+from hdsp.terrain.height_map import HeightMap, crop_patches, patch_offsets
+from tests import naive_terrain
+
+RESOLUTION = 0.025
+finite = st.floats(-5, 5, width=32)
+heights_with_gaps = hnp.arrays(
+    np.float32, hnp.array_shapes(min_dims=2, max_dims=2, max_side=12), elements=finite | st.just(math.nan)
+)
+
+
+def numbered(nx, ny, **placement):
+    """A map whose heights are all different."""
+    return HeightMap(np.arange(nx * ny, dtype=np.float32).reshape(nx, ny), **placement)
+
+
+def pose_of(terrain, ix, iy, theta=0.0):
+    return (*(np.array((ix, iy)) + 0.5) * terrain.resolution + terrain.origin, theta)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    heights=heights_with_gaps,
+    origin=st.tuples(finite, finite),
+    resolution=st.floats(0.01, 0.5),
+    suffix=st.sampled_from([".npz", ".h5", ".hdf5"]),
+)
+def test_a_saved_map_is_loaded_as_it_was(tmp_path_factory, heights, origin, resolution, suffix):
+    path = tmp_path_factory.mktemp("maps") / f"map{suffix}"
+    HeightMap(heights, origin, resolution).save(path)
+    loaded = HeightMap.load(path)
+    np.testing.assert_array_equal(loaded.heights, heights)
+    assert (loaded.origin, loaded.resolution) == (origin, resolution)
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+def test_heights_cannot_be_changed_and_do_not_follow_what_they_were_made_from():
+    source = np.zeros((3, 4), np.float32)
+    terrain = HeightMap(source)
+    source[0, 0] = 1
+    assert terrain.heights[0, 0] == 0
+    with pytest.raises(ValueError, match="read-only"):
+        terrain.heights[0, 0] = 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (([[0.0, math.inf]],), r"cell \(0, 1\) is infinite"),
+        (([[0.0, 1e300]],), r"cell \(0, 1\) is infinite"),
+        (([1.0, 2.0],), r"shape \(2,\)"),
+        ((np.zeros((0, 3)),), r"shape \(0, 3\)"),
+        ((np.zeros((2, 2)), (0, math.nan)), "origin"),
+        ((np.zeros((2, 2)), (0, 0, 0)), "origin"),
+        ((np.zeros((2, 2)), (0, 0), 0.0), "resolution is 0.0"),
+        ((np.zeros((2, 2)), (0, 0), math.nan), "resolution is nan"),
+        (("high",), "2D array"),
+    ],
+)
+def test_invalid_maps_are_refused_by_name(arguments, words):
+    with pytest.raises(InputError, match=words):
+        HeightMap(*arguments)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".h5"])
+def test_damaged_files_end_in_one_line_that_names_them(tmp_path, suffix):
+    path = tmp_path / f"map{suffix}"
+    numbered(20, 20).save(path)
+    path.write_bytes(path.read_bytes()[:300])
+    with pytest.raises(InputError, match=path.name) as error:
+        HeightMap.load(path)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".h5"])
+def test_flipped_bytes_never_give_other_heights_silently_or_another_error(tmp_path, suffix):
+    path = tmp_path / f"map{suffix}"
+    terrain = HeightMap(np.random.default_rng(0).random((12, 12)))
+    terrain.save(path)
+    content = path.read_bytes()
+    for place in range(0, len(content), max(1, len(content) // 120)):
+        path.write_bytes(content[:place] + bytes([content[place] ^ 0x55]) + content[place + 1 :])
+        try:
+            loaded = HeightMap.load(path)
+        except InputError:
+            continue
+        np.testing.assert_array_equal(loaded.heights, terrain.heights)
+
+
+def test_files_that_are_no_maps_are_refused(tmp_path):
+    np.savez(tmp_path / "other.npz", depth=np.zeros(3))
+    with pytest.raises(InputError, match=r"other\.npz: entry heights is missing"):
+        HeightMap.load(tmp_path / "other.npz")
+    with pytest.raises(InputError, match=r"none\.npz: no such file"):
+        HeightMap.load(tmp_path / "none.npz")
+    with pytest.raises(InputError, match=r"suffix '\.png'"):
+        HeightMap.load(tmp_path / "map.png")
+    with pytest.raises(InputError, match=r"suffix '\.txt'"):
+        numbered(2, 2).save(tmp_path / "map.txt")
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="cannot write"):
+        numbered(2, 2).save(tmp_path / "file" / "map.npz")
+
+
+def test_height_at_follows_the_convention_of_cells():
+    terrain = numbered(4, 3, origin=(1.0, -1.0), resolution=0.5)
+    assert terrain.size == (2.0, 1.5)
+    assert terrain.height_at(1.0, -1.0) == 0
+    assert terrain.height_at(1.49, -1.0) == 0
+    assert terrain.height_at(1.5, -1.0) == terrain.heights[1, 0]
+    assert terrain.height_at(1.25, -0.25) == terrain.heights[0, 1]
+    outside = terrain.height_at(np.array([0.99, 3.0, 1.2]), np.array([-0.9, -0.9, 0.5]))
+    assert np.isnan(outside).all()
+
+
+def test_a_patch_at_heading_0_is_a_slice_with_the_base_at_its_origin():
+    terrain = numbered(100, 90, origin=(3.0, -2.0))
+    patch = terrain.crop(pose_of(terrain, 50, 40))
+    np.testing.assert_array_equal(patch.heights, terrain.heights[14:86, 4:76])
+    assert patch.height_at(0.0, 0.0) == terrain.heights[50, 40]
+    assert patch.height_at(0.05, -0.025) == terrain.heights[52, 39]
+
+
+@given(st.integers(0, 29), st.integers(0, 19), st.integers(0, 3), st.integers(1, 16))
+def test_at_quarter_turns_a_patch_is_an_exact_permutation_of_cells(ix, iy, quarter, cells):
+    terrain = numbered(30, 20, origin=(-0.3, 0.7))
+    patch = terrain.crop(pose_of(terrain, ix, iy, quarter * math.pi / 2), cells).heights
+    c, s = [(1, 0), (0, 1), (-1, 0), (0, -1)][quarter]
+    for i in range(cells):
+        for j in range(cells):
+            ahead, left = i - cells // 2, j - cells // 2
+            x, y = ix + c * ahead - s * left, iy + s * ahead + c * left
+            inside = 0 <= x < 30 and 0 <= y < 20
+            assert patch[i, j] == terrain.heights[x, y] if inside else np.isnan(patch[i, j])
+
+
+@given(st.integers(0, HEADINGS - 1), st.sampled_from([72, 71, 8]))
+def test_offsets_turn_exactly_with_every_quarter_turn(heading, cells):
+    dx, dy = patch_offsets(float(heading_angle(heading)), cells)
+    turned_x, turned_y = patch_offsets(float(heading_angle(heading + HEADINGS // 4)), cells)
+    np.testing.assert_array_equal(turned_x, -dy)
+    np.testing.assert_array_equal(turned_y, dx)
+
+
+@settings(max_examples=30, deadline=None)
+@given(x=st.floats(-0.2, 1.2), y=st.floats(-0.2, 0.9), theta=st.floats(-7, 7))
+def test_a_patch_at_any_pose_equals_its_definition(x, y, theta):
+    terrain = HeightMap(np.random.default_rng(1).random((40, 28)), origin=(0.011, -0.003))
+    patch = terrain.crop((x, y, theta), 12).heights
+    expected = naive_terrain.crop(terrain.heights, terrain.origin, RESOLUTION, (x, y, theta), 12)
+    # The definition leaves open which cell a sample on the border between two belongs to.
+    assert (np.isclose(patch, expected, atol=0, equal_nan=True)).mean() > 0.98
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(-3, 143), st.integers(-3, 123), st.integers(0, 63)), min_size=1, max_size=6),
+    st.sampled_from([72, 9]),
+)
+def test_batched_patches_equal_single_ones(states, cells):
+    terrain = HeightMap(np.random.default_rng(2).random((140, 120)), origin=(5.0, -3.0))
+    states = np.array(states)
+    patches = crop_patches(terrain.heights, states[:, :2], states[:, 2], cells)
+    assert patches.dtype == np.float32
+    for patch, (ix, iy, heading) in zip(patches, states, strict=True):
+        np.testing.assert_array_equal(patch, terrain.crop_cells(ix, iy, heading, cells).heights)
+        np.testing.assert_array_equal(
+            patch, terrain.crop(pose_of(terrain, ix, iy, heading_angle(heading)), cells).heights
+        )
+
+
+def test_one_heading_serves_all_patches_and_wrong_shapes_are_refused():
+    heights = numbered(120, 120).heights
+    bases = np.array([[60, 60], [59, 61]])
+    np.testing.assert_array_equal(crop_patches(heights, bases, 16), crop_patches(heights, bases, [16, 80]))
+    out = np.zeros((2, 72, 72), np.float32)
+    assert crop_patches(heights, bases, 16, out=out) is out
+    np.testing.assert_array_equal(out, crop_patches(heights, bases, 16))
+    with pytest.raises(InputError, match="out is float32"):
+        crop_patches(heights, bases, 16, out=out[:1])
+    with pytest.raises(InputError, match=r"bases \(2,\)"):
+        crop_patches(heights, np.array([60, 60]), 0)
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0), (0.0, math.nan, 0.0), ("a", 0, 0)])
+def test_a_pose_that_is_none_is_refused(pose):
+    with pytest.raises(InputError, match="pose"):
+        numbered(4, 4).crop(pose)
+
+
+@given(st.integers(1, 9), st.integers(1, 9), st.integers(-5, 5))
+def test_four_quarter_turns_bring_a_map_back(nx, ny, quarters):
+    terrain = numbered(nx, ny, origin=(1.0, 2.0))
+    turned = terrain.rotate(quarters * math.pi / 2)
+    assert sorted(turned.heights.ravel()) == sorted(terrain.heights.ravel())
+    np.testing.assert_allclose(turned.center, terrain.center)
+    back = turned.rotate(-quarters * math.pi / 2)
+    np.testing.assert_array_equal(back.heights, terrain.heights)
+    np.testing.assert_allclose(back.origin, terrain.origin, atol=1e-12)
+
+
+def test_a_quarter_turn_goes_from_x_to_y():
+    turned = numbered(3, 2).rotate(math.pi / 2)
+    # What lay ahead of the centre, at +x, now lies to the left of it, at +y.
+    np.testing.assert_array_equal(turned.heights[:, -1], numbered(3, 2).heights[-1, ::-1])
+
+
+@given(st.floats(-4, 4))
+def test_a_turned_map_has_every_height_where_the_turn_takes_it(angle):
+    terrain = numbered(31, 23)
+    turned = terrain.rotate(angle)
+    c, s = math.cos(angle), math.sin(angle)
+    for ix, iy in [(15, 11), (3, 4), (29, 20), (2, 19)]:
+        x, y = np.array(pose_of(terrain, ix, iy)[:2]) - terrain.center
+        found = turned.height_at(turned.center[0] + c * x - s * y, turned.center[1] + s * x + c * y)
+        jx, jy = divmod(int(found), 23)
+        assert abs(jx - ix) <= 1 and abs(jy - iy) <= 1
