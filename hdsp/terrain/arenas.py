@@ -1,8 +1,8 @@
 """Arenas: walled squares with obstacles, described in a file or drawn from a seed.
 
-Random arenas have two rooms with a door, blocks, and a platform that is reached over stairs.
+A random arena has two rooms with a door, blocks, and a platform at the end of stairs.
 
-Convention: an arena spans [0, size] x [0, size] metres, its walls included; x forward, y left.
+Convention: an arena spans [0, size] x [0, size] metres including its walls; x forward, y left.
 """
 
 import math
@@ -22,14 +22,14 @@ from hdsp.terrain.scenes import Block, Obstacle, Ramp, Range, Scene, Staircase
 
 @dataclass(frozen=True)
 class Arena:
-    """A walled square: the one description that height map, physics and pictures are made from.
+    """A walled square with obstacles, the single source for height map, physics and pictures.
 
     Attributes:
-        size: its side, m; a multiple of the cells of a height map.
-        scene: its obstacles, the surrounding walls among them, in world coordinates.
+        size: side length, m; a multiple of the cell size.
+        scene: obstacles in world coordinates, including the surrounding walls.
 
     Raises:
-        InputError: if the size is no positive multiple of a cell.
+        InputError: if the size is not a positive multiple of the cell size.
     """
 
     size: float
@@ -41,27 +41,27 @@ class Arena:
             raise InputError(f"arena of {self.size} m; need a positive multiple of {lattice.RESOLUTION} m")
 
     def height_map(self) -> HeightMap:
-        """The heights at the centres of cells, nothing unknown; lower corner at world (0, 0)."""
+        """Height map with the heights at the cell centres. No cell is unknown; the lower corner is at world (0, 0)."""
         cells = round(lattice.cells(self.size))
         x, y = np.moveaxis(Grid((0.0, 0.0), (cells, cells)).center(np.stack(np.indices((cells, cells)), -1)), -1, 0)
         return HeightMap(self.scene.heights_at(x, y))
 
     def blocks(self) -> list[Block]:
-        """All blocks, those of staircases and ramps included."""
+        """All blocks, including the blocks in staircases and ramps."""
         return [block for obstacle in self.scene.obstacles for block in obstacle.blocks()]
 
 
 def read_arena(description: Mapping[str, Any]) -> Arena:
-    """An arena from plain values, as in ``conf/arena/paper.yaml``.
+    """Makes an arena from plain values, as in ``conf/arena/paper.yaml``.
 
     Args:
-        description: `size` (m), `wall_height`, `wall_thickness` (m) and, where there are any, lists of `walls` (from x,
-            y to x, y: the middle line, which the wall exceeds by half its thickness at both ends), `blocks`, `ramps`
-            and `staircases` (the attributes of the classes of `hdsp.terrain.scenes`; `yaw` may be left out). Walls around
-            the arena are added. Other keys do not matter here.
+        description: `size`, `wall_height` and `wall_thickness` in m, and optional lists `walls`, `blocks`, `ramps` and
+            `staircases`. A wall is its centre line, from x, y to x, y; the wall extends half its thickness beyond both
+            ends. The other obstacles have the attributes defined by their classes in `hdsp.terrain.scenes`, with `yaw`
+            optional. The function adds the walls around the arena. Other keys are ignored.
 
     Raises:
-        InputError: names what is missing, unknown, or not a number.
+        InputError: if a value is missing, unknown or not a number; the message names it.
     """
     size, height, thickness = (
         _positive(description.get(name), f"arena.{name}") for name in ("size", "wall_height", "wall_thickness")
@@ -77,7 +77,7 @@ def read_arena(description: Mapping[str, Any]) -> Arena:
 
 
 def walls_around(size: float, height: float, thickness: float) -> list[Obstacle]:
-    """The walls along the inside of the border of an arena; lengths in m."""
+    """Walls along the inside of an arena's border; lengths in m."""
     low, high = thickness / 2, size - thickness / 2
     lines = [(low, low, high, low), (high, low, high, high), (high, high, low, high), (low, high, low, low)]
     return [_wall(line, height, thickness) for line in lines]
@@ -115,20 +115,20 @@ def _is_number(value) -> bool:
 
 @dataclass(frozen=True)
 class ArenaSettings:
-    """What an arena contains; lengths in metres, ranges are drawn from uniformly.
+    """Contents of a random arena; lengths in metres. Each value is drawn uniformly from its range.
 
     Attributes:
-        wall_height, wall_thickness: of all walls.
-        door_width: of the opening in the wall between the rooms.
-        blocks: how many cuboids to place.
-        block_side, block_height: of those that are too high to be driven over.
-        bumps: how many low cuboids to place.
-        bump_side, bump_height: of the low ones.
-        steps: of the stairs.
-        rise, tread: height of a step, distance between two risers.
-        platform: sides of the square landing of the stairs.
-        clearance: room that a robot needs around its centre, to stand and to get through.
-        least_free_share: of each half of the arena in which the centre of a robot has to have that room.
+        wall_height, wall_thickness: dimensions of all walls.
+        door_width: width of the opening in the wall between the rooms.
+        blocks: number of cuboids too high to be driven over.
+        block_side, block_height: dimensions of these cuboids.
+        bumps: number of low cuboids.
+        bump_side, bump_height: dimensions of the low cuboids.
+        steps: number of stair steps.
+        rise, tread: step height, distance between two risers.
+        platform: side length of the square landing above the stairs.
+        clearance: space around its centre that the robot needs to stand and to pass.
+        least_free_share: smallest share of either half of the arena in which the robot's centre has this clearance.
     """
 
     wall_height: float = 1.0
@@ -148,26 +148,26 @@ class ArenaSettings:
     least_free_share: float = 0.3
 
 
-#: Smallest arena, m: two rooms in each of which a robot can turn, and a platform with its stairs.
+#: Smallest arena, m: it has space for a turning robot in both rooms, and for a platform with stairs.
 SMALLEST = 4.0
 
 _ATTEMPTS = 200
-_DRIVABLE = 0.05  # height (m) up to which a bump does not take room from the robot
+_DRIVABLE = 0.05  # m; a lower bump takes no space from the robot
 
 
 def random_arena(seed: int, size: float = 5.0, settings: ArenaSettings | None = None) -> HeightMap:
-    """A walled square with two rooms joined by a door; the platform stands in a corner of the farther one.
+    """Draws a walled square with two rooms and a door; the platform stands in a corner of the farther room.
 
-    Arenas are drawn until one has ground for a robot in one piece, large enough in both rooms, that leads to the
+    Arenas are drawn until one has suitable free ground: connected, large enough in both rooms, and leading to the
     stairs.
 
     Args:
-        seed: of all that is drawn.
-        size: side of the square, m.
-        settings: what it contains.
+        seed: seed for the random generator.
+        size: side length, m.
+        settings: arena contents.
 
     Returns:
-        a map with its lower corner at world (0, 0).
+        a height map with its lower corner at world (0, 0).
 
     Raises:
         InputError: if the size is below 4 m, or no arena with these settings has enough free ground.
@@ -226,7 +226,7 @@ def _draw(random: np.random.Generator, size: float, settings: ArenaSettings) -> 
 
 
 def _stairs(random: np.random.Generator, far: float, inside: Range, settings: ArenaSettings) -> Staircase:
-    """Stairs along the wall of the farther room, up to a landing in one of its corners."""
+    """Stairs along the farther room's wall up to a landing in one of its corners."""
     landing, tread = random.uniform(*settings.platform), random.uniform(*settings.tread)
     length = landing + (settings.steps - 1) * tread
     up = random.random() < 0.5
@@ -243,7 +243,7 @@ def _stairs(random: np.random.Generator, far: float, inside: Range, settings: Ar
 
 
 def _passable(terrain: HeightMap, stairs: Staircase, settings: ArenaSettings) -> bool:
-    """Whether the free ground is in one piece, large enough in both rooms, and leads to stairs with a free landing."""
+    """Whether the free ground is connected, large enough in both rooms, and leads to stairs with a free landing."""
     heights = terrain.heights
     edges = ndimage.maximum_filter(heights, 3) - ndimage.minimum_filter(heights, 3) > _DRIVABLE
     room = ndimage.distance_transform_edt(~edges)

@@ -1,16 +1,17 @@
-"""From a height map to what the terrain costs a robot: edges, unevenness, where a foot can stand.
+"""Cost maps of a terrain: edges, unevenness, and cells where a foot can stand.
 
-The model and its evidence: docs/cost-model.md. In short, with ``dH`` the height difference of a cell (largest
-difference to its eight neighbours):
+docs/cost-model.md describes the model and its evidence. ``dH`` is the height difference of a cell: the largest
+difference to its eight neighbours.
 
-- unevenness ``S(c)``: sum of ``dH`` over the cells within a radius, weighted linearly down to zero at the radius;
-- a foot can stand (and roll) on a cell if no cell with ``dH`` over the drivable limit lies within its clearance;
-- a foot pays for the most uneven cell of its contact, a small square on the inner side of its cell (``hdsp.robot.robot``);
-- foot cost ``C_F = 1 + 0.309 S`` and base cost ``C_B = 1`` merge into the state cost
+- Unevenness ``S(c)`` sums ``dH`` over all cells within a radius. The weights fall linearly to zero at the radius.
+- A foot can stand and roll on a cell if no cell within its clearance has ``dH`` above the drivable limit.
+- A foot pays for the most uneven cell in its contact, a small square on the inner side of the foot's cell
+  (``hdsp.robot.robot``).
+- Foot cost ``C_F = 1 + 0.309 S`` and base cost ``C_B = 1`` give the state cost
   ``C = 0.5 C_B + 0.1 (sum C_F + max C_F) = 1 + k (max S + sum S)`` (paper, Sec. V-A).
 
-Convention: arrays are indexed ``[ix, iy]``; heights in metres, NaN = unknown. Unknown cells bear no foot, and a foot
-keeps the same clearance from them as from an edge.
+Convention: arrays are indexed ``[ix, iy]``; heights in metres, NaN = unknown. No foot stands on an unknown cell, and a
+foot keeps the same clearance to an unknown cell as to an edge.
 """
 
 import math
@@ -23,18 +24,18 @@ from hdsp.robot.lattice import cells
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
-#: Raised whenever the same map, robot and task would get another cost; labels and pretrained models carry it.
+#: Increases whenever the same map, robot and task would get another cost. Labels and pretrained models carry it.
 COST_MODEL_VERSION = 3
 
 
 class CostMaps(NamedTuple):
-    """Cost-relevant maps of a terrain, all [nx, ny].
+    """Maps of a terrain from which costs are computed, all [nx, ny].
 
     Attributes:
         height_difference: float32, m; 0 where unknown.
-        unevenness: float32, m; S of the module's docstring.
-        edge: bool; whether no wheel passes the cell: too large a height difference, or unknown.
-        standable: bool; whether a foot can stand on (and roll over) the cell.
+        unevenness: float32, m; S in the module docstring.
+        edge: bool; whether no wheel passes the cell: its height difference is too large, or its height is unknown.
+        standable: bool; whether a foot can stand on the cell and roll over it.
     """
 
     height_difference: np.ndarray
@@ -43,14 +44,16 @@ class CostMaps(NamedTuple):
     standable: np.ndarray
 
     def foot_cost(self, robot: Robot) -> np.ndarray:
-        """Foot cost map C_F of the paper, float32 [nx, ny], of the ground in each cell alone; inf where a foot cannot
-        stand."""
+        """Foot cost C_F for the ground in each cell alone, float32 [nx, ny]; inf where no foot can stand.
+
+        Source: paper, Sec. V-A.
+        """
         cost = 1 + 10 * robot.drive.unevenness_cost * self.unevenness
         return np.where(self.standable, cost, np.inf).astype(np.float32)
 
 
 def cost_maps(terrain: HeightMap, robot: Robot) -> CostMaps:
-    """Compute the cost maps of a terrain for a robot."""
+    """Computes the cost maps of a terrain for a robot."""
     heights = terrain.heights
     difference = _height_difference(heights)
     unevenness = _unevenness(difference, _disc_weights(cells(robot.drive.unevenness_radius)))
@@ -60,20 +63,20 @@ def cost_maps(terrain: HeightMap, robot: Robot) -> CostMaps:
 
 
 def disc_mask(radius: float) -> np.ndarray:
-    """The cells whose centres lie within ``radius`` cells of the middle one, bool [2 r + 1, 2 r + 1]."""
+    """Mask for the cells with centres within ``radius`` cells from the middle cell, bool [2 r + 1, 2 r + 1]."""
     reach = math.floor(radius + 1e-9)
     span = np.arange(-reach, reach + 1)
     return np.hypot(span[:, None], span[None, :]) <= radius + 1e-9
 
 
 def _disc(radius: float) -> np.ndarray:
-    """The cells of ``disc_mask`` as offsets (dx, dy), int64 [n, 2]."""
+    """Cells in ``disc_mask`` as offsets (dx, dy), int64 [n, 2]."""
     mask = disc_mask(radius)
     return np.argwhere(mask) - len(mask) // 2
 
 
 def _disc_weights(radius: float) -> np.ndarray:
-    """Rows (dx, dy, weight), float64 [n, 3], with the weight falling from 1 at the centre to 0 at ``radius`` cells."""
+    """Rows (dx, dy, weight), float64 [n, 3]. The weight falls from 1 at the centre to 0 at ``radius`` cells."""
     offsets = _disc(radius)
     weight = 1 - np.hypot(offsets[:, 0], offsets[:, 1]) / radius
     return np.column_stack([offsets, weight])[weight > 0]
@@ -90,7 +93,7 @@ def _height_difference(heights):
             for i in range(max(x - 1, 0), min(x + 2, nx)):
                 for j in range(max(y - 1, 0), min(y + 2, ny)):
                     d = abs(heights[i, j] - h)
-                    if d > largest:  # false for NaN: unknown neighbours do not count
+                    if d > largest:  # false for NaN: unknown neighbours are ignored
                         largest = d
             result[x, y] = largest
     return result
@@ -98,7 +101,8 @@ def _height_difference(heights):
 
 @njit()
 def _unevenness(difference, weights):
-    # Most of a map is even, so each uneven cell spreads to its surroundings rather than each cell gathering from them.
+    # Most cells are even. A loop over the uneven cells that adds to their neighbourhood therefore costs less than a sum
+    # over the neighbourhood of every cell.
     nx, ny = difference.shape
     total = np.zeros((nx, ny), dtype=np.float64)
     for x in range(nx):

@@ -1,10 +1,16 @@
-"""Small holes of a height map filled, its noise averaged. Arrays of heights [nx, ny] in m, NaN = unknown."""
+"""Filling of small holes in a height map and smoothing of its noise.
+
+Convention: heights are arrays [nx, ny] in m, NaN = unknown.
+"""
 
 import numpy as np
 
 
 def filled(heights: np.ndarray, radius: int) -> np.ndarray:
-    """Holes that a disc of ``radius`` cells closes take the heights of the nearest known cells. 0 = none is filled."""
+    """Fills holes from the nearest known cells.
+
+    A binary closing with a disc whose radius is ``radius`` cells selects the holes. Radius 0 fills no hole.
+    """
     if radius == 0:
         return heights
     from scipy.ndimage import binary_closing
@@ -16,7 +22,7 @@ def filled(heights: np.ndarray, radius: int) -> np.ndarray:
 
 
 def _everywhere(heights: np.ndarray) -> np.ndarray:
-    """Unknown cells get the height of the nearest known one."""
+    """Gives each unknown cell the height of the nearest known cell."""
     from scipy.ndimage import distance_transform_edt
 
     nearest = distance_transform_edt(np.isnan(heights), return_distances=False, return_indices=True)
@@ -24,8 +30,11 @@ def _everywhere(heights: np.ndarray) -> np.ndarray:
 
 
 def smoothed(heights: np.ndarray, limit: float) -> np.ndarray:
-    """Each height becomes the mean of those around (5 x 5 cells) that differ by less than ``limit`` m, after a median
-    of 3 x 3, so that edges stay. 0 = nothing is smoothed."""
+    """Averages noise and keeps edges.
+
+    A 3 x 3 median comes first. Then each height becomes the mean over the heights within 5 x 5 cells that differ from
+    it by less than ``limit`` m. Limit 0 smooths nothing.
+    """
     if limit == 0:
         return heights
     from scipy.ndimage import median_filter

@@ -1,4 +1,4 @@
-"""Files of height maps: .npz, and HDF5 (.h5, .hdf5), each with the entries heights, origin and resolution."""
+"""Height map files: .npz and HDF5 (.h5, .hdf5), both with the entries heights, origin and resolution."""
 
 import io
 import os
@@ -15,7 +15,7 @@ from hdsp.base.files import existing_file, replacing
 
 
 class MapFields(NamedTuple):
-    """What a file holds; not yet checked to be a valid map."""
+    """Entries in a height map file, before validation."""
 
     heights: np.ndarray
     origin: np.ndarray
@@ -23,15 +23,15 @@ class MapFields(NamedTuple):
 
 
 def is_map(path: str | os.PathLike) -> bool:
-    """Whether the suffix of a file is that of a kind of map."""
+    """Whether a height map format has this file's suffix."""
     return Path(path).suffix in _FORMATS
 
 
 def read_map(path: str | os.PathLike) -> MapFields:
-    """Reads a file of a kind that its suffix names.
+    """Reads a height map file; the suffix selects the format.
 
     Raises:
-        InputError: if the file is missing, damaged, of another kind, or lacks an entry.
+        InputError: if the file is missing or damaged, has another format, or lacks an entry.
     """
     read, _ = _format(path)
     path = existing_file(path, "height map")
@@ -46,13 +46,13 @@ def read_map(path: str | os.PathLike) -> MapFields:
 
 
 def write_map(path: str | os.PathLike, heights: np.ndarray, origin: tuple[float, float], resolution: float) -> None:
-    """Writes a file of the kind that its suffix names.
+    """Writes a height map file; the suffix selects the format.
 
     Raises:
-        InputError: if the suffix is another one, or the place cannot be written to.
+        InputError: if no format has the suffix, or the path is not writable.
     """
     _, write = _format(path)
-    # Through memory: a full disk is then an ordinary OSError, which HDF5 reports in ways of its own.
+    # The buffer turns a full disk into an ordinary OSError; HDF5 itself reports a full disk in several ways.
     buffer = io.BytesIO()
     write(buffer, heights=heights, origin=np.asarray(origin, float), resolution=np.asarray(resolution, float))
     with replacing(path) as temporary:

@@ -1,7 +1,7 @@
-"""Scans of real places: what each one is, where its files are, and how they become a height map.
+"""Scans of real places: description, files, and height map.
 
-A scan is described by a small YAML file (conf/scans): where its files come from, under what licence, how they are read
-and what is cut. Several scans may show one place; figures are reported by place.
+A small YAML file (conf/scans) describes a scan: source and licence, file format, and the parts to cut off. Several
+scans may show one place; results are reported per place.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class ScanFile:
     """One file of a scan.
 
     Attributes:
-        path: below the address of the scan.
-        sha256: of its contents.
-        local: below the scan's folder in a data folder; default: the last part of ``path``.
-        pose: of a depth image, camera to world: x, y, z (m), qx, qy, qz, qw.
-        guess: x, y (m), yaw (rad): about where the cloud lies in that of the first file; it is registered from there.
+        path: path relative to the scan's address.
+        sha256: checksum of the contents.
+        local: path relative to the scan's folder in a data folder; default: the last part of ``path``.
+        pose: camera pose for a depth image, camera to world: x, y, z (m), qx, qy, qz, qw.
+        guess: x, y (m), yaw (rad): approximate pose relative to the first file's cloud. Registration starts from it.
     """
 
     path: str
@@ -63,20 +63,20 @@ class Scan:
     """A scan of a real place.
 
     Attributes:
-        name: of the scan, unique.
-        place: what was scanned; scans of one place have the same.
-        what: a sentence about it.
-        sensor: what measured it.
-        licence: of the files.
-        source: where a person finds them.
-        address: where a program finds them, ends with a slash.
-        files: at least one.
-        units, axes: of files of points, see `read_points`.
-        drop_within: m; points this near to the sensor's vertical axis are dropped: the robot that carries it.
-        level_each: whether each file is levelled on its floor before they are fused.
-        camera: of depth images; None = the files are none.
-        elevation: ``highest`` and ``pixel`` (m) of pictures of height maps; None = the files are none.
-        map: how points become heights.
+        name: unique name.
+        place: the scanned place; scans of one place share this value.
+        what: a sentence about the scan.
+        sensor: name of the sensor.
+        licence: licence for the files.
+        source: web page with the files, for people.
+        address: download address for programs; ends with a slash.
+        files: at least one file.
+        units, axes: arguments of `read_points` for point files.
+        drop_within: m; points closer to the sensor's vertical axis are dropped, because they show the carrying robot.
+        level_each: whether each file is levelled on its floor before the files are fused.
+        camera: camera of the depth images; None = the files are no depth images.
+        elevation: ``highest`` and ``pixel`` (m) for height map images; None = the files are no height map images.
+        map: settings for the conversion from points to heights.
     """
 
     name: str
@@ -104,10 +104,10 @@ class Scan:
 
     @classmethod
     def from_dict(cls, name: str, values: Mapping[str, Any]) -> Scan:
-        """A scan from plain nested values, as a YAML file has them.
+        """Makes a scan from plain nested values, as in a YAML file.
 
         Raises:
-            InputError: names a key that is unknown or missing.
+            InputError: if a key is unknown or missing; the message names it.
         """
         where = f"scan {name}"
         values = dict(values)
@@ -123,13 +123,13 @@ class Scan:
 
 
 def find_files(scan: Scan, data_dir: str | os.PathLike | None = None, timeout: float = 30.0) -> tuple[list[Path], str]:
-    """Where the files of a scan are: in the data folder, else fetched once from their address. Checksums are verified.
+    """Finds a scan's files in the data folder, or downloads them once from their address. Checksums are verified.
 
     Returns:
-        (paths in the order of the scan's files, ""), or ([], why one is missing and how to get it).
+        (paths in the order of the scan's files, ""), or ([], reason why a file is missing and how to get it).
 
     Raises:
-        InputError: a file in the data folder is not the one it should be.
+        InputError: if a file in the data folder has another checksum.
     """
     folder = data_folder(data_dir)
     paths = []
@@ -141,7 +141,7 @@ def find_files(scan: Scan, data_dir: str | os.PathLike | None = None, timeout: f
         url = scan.address + file.path
         try:
             paths.append(fetch(url, file.sha256, f"{scan.name}-{PurePosixPath(file.path).name}", timeout))
-        except Exception as error:  # whatever a download can fail with must not stop a pipeline that can go without
+        except Exception as error:  # no failed download may stop a pipeline that can run without the scan
             looked = f"not in {folder}" if folder else f"{DATA_DIR_VARIABLE} is not set"
             return [], (
                 f"scan {scan.name}: {looked} and not fetched from {url}: {first_words(error)}; put its files into "
@@ -151,10 +151,10 @@ def find_files(scan: Scan, data_dir: str | os.PathLike | None = None, timeout: f
 
 
 def build_map(scan: Scan, paths: list[Path]) -> HeightMap:
-    """The height map of a scan from its files: read, levelled, registered, fused, put into cells.
+    """Builds a scan's height map from its files: reads, levels, registers, fuses and rasterises them.
 
     Raises:
-        InputError: a file cannot be read, or what it holds makes no map; names the scan.
+        InputError: if a file cannot be read, or its points make no map; the message names the scan.
     """
     try:
         clouds = [_cloud(scan, file, path) for file, path in zip(scan.files, paths, strict=True)]
@@ -185,11 +185,11 @@ def _motion(x: float, y: float, yaw: float) -> np.ndarray:
 
 
 def _made(kind, values: Mapping[str, Any], where: str):
-    """A dataclass from plain values; lists become tuples."""
+    """Makes a dataclass from plain values; lists become tuples."""
     known = [f.name for f in fields(kind)]
     if unknown := sorted(set(values) - set(known)):
         raise InputError(f"{where}: unknown key {unknown[0]!r}; allowed are {', '.join(known)}")
     try:
         return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()})
-    except TypeError as error:  # a missing argument, or a text where a number belongs
+    except TypeError as error:  # a missing argument, or text instead of a number
         raise InputError(f"{where}: {' '.join(str(error).split())}") from None

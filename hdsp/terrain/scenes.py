@@ -1,8 +1,8 @@
-"""Random terrain: cuboids, walls and staircases in the nine categories of the paper's training data, and richer ones.
+"""Random terrain: cuboids, walls and staircases in the paper's nine training categories, and richer categories.
 
-A map is a function of (seed, category, index) alone, so that any map can be made again anywhere and in any order.
+A map is a function of (seed, category, index) alone, so every map can be made again on any machine and in any order.
 
-Convention: a scene has the frame of the robot that starts in it: x forward, y left, the base of the robot at (0, 0).
+Convention: a scene has the frame of the robot that starts in it: x forward, y left, the robot's base at (0, 0).
 """
 
 import math
@@ -16,7 +16,7 @@ from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS, Grid
 from hdsp.terrain.height_map import HeightMap
 
-#: What each category contains, in order. The position of a category in this table is part of the seed of its maps.
+#: Contents of each category, in order. A category's position in this table is part of the seed for its maps.
 _CONTENTS = {
     "cuboid_1": ("cuboid",),
     "cuboid_2": ("cuboid", "cuboid"),
@@ -34,36 +34,36 @@ _CONTENTS = {
     "tiles_mixed": ("tiles", "any"),
     "clutter": ("clutter",) * 6,
 }
-#: Those of the paper.
+#: The paper's categories.
 CATEGORIES = tuple(_CONTENTS)[:9]
-#: With those that hold more of what real places do.
+#: The paper's categories, and richer ones that are closer to real places.
 ALL_CATEGORIES = tuple(_CONTENTS)
 
 Range = tuple[float, float]
 
-_ON_SIDE = 1e-9  # m; a point computed to lie on a side does so whatever rounding error says
+_ON_SIDE = 1e-9  # m; a point this close to a side counts as on the side, despite rounding errors
 
 
 @dataclass(frozen=True)
 class TerrainSettings:
-    """Ranges that obstacles are drawn from, uniformly; the defaults are those of the authors' generator.
+    """Ranges from which obstacles are drawn uniformly. The defaults are the authors' ranges.
 
     Attributes:
-        area: side of the square in which obstacles are placed, m.
+        area: side length of the square in which obstacles are placed, m.
         cuboid_side, cuboid_height: m; both sides of a cuboid are drawn from the same range.
         wall_length, wall_thickness, wall_height: m.
         staircase_steps: smallest and largest number of steps.
         staircase_rise, staircase_tread, staircase_width: m.
-        staircase_depth: length of each step from its riser on, m.
+        staircase_depth: step length behind the riser, m.
         focused_width: width of a focused staircase, m.
-        focused_yaw: largest angle between a focused staircase and the heading of the robot, rad.
+        focused_yaw: largest angle between a focused staircase and the robot's heading, rad.
         ramp_length, ramp_width, ramp_height: m; one end of a ramp is a drop.
-        tiles_extent, tile_side: sides of a field of tiles, and of one of them, m.
-        tile_height, tile_slope: height of a tile's middle, m; its greatest slope along either side.
-        clutter_side, clutter_height: of the small things that stand about, m.
+        tiles_extent, tile_side: side lengths of a tile field and of one tile, m.
+        tile_height, tile_slope: height at a tile's middle, m; its largest slope along either side.
+        clutter_side, clutter_height: dimensions of clutter (small free-standing blocks), m.
 
     Raises:
-        InputError: for a range that is empty or not positive.
+        InputError: if a range is empty or not positive.
     """
 
     area: float = 1.8
@@ -108,8 +108,8 @@ class Block:
     """A block on the ground: a cuboid, a wall, or one step of a staircase.
 
     Attributes:
-        x, y: its centre, m.
-        yaw: direction of its length, rad.
+        x, y: centre, m.
+        yaw: direction of the length, rad.
         length, width, height: m.
     """
 
@@ -124,14 +124,14 @@ class Block:
         return (self,)
 
     def covers(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Whether points (x, y) lie on the block, its sides included; bool, of their shape."""
+        """Whether points (x, y) lie on the block, sides included; bool with their shape."""
         turn = lattice.rotation(-self.yaw)
         along = turn[0, 0] * (x - self.x) + turn[0, 1] * (y - self.y)
         across = turn[1, 0] * (x - self.x) + turn[1, 1] * (y - self.y)
         return (np.abs(along) <= self.length / 2 + _ON_SIDE) & (np.abs(across) <= self.width / 2 + _ON_SIDE)
 
     def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray | float:
-        """Height of the upper side at points (x, y) on the block, m."""
+        """Upper side's height at points (x, y) on the block, m."""
         return self.height
 
 
@@ -146,11 +146,11 @@ class Ramp(Block):
 
 @dataclass(frozen=True)
 class Tiles(Block):
-    """A field of square tiles, each at a height and tilt of its own; ``height`` is that of none.
+    """A field of square tiles, each with its own height and tilt; ``height`` is unused.
 
     Attributes:
-        side: of a tile, m; those at the far borders may be cut.
-        tiles: rows along the length, of (height of the middle in m, slope along, slope across).
+        side: tile side length, m; tiles at the far borders may be cut.
+        tiles: rows along the length; each tile is (height at the middle in m, slope along, slope across).
     """
 
     side: float
@@ -172,15 +172,15 @@ class Tiles(Block):
 
 @dataclass(frozen=True)
 class Staircase:
-    """Steps that rise along ``yaw``; each is a block that begins at its own riser.
+    """Steps that rise along ``yaw``; each step is a block that begins at its own riser.
 
     Attributes:
         x, y: middle of the first riser, m.
         yaw: direction of ascent, rad.
-        steps: how many.
-        rise, tread: height of a step, distance between two risers, m.
-        width: across the direction of ascent, m.
-        depth: length of each step from its riser on, m; the last one is the landing.
+        steps: number of steps.
+        rise, tread: step height, distance between two risers, m.
+        width: width across the direction of ascent, m.
+        depth: step length behind the riser, m; the last step is the landing.
     """
 
     x: float
@@ -206,20 +206,20 @@ Obstacle = Block | Staircase
 
 @dataclass(frozen=True)
 class Scene:
-    """Obstacles on flat ground of height 0."""
+    """Obstacles on flat ground at height 0."""
 
     obstacles: tuple[Obstacle, ...]
 
     def rasterise(self, shape: tuple[int, int], center_cell: tuple[int, int], angle: float = 0.0) -> HeightMap:
-        """Heights at the centres of cells; where obstacles overlap, the highest counts.
+        """Makes a height map with the heights at the cell centres. Where obstacles overlap, the highest one counts.
 
         Args:
-            shape: cells (nx, ny) of the map.
-            center_cell: the cell at whose centre the origin of the scene lies.
-            angle: the scene is turned counter-clockwise by this much, rad; quarter turns permute cells exactly.
+            shape: map size (nx, ny) in cells.
+            center_cell: cell with its centre at the scene's origin.
+            angle: counter-clockwise rotation of the scene, rad; rotations by 90 degrees permute the cells exactly.
 
         Returns:
-            a map with the origin of the scene at world (0, 0).
+            a height map with the scene's origin at world (0, 0).
         """
         grid = Grid((0.0, 0.0), shape)
         offset = grid.center(center_cell)
@@ -229,7 +229,7 @@ class Scene:
         return HeightMap(self.heights_at(x, y), origin=tuple(-offset))
 
     def heights_at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Heights at points (x, y) of the scene, m; float32 of their shape."""
+        """Heights at points (x, y), m; float32 with the shape of x."""
         heights = np.zeros(np.shape(x), np.float32)
         for obstacle in self.obstacles:
             for block in obstacle.blocks():
@@ -239,10 +239,10 @@ class Scene:
 
 
 def random_scene(seed: int, category: str, index: int, settings: TerrainSettings | None = None) -> Scene:
-    """The scene number ``index`` of a category.
+    """Draws scene number ``index`` in a category.
 
     Raises:
-        InputError: for an unknown category, or a negative seed or index.
+        InputError: if the category is unknown, or the seed or index is negative.
     """
     if category not in _CONTENTS:
         raise InputError(f"terrain category {category!r}; need one of {', '.join(ALL_CATEGORIES)}")
@@ -261,16 +261,16 @@ def random_map(
     cells: int = PATCH_CELLS,
     heading: int = 0,
 ) -> HeightMap:
-    """The map of `random_scene` for a robot that starts at the centre of cell (cells // 2, cells // 2).
+    """Makes the map of `random_scene` for a robot that starts at the centre of cell (cells // 2, cells // 2).
 
     Args:
         seed, category, index, settings: as in `random_scene`.
-        cells: side of the map.
-        heading: detailed heading of the robot, [0, 64). The scene is turned with it, so that what the robot sees is the
-            same at every heading; the map must then be larger than the patch that is cut from it.
+        cells: map side length in cells.
+        heading: the robot's detailed heading, [0, 64). The scene rotates with the robot, so the robot sees the same
+            terrain at every heading. The map must then be larger than the patch cut from it.
 
     Returns:
-        a map with the start at world (0, 0).
+        a height map with the start at world (0, 0).
 
     Raises:
         InputError: as `random_scene`.

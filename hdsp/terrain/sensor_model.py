@@ -1,9 +1,9 @@
-"""Height maps such as a robot makes of a place: noisy, with rounded edges, and unknown where no sensor looked.
+"""Sensor model: height maps with noise, rounded edges, and unknown cells outside the sensors' view.
 
-Random terrain is exact and wholly known, maps of real places are neither. Labels of a degraded map are those of the
-planner on that map, which is what a network gets to see, so nothing of this makes a label wrong. What is done follows
-how maps of scans come about (`hdsp.terrain.pointcloud.cloud_mapping`): points of a few sensor positions, small holes filled, heights
-averaged; the strengths are set by the maps of simulated and real scans.
+Random terrain is exact and completely known; maps of real places are neither. The planner labels the degraded map
+itself, so the labels agree with the network's input. The model imitates the conversion from scans to maps
+(`hdsp.terrain.pointcloud.cloud_mapping`): points come from few sensor positions, small holes are filled, and heights
+are averaged. Its strengths were chosen to match maps made from simulated and real scans.
 
 Convention: maps as in `hdsp.terrain.height_map`; the robot starts at the centre of cell (nx // 2, ny // 2).
 """
@@ -18,31 +18,32 @@ from hdsp.base.jit import njit
 from hdsp.terrain.filling import filled, smoothed
 from hdsp.terrain.height_map import HeightMap
 
-_HIGHER = 0.03  # m by which the ground must be above a ray to end it
-_JUMP = 0.05  # m; heights that differ by more make mixed cells
+_HIGHER = 0.03  # m; ground this far above a ray ends the ray
+_JUMP = 0.05  # m; a larger difference between heights gives mixed cells
 
 
 @dataclass(frozen=True)
 class SensingSettings:
-    """How far maps are degraded, at most. Of each amount a map has a share, drawn anew.
+    """Upper limits of the degradation. Each map uses a random share of each limit.
 
-    Shares are uniform in [0, 1]; those of tilt and noise are squares of such numbers.
+    Shares are uniform in [0, 1]; for tilt and noise, the shares are squares of uniform numbers.
 
     Attributes:
         tilt: slope of the whole map in a random direction, rad.
-        bumps: standard deviation of the ground's own waves, m, which are about ``bump_size`` m wide.
-        jitter: standard deviation, in cells, of how far edges are displaced.
-        mixed: share of the cells at an edge that take a height between those around.
-        white, correlated: standard deviations of two noises, m, the second alike within a few cells.
-        sensors: least and greatest number of positions from which the place was seen.
-        sensor_distance, sensor_height: ranges of how far from the start and how high above its ground these are, m.
-        borders: probability, twice, that all beyond a straight line is unknown.
+        bumps: standard deviation of waves in the ground, m; the waves are about ``bump_size`` m wide.
+        jitter: standard deviation of edge displacement, cells.
+        mixed: share of edge cells with a height between the surrounding heights.
+        white, correlated: standard deviations of two noises, m; correlated noise is similar within a few cells.
+        sensors: smallest and largest number of sensor positions.
+        sensor_distance, sensor_height: ranges for the horizontal distance from the start and the height above its
+            ground, m.
+        borders: probability that everything beyond a straight line is unknown; drawn for two lines.
         holes: mean number of unknown spots.
-        around: m around the start that were always seen: the robot got there.
-        fill, smooth: as of `hdsp.terrain.pointcloud.MapSettings`, cells and m.
+        around: radius around the start that is always known, m, because the robot has reached the start.
+        fill, smooth: as in `hdsp.terrain.pointcloud.MapSettings`, cells and m.
 
     Raises:
-        InputError: for a value out of range.
+        InputError: if a value is out of range.
     """
 
     tilt: float = 0.087
@@ -79,16 +80,18 @@ class SensingSettings:
 
 
 def sensed(terrain: HeightMap, settings: SensingSettings, random: np.random.Generator) -> HeightMap:
-    """A map of the same cells as ``terrain``, as sensors would have it; a function of its arguments alone.
+    """Degrades a terrain to a map as sensors measure it.
+
+    The map has the same cells and depends on the arguments alone.
 
     Args:
-        terrain: wholly known ground.
-        settings: how far it is degraded.
-        random: what is drawn comes from here.
+        terrain: completely known terrain.
+        settings: upper limits of the degradation.
+        random: source of all random numbers.
     """
     cell, shape = terrain.resolution, terrain.shape
     amount = {name: getattr(settings, name) * random.random() for name in ("bumps", "jitter", "mixed")}
-    # Most maps are nearly level and have little noise, few are not or have much.
+    # Squares: most maps are nearly level and have little noise.
     amount |= {name: getattr(settings, name) * random.random() ** 2 for name in ("tilt", "white", "correlated")}
     x, y = (np.indices(shape) - np.reshape(shape, (2, 1, 1)) // 2) * cell
     slope, direction = math.tan(amount["tilt"]), random.uniform(-math.pi, math.pi)
@@ -104,7 +107,7 @@ def sensed(terrain: HeightMap, settings: SensingSettings, random: np.random.Gene
 
 
 def _waves(shape: tuple[int, int], width: float, random: np.random.Generator) -> np.ndarray:
-    """Random values, float64 of a shape, of mean 0 and standard deviation 1, alike within ``width`` cells."""
+    """Random values with mean 0 and standard deviation 1, similar within ``width`` cells; float64 [shape]."""
     from scipy.ndimage import gaussian_filter
 
     values = gaussian_filter(random.standard_normal(shape), width, mode="wrap")
@@ -112,7 +115,7 @@ def _waves(shape: tuple[int, int], width: float, random: np.random.Generator) ->
 
 
 def _displaced(heights: np.ndarray, cells: float, random: np.random.Generator) -> np.ndarray:
-    """Each cell takes the height of one about ``cells`` away, neighbours alike: edges get ragged."""
+    """Makes edges ragged: each cell takes the height about ``cells`` cells away; neighbours have similar offsets."""
     index = np.indices(heights.shape)
     offsets = np.stack([np.rint(cells * _waves(heights.shape, 1.5, random)) for _ in range(2)]).astype(int)
     limits = np.reshape(heights.shape, (2, 1, 1)) - 1
@@ -120,7 +123,7 @@ def _displaced(heights: np.ndarray, cells: float, random: np.random.Generator) -
 
 
 def _mixed(heights: np.ndarray, share: float, random: np.random.Generator) -> np.ndarray:
-    """A share of the cells at edges takes a height between the lowest and the highest beside them."""
+    """Gives a share of the cells at edges a random height between the lowest and the highest height beside them."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     low, high = minimum_filter(heights, 3, mode="nearest"), maximum_filter(heights, 3, mode="nearest")
@@ -129,7 +132,7 @@ def _mixed(heights: np.ndarray, share: float, random: np.random.Generator) -> np
 
 
 def _seen(heights: np.ndarray, settings: SensingSettings, cell: float, random: np.random.Generator) -> np.ndarray:
-    """Whether any of a few sensors sees a cell, bool."""
+    """Whether at least one random sensor sees a cell, bool [nx, ny]."""
     middle = np.array(heights.shape) // 2
     seen = np.zeros(heights.shape, np.bool_)
     for _ in range(int(random.integers(*settings.sensors, endpoint=True))):
@@ -142,7 +145,7 @@ def _seen(heights: np.ndarray, settings: SensingSettings, cell: float, random: n
 
 @njit()
 def _look(heights, x, y, z, seen):
-    """Marks what is seen from (x, y) in cells and z in m: where no ground lies above the ray to a cell."""
+    """Marks the cells seen from (x, y) in cells and z in m: no ground lies above the ray to a seen cell."""
     nx, ny = heights.shape
     for i in range(nx):
         for j in range(ny):
@@ -160,7 +163,7 @@ def _look(heights, x, y, z, seen):
 
 
 def _unseen_parts(x: np.ndarray, y: np.ndarray, settings: SensingSettings, random: np.random.Generator) -> np.ndarray:
-    """Cells beyond the borders of what was looked at, and in spots without a point; bool."""
+    """Cells beyond the borders of the measured area, and cells in spots without a point; bool."""
     unseen = np.zeros(x.shape, np.bool_)
     for _ in range(2):
         angle, distance = random.uniform(-math.pi, math.pi), random.uniform(0.4, 1.0)

@@ -1,10 +1,10 @@
-"""Points measured by a sensor -> height map: files, levelling on the floor, registration, cells.
+"""From measured points to a height map: files, levelling on the floor, registration, rasterisation.
 
     points = read_points("scan.pcd")
     terrain = height_map(points)                        # = hdsp.HeightMap.from_points(points)
 
-Convention: points are float64 [n, 3] in metres, z up, NaN-free. A levelled cloud has its floor at z = 0.
-Importing this package loads none of the libraries that read files; each is loaded by the first file of its kind.
+Convention: points are float64 [n, 3] in metres, z up, NaN-free. A levelled cloud has its floor at z = 0. The package
+loads no file library on import; the first file in a format loads the library for this format.
 """
 
 from hdsp.terrain.pointcloud.alignment import FloorSettings, Plane, fit_floor, level, register

@@ -1,8 +1,8 @@
-"""Levelling a cloud on its floor, and registering one cloud to another.
+"""Levelling of a cloud on its floor, and registration between clouds.
 
-The floor is the lowest plane that is nearly horizontal and well supported: planes are proposed by RANSAC (Fischler and
-Bolles 1981) and refined by least squares on their inliers. Points are thinned to one per voxel first, so that ground
-near the sensor, where points are dense, weighs no more than ground far away.
+The floor is the lowest plane that is nearly horizontal and well supported. RANSAC (Fischler and Bolles 1981) proposes
+planes; least squares on the inliers refines them. The points are first thinned to one per voxel, so dense ground near
+the sensor has no more weight than sparse ground far away.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from hdsp.base.errors import InputError
 
 _HYPOTHESES = 400
 _REFINEMENTS = 20
-#: Share of the support of the best plane that a lower one needs to be the floor: ceilings and landings are larger.
+#: A lower plane is the floor if it has this share of the largest support: ceilings and landings are larger than floors.
 _LEAST_SUPPORT = 0.15
-#: m below a plane from which on points may belong to another one.
+#: m; points at least this far below a plane may belong to another plane.
 _BELOW = 0.12
 
 
 @dataclass(frozen=True)
 class FloorSettings:
-    """How the floor is found.
+    """Settings for floor detection.
 
     Attributes:
-        max_tilt: rad, largest angle between the floor and the horizontal plane of the cloud.
-        thickness: m, half of the noise of points on the floor.
-        voxel: m, one point in each counts.
-        reach: m, how far apart the points are that propose a plane.
-        seed: of the proposals.
+        max_tilt: rad, largest angle between the floor and the cloud's horizontal plane.
+        thickness: m, largest distance from the floor's plane to its points.
+        voxel: m, voxel size for thinning.
+        reach: m, radius around the first point for the other two points in a proposal.
+        seed: seed for the proposals.
     """
 
     max_tilt: float = math.radians(15)
@@ -53,7 +53,7 @@ class Plane:
     Attributes:
         normal: float64 [3], length 1.
         offset: m.
-        support: number of voxels on it.
+        support: number of voxels on the plane.
     """
 
     normal: np.ndarray
@@ -66,19 +66,19 @@ class Plane:
         return float(math.acos(min(1.0, self.normal[2])))
 
     def heights(self, points: np.ndarray) -> np.ndarray:
-        """Distances above the plane, m, of points [n, 3]."""
+        """Signed distances from the plane to points [n, 3], m; positive above it."""
         return points @ self.normal - self.offset
 
 
 def fit_floor(points: np.ndarray, settings: FloorSettings | None = None) -> Plane:
-    """The floor of a cloud.
+    """Finds a cloud's floor.
 
     Args:
         points: float64 [n, 3], m, z roughly up.
-        settings: how it is found.
+        settings: settings for the detection.
 
     Raises:
-        InputError: if no nearly horizontal plane has points enough.
+        InputError: if no nearly horizontal plane has enough points.
     """
     settings = settings or FloorSettings()
     rest = thinned(points, settings.voxel)
@@ -96,9 +96,9 @@ def fit_floor(points: np.ndarray, settings: FloorSettings | None = None) -> Plan
 
 
 def level(points: np.ndarray, floor: Plane) -> np.ndarray:
-    """The cloud turned by the smallest angle that makes its floor the plane z = 0.
+    """Levels a cloud: the smallest rotation after which its floor is the plane z = 0.
 
-    The point of the floor below the middle of the cloud stays where it is in x and y.
+    The floor point below the middle of the cloud keeps its x and y.
     """
     x, y = points[:, :2].mean(axis=0)
     foot = np.array([x, y, (floor.offset - floor.normal[:2] @ (x, y)) / floor.normal[2]])
@@ -108,19 +108,19 @@ def level(points: np.ndarray, floor: Plane) -> np.ndarray:
 def register(
     points: np.ndarray, target: np.ndarray, guess: np.ndarray | None = None, reach: float = 0.5, voxel: float = 0.05
 ) -> np.ndarray:
-    """The motion that lays a cloud on another one: iterated closest points, point to plane (Chen and Medioni 1992).
+    """Registers a cloud to another one by iterated closest points, point to plane (Chen and Medioni 1992).
 
     Args:
-        points, target: float64 [n, 3], [m, 3], m; they overlap for the larger part.
-        guess: float64 [4, 4], motion to start from.
-        reach: m, pairs further apart do not count; it shrinks to two voxels.
-        voxel: m, thinning of both clouds.
+        points, target: float64 [n, 3], [m, 3], m; most of their area overlaps.
+        guess: float64 [4, 4], initial motion.
+        reach: m, initial distance limit for point pairs; it shrinks to two voxels.
+        voxel: m, voxel size for thinning both clouds.
 
     Returns:
         float64 [4, 4], ``target = motion @ (points, 1)``.
 
     Raises:
-        InputError: if fewer than 100 pairs are left: the clouds do not overlap near the guess.
+        InputError: if fewer than 100 pairs remain, because the clouds do not overlap near the guess.
     """
     from scipy.spatial import cKDTree
     from scipy.spatial.transform import Rotation
@@ -146,7 +146,7 @@ def register(
 
 
 def thinned(points: np.ndarray, voxel: float) -> np.ndarray:
-    """One point, the mean, of each voxel that has any; float64 [k, 3]."""
+    """Mean point in each occupied voxel, float64 [k, 3]."""
     cells = np.floor(points / voxel).astype(np.int64)
     cells -= cells.min(axis=0)
     _, which, count = np.unique(
@@ -156,7 +156,7 @@ def thinned(points: np.ndarray, voxel: float) -> np.ndarray:
 
 
 def _best_plane(points: np.ndarray, settings: FloorSettings) -> Plane | None:
-    """The nearly horizontal plane that most points lie on, if at least ten do."""
+    """Finds the nearly horizontal plane with the most points; None if fewer than ten points lie on it."""
     from scipy.spatial import cKDTree
 
     if len(points) < 10:
@@ -182,7 +182,10 @@ def _best_plane(points: np.ndarray, settings: FloorSettings) -> Plane | None:
 
 
 def _refined(points: np.ndarray, plane: Plane, settings: FloorSettings) -> Plane:
-    """Least squares on the inliers, until these stay the same; keeps the plane where it would tilt too far."""
+    """Fits the plane to its inliers by least squares until the inliers no longer change.
+
+    A fit that exceeds the largest tilt is discarded.
+    """
     inliers = np.zeros(len(points), bool)
     for _ in range(_REFINEMENTS):
         near = np.abs(plane.heights(points)) < settings.thickness
@@ -199,14 +202,14 @@ def _refined(points: np.ndarray, plane: Plane, settings: FloorSettings) -> Plane
 
 
 def _onto_vertical(normal: np.ndarray) -> np.ndarray:
-    """The rotation [3, 3] by the smallest angle that turns a unit vector onto +z."""
+    """Smallest rotation [3, 3] from a unit vector to +z."""
     x, y, z = normal
     skew = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
     return np.eye(3) + skew + skew @ skew / (1 + z)
 
 
 def _normals(points: np.ndarray, tree) -> tuple[np.ndarray, np.ndarray]:
-    """Normals [n, 3] from the ten nearest neighbours, and bool [n]: whether these lie on a plane."""
+    """Normals [n, 3] from the ten nearest neighbours, and bool [n]: whether these neighbours lie on a plane."""
     neighbours = points[tree.query(points, 10)[1]]
     centred = neighbours - neighbours.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))

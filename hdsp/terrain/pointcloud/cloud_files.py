@@ -1,4 +1,4 @@
-"""Files of points: PCD, PLY, OBJ, LAS, LAZ, legacy VTK, OctoMap (.bt) and text; each also packed by gzip or bzip2."""
+"""Point cloud files: PCD, PLY, OBJ, LAS, LAZ, legacy VTK, OctoMap (.bt) and text, plain or packed by gzip or bzip2."""
 
 from __future__ import annotations
 
@@ -24,18 +24,19 @@ _AXES = {f"{sign}{name}": (k, -1.0 if sign == "-" else 1.0) for k, name in enume
 
 
 def read_points(path: str | os.PathLike, units: float = 1.0, axes: Sequence[str] = ("x", "y", "z")) -> np.ndarray:
-    """The points of a file; those that are not finite (no echo) are left out.
+    """Reads the points in a file and drops points that are not finite (no echo).
 
     Args:
-        path: a file of a kind that its suffix names (`FORMATS`), perhaps with .gz or .bz2 behind it.
-        units: metres per unit of the file, e.g. 0.001 for millimetres.
-        axes: which of the file's axes are our x (ahead), y (left) and z (up), e.g. ("z", "-x", "-y") for a camera.
+        path: the file; its suffix selects the format (`FORMATS`), and .gz or .bz2 may follow.
+        units: metres per unit in the file, e.g. 0.001 for millimetres.
+        axes: the file's axes for our x (forward), y (left) and z (up), e.g. ("z", "-x", "-y") for a camera.
 
     Returns:
         float64 [n, 3], metres.
 
     Raises:
-        InputError: if the file is missing, damaged, of another kind, or has no finite point; or for bad units or axes.
+        InputError: if the file is missing or damaged, has another format or no finite point, or units or axes are
+            invalid.
     """
     suffixes = [suffix.lower() for suffix in Path(path).suffixes[-2:]]
     unpack = _UNPACK.get(suffixes[-1]) if suffixes else None
@@ -52,7 +53,7 @@ def read_points(path: str | os.PathLike, units: float = 1.0, axes: Sequence[str]
         raise InputError(
             f"point cloud {path}: {error}; install the extra 'scans': pip install 'hdsp[scans]'"
         ) from error
-    except Exception as error:  # readers of other projects fail in ways of their own on damaged files
+    except Exception as error:  # file libraries raise errors of many types for damaged files
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(f"point cloud {path} cannot be read: {reason}") from error
     if points.ndim != 2 or points.shape[1] != 3:
@@ -91,10 +92,10 @@ def _read_las(content: bytes) -> np.ndarray:
 
 
 def _read_text(content: bytes) -> np.ndarray:
-    """Lines of x y z and perhaps more, split by spaces, commas or semicolons; # begins a comment."""
+    """Reads lines x y z with optional further columns; spaces, commas or semicolons separate, # begins a comment."""
     text = content.decode("utf-8").replace(",", " ").replace(";", " ")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of an empty file, which is reported by the caller
+        warnings.simplefilter("ignore", UserWarning)  # the caller reports an empty file
         values = np.loadtxt(io.StringIO(text), ndmin=2)
     if values.size == 0:
         return np.zeros((0, 3))
@@ -103,7 +104,7 @@ def _read_text(content: bytes) -> np.ndarray:
     return values[:, :3]
 
 
-#: What each suffix is read by: contents of the file -> points [n, 3] in its own units.
+#: Reader for each suffix: file contents -> points [n, 3] in the file's units.
 FORMATS: dict[str, Callable[[bytes], np.ndarray]] = {
     ".pcd": _read_pcd,
     ".ply": _read_mesh("ply"),

@@ -1,4 +1,4 @@
-"""A levelled cloud -> height map: overhangs off, cells, small holes filled, noise smoothed, the rest unknown."""
+"""From a levelled cloud to a height map: no overhangs, small holes filled, noise smoothed, all other cells unknown."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from hdsp.terrain.filling import filled, smoothed
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.pointcloud.alignment import FloorSettings, fit_floor, level, thinned
 
-_LARGEST_MAP = 100_000_000  # cells; more is a scan in other units than metres
+_LARGEST_MAP = 100_000_000  # cells; a larger scan is probably not in metres
 _SMALLEST_EXTENT = 0.2  # m
 _GREATEST_RELIEF = 10_000.0  # m
 
 
 @dataclass(frozen=True)
 class MapSettings:
-    """How points become heights.
+    """Settings for the conversion from points to heights.
 
     Attributes:
-        level: whether the cloud is levelled on its floor first.
-        floor: how the floor is found.
-        box: (x_min, y_min, x_max, y_max) in m after levelling; points outside are dropped. None = all.
-        lowest, highest: m above the floor; points outside are dropped: reflections below it, ceilings above.
-        headroom: m; points above a gap of this height in their column are dropped: lintels, table tops on thin air.
-        surface: m; the height of a cell is the mean of its points this far below its highest one.
-        neighbours, near: points with fewer than that many others within ``near`` m are dropped. 0 = none is.
-        fill: cells; holes that a disc of this radius closes are filled from the nearest known cells. 0 = none.
-        smooth: m; each height becomes the mean of those around (5 x 5 cells) that differ by less, after a median of
-            3 x 3, so that edges stay. 0 = nothing is smoothed.
-        island: cells; connected known cells fewer than this are unknown after all.
+        level: whether the cloud is first levelled on its floor.
+        floor: settings for floor detection.
+        box: (x_min, y_min, x_max, y_max) in m after levelling; points outside are dropped. None = all points are kept.
+        lowest, highest: m above the floor; points outside are dropped: reflections below the floor, ceilings above it.
+        headroom: m; points above a vertical gap this large are dropped: lintels, table tops.
+        surface: m; a cell's height is the mean over its points at most this far below its highest point.
+        neighbours, near: points with fewer than ``neighbours`` other points within ``near`` m are dropped. 0 = none.
+        fill: cells; holes closed by a disc with this radius are filled from the nearest known cells. 0 = none.
+        smooth: m; after a 3 x 3 median, each height becomes the mean over the heights within 5 x 5 cells that differ by
+            less than this. Edges are kept. 0 = no smoothing.
+        island: cells; smaller connected regions of known cells become unknown.
 
     Raises:
-        InputError: for a value out of range.
+        InputError: if a value is out of range.
     """
 
     level: bool = True
@@ -67,19 +67,20 @@ class MapSettings:
 
 
 def height_map(points: np.ndarray, settings: MapSettings | None = None, resolution: float = RESOLUTION) -> HeightMap:
-    """The height map of a cloud.
+    """Makes a height map from a cloud.
 
     Args:
-        points: float [n, 3], m, z up; points that are not finite are left out.
-        settings: how points become heights.
-        resolution: side of a cell, m.
+        points: float [n, 3], m, z up; points that are not finite are dropped.
+        settings: settings for the conversion.
+        resolution: cell size, m.
 
     Returns:
-        a map just large enough for all known cells, with its floor at 0 if levelled. Its x and y are those of the cloud
-        after levelling; cell borders are whole multiples of the resolution.
+        the smallest map that contains all known cells. If levelled, its floor is at 0. Its x and y equal the cloud's x
+            and
+        y after levelling; cell borders are multiples of the resolution.
 
     Raises:
-        InputError: if no point is left, or the extent is not one of metres.
+        InputError: if no point is left, or the extent is implausible for metres.
     """
     settings = settings or MapSettings()
     points = _finite(points)
@@ -90,7 +91,7 @@ def height_map(points: np.ndarray, settings: MapSettings | None = None, resoluti
     if len(points) == 0:
         raise InputError("height map of points: none is left in the box, between lowest and highest; check the axes")
     _check_extent(points, resolution)
-    points = thinned(points, resolution / 2)  # dense scans hold many more points than cells can show
+    points = thinned(points, resolution / 2)  # dense scans have many more points than the map needs
     points = _without_lone_points(points, settings)
     cells = np.floor(points[:, :2] / resolution + 1e-6).astype(np.int64)
     low = cells.min(axis=0)
@@ -149,12 +150,12 @@ def _without_lone_points(points: np.ndarray, settings: MapSettings) -> np.ndarra
 
 
 def _surface(cells: np.ndarray, z: np.ndarray, settings: MapSettings) -> np.ndarray:
-    """Heights float64 [nx, ny] from cells int64 [n, 2] >= 0 and heights [n] of points; NaN where there is none."""
+    """Heights float64 [nx, ny] from cells int64 [n, 2] >= 0 and heights [n] of points; NaN for cells without points."""
     shape = tuple(cells.max(axis=0) + 1)
     flat = np.ravel_multi_index(cells.T, shape)
     order = np.lexsort((z, flat))
     flat, z = flat[order], z[order]
-    # Within a column, points in order of height: the first gap with headroom ends what counts as ground.
+    # Points in a column are sorted by height; all points below the first gap with headroom are ground.
     first = np.diff(flat, prepend=-1) > 0
     gaps = np.cumsum((np.diff(z, prepend=z[0]) > settings.headroom) & ~first)
     ground = gaps == gaps[first][np.cumsum(first) - 1]
@@ -179,7 +180,7 @@ def _without_islands(heights: np.ndarray, least: int) -> np.ndarray:
 
 
 def _trimmed(heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The rectangle of known cells, and where it begins."""
+    """Smallest rectangle with all known cells, and its lower corner."""
     known = np.argwhere(np.isfinite(heights))
     low, high = known.min(axis=0), known.max(axis=0) + 1
     return heights[low[0] : high[0], low[1] : high[1]], low

@@ -1,4 +1,4 @@
-"""Images as points: depth images of a camera at a known pose, and pictures of height maps."""
+"""Points from images: depth images with a known camera pose, and images of height maps."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from hdsp.base.files import existing_file
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera; its axes: x right, y down, z ahead.
+    """A pinhole camera; its axes: x right, y down, z forward.
 
     Attributes:
         fx, fy, cx, cy: focal lengths and principal point, pixels.
-        depth_scale: metres per unit of the depth image; 0 in the image is "no measurement".
-        nearest, farthest: m; depths outside are left out, as the error of such cameras grows with the square of depth.
-        stride: every how many pixels of a row and of a column count.
+        depth_scale: metres per unit in the depth image; 0 in the image means "no measurement".
+        nearest, farthest: m; depths outside are dropped, because the depth error grows with the square of the depth.
+        stride: step between the used rows and between the used columns.
     """
 
     fx: float
@@ -38,15 +38,15 @@ class Camera:
 
 
 def depth_points(image: np.ndarray, camera: Camera, pose=None) -> np.ndarray:
-    """Points of a depth image.
+    """Converts a depth image to points.
 
     Args:
-        image: [rows, columns], units of the camera's `depth_scale`.
-        camera: which took it.
-        pose: (x, y, z, qx, qy, qz, qw), camera to world, in metres; None = points in the frame of the camera.
+        image: [rows, columns], in units given by the camera's `depth_scale`.
+        camera: the camera that took the image.
+        pose: (x, y, z, qx, qy, qz, qw), camera to world, in metres; None = points in the camera frame.
 
     Returns:
-        float64 [n, 3], m, of the pixels with a depth between the camera's nearest and farthest.
+        float64 [n, 3], m; one point for each pixel with a depth between the camera's nearest and farthest.
     """
     image = np.asarray(image, dtype=float)
     if image.ndim != 2:
@@ -66,15 +66,15 @@ def depth_points(image: np.ndarray, camera: Camera, pose=None) -> np.ndarray:
 
 
 def elevation_points(image: np.ndarray, highest: float, pixel: float, spacing: float = 0.0125) -> np.ndarray:
-    """Points of a picture of a height map, interpolated between pixels that are known.
+    """Converts an image of a height map to points, interpolated between known pixels.
 
-    Convention (that of grid_map's images): a row down is a step back along x, a column to the right a step along -y.
+    Convention, as for grid_map images: the next row is a step along -x, the next column a step along -y.
 
     Args:
-        image: [rows, columns] of grey values, 0 = unknown, 255 = ``highest``.
+        image: [rows, columns], grey values; 0 = unknown, 255 = ``highest``.
         highest: m.
-        pixel: side of a pixel, m.
-        spacing: of the points, m.
+        pixel: pixel size, m.
+        spacing: distance between points, m.
 
     Returns:
         float64 [n, 3], m.
@@ -93,10 +93,10 @@ def elevation_points(image: np.ndarray, highest: float, pixel: float, spacing: f
 
 
 def read_image(path: str | os.PathLike) -> np.ndarray:
-    """Grey values [rows, columns] of an image, 8 or 16 bit; of colours only such that are grey.
+    """Reads grey values [rows, columns] from an 8 or 16 bit image; a colour image must have three equal channels.
 
     Raises:
-        InputError: if the file is missing or no such image.
+        InputError: if the file is missing or is no grey image.
     """
     path = existing_file(path, "image")
     try:
@@ -104,7 +104,7 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
 
         with Image.open(path) as image:
             values = np.array(image)
-    except (OSError, ValueError, SyntaxError) as error:  # SyntaxError: what Pillow says of a broken PNG
+    except (OSError, ValueError, SyntaxError) as error:  # Pillow raises SyntaxError for a broken PNG
         raise InputError(f"image {path} cannot be read: {' '.join(str(error).split())}") from error
     if values.ndim == 3 and values.shape[2] >= 3 and (values[..., :3] == values[..., :1]).all():
         values = values[..., 0]

@@ -1,10 +1,11 @@
-"""Occupied cells of OctoMap's binary octrees (.bt) as points.
+"""Occupied cells in OctoMap's binary octrees (.bt) as points.
 
-The format (Hornung et al. 2013, and the documentation of octomap::OccupancyOcTreeBase): lines of text from
-``# Octomap OcTree binary file`` to ``data``, among them ``id``, ``size`` (nodes) and ``res`` (metres of the smallest
-cell); then the nodes, parents before children, first child first. A node that has children is two bytes, with two bits
-for each of its eight children, lowest bits first: 0 unknown, 1 free, 2 occupied, 3 has children. Child number
-``x + 2 y + 4 z`` is the upper half along the axes whose digit is 1. The tree has 16 levels around the origin.
+Sources for the format: Hornung et al. 2013, and the documentation of octomap::OccupancyOcTreeBase. A file begins with
+text lines, from ``# Octomap OcTree binary file`` to ``data``; among them are ``id``, ``size`` (number of nodes) and
+``res`` (smallest cell size in metres). The nodes follow, parents before children, first child first. A node with
+children takes two bytes: two bits for each of eight children, lowest bits first, with 0 unknown, 1 free, 2 occupied, 3
+has children. Child number ``x + 2 y + 4 z`` is the upper half along each axis with digit 1. The tree has 16 levels
+around the origin.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ _OCCUPIED, _INNER = 2, 3
 
 
 def read_octree(content: bytes) -> np.ndarray:
-    """Centres [n, 3], in metres, of the smallest cells that are occupied; a larger occupied cell counts as all of its
-    smallest ones on its surface.
+    """Reads the centres of the smallest occupied cells, [n, 3], in metres.
+
+    A larger occupied cell contributes the smallest cells on its surface.
 
     Raises:
-        ValueError: if it is no such file, or cut off.
+        ValueError: if the file has another format or is cut off.
     """
     header, resolution = _header(content)
     nodes = np.frombuffer(content, np.uint8, offset=header)
@@ -32,7 +34,7 @@ def read_octree(content: bytes) -> np.ndarray:
 
 
 def _header(content: bytes) -> tuple[int, float]:
-    """Where the nodes begin, and the resolution."""
+    """Reads the offset of the first node, and the resolution."""
     if not content.startswith(b"# Octomap OcTree binary file"):
         raise ValueError("not a binary octree: the first line is not '# Octomap OcTree binary file'")
     end = content.find(b"\ndata\n")
@@ -45,7 +47,7 @@ def _header(content: bytes) -> tuple[int, float]:
 
 
 def _occupied(nodes: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Lower corners int64 [n, 3] and sizes int64 [n], in smallest cells, of the occupied leaves."""
+    """Lower corners int64 [n, 3] and sizes int64 [n] of occupied leaves, both in smallest cells."""
     leaves: list[tuple[int, int, int, int]] = []
     at = 0
     stack = [(0, 0, 0, 2**_LEVELS)] if nodes else []
@@ -68,7 +70,7 @@ def _occupied(nodes: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _surface(size: int) -> np.ndarray:
-    """Smallest cells on the surface of a cube of ``size`` cells, int64 [n, 3]."""
+    """Smallest cells on the surface of a cube with a side of ``size`` cells, int64 [n, 3]."""
     if size > 64:
         raise ValueError(f"an occupied cell of {size} smallest cells; a map of that is no scan")
     cells = np.stack(np.meshgrid(*[np.arange(size)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)

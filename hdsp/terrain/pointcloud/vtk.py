@@ -1,8 +1,8 @@
-"""The points of legacy VTK files.
+"""Points in legacy VTK files.
 
-The format is that of "VTK File Formats" (Kitware): after two lines of title a line ASCII or BINARY, then among other
-sections ``POINTS n type`` and n times x y z; binary numbers are big-endian. The libraries that read all of VTK weigh
-150 MB, those that are small leave out point clouds (POLYDATA).
+"VTK File Formats" (Kitware) defines the format: two title lines, a line ASCII or BINARY, and sections. The section
+``POINTS n type`` contains n times x y z; binary numbers are big-endian. This module exists because libraries for all of
+VTK need 150 MB, and small libraries do not read point clouds (POLYDATA).
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ _POINTS = re.compile(rb"^POINTS\s+(\d+)\s+(\w+)[ \t]*\r?\n", re.MULTILINE)
 
 
 def read_vtk(content: bytes) -> np.ndarray:
-    """Points [n, 3] of the contents of a file.
+    """Reads points [n, 3] from the contents of a file.
 
     Raises:
-        ValueError: if it is no legacy VTK file, has no points, is cut off, or has numbers of another type.
+        ValueError: if the file is no legacy VTK file, has no points, is cut off, or has numbers in another type.
     """
     lines = content[:1024].splitlines()
     if len(lines) < 3 or not lines[0].startswith(b"# vtk DataFile"):

@@ -1,4 +1,4 @@
-"""Simulated arenas: physics, lidar, the height maps it gives, and checks of plans against the true geometry.
+"""Simulated arenas: physics, lidar scans, height maps made from the scans, and their accuracy.
 
-MuJoCo (the optional dependency ``simulation``) is imported when a world is built, not before.
+MuJoCo (the optional dependency ``simulation``) is first imported when a world is built.
 """

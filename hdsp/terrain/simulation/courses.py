@@ -1,6 +1,6 @@
-"""Random courses: two rooms with a door, each with two of stairs, a ramp, a platform, clutter; and places of interest.
+"""Random courses for simulated patches: two rooms with a door, obstacles, and places of interest.
 
-They give the set of simulated patches. A course is a function of (seed, index) alone.
+Stairs, a ramp, a platform and clutter stand in the four corners. A course is a function of (seed, index) alone.
 
 Convention: as in `hdsp.terrain.arenas`; poses are (x, y, heading), m, rad.
 """
@@ -20,22 +20,22 @@ from hdsp.terrain.scenes import Block, Obstacle, Ramp, Range, Scene, Staircase
 
 @dataclass(frozen=True)
 class CourseSettings:
-    """What courses contain; lengths in metres, angles in rad, ranges are drawn from uniformly.
+    """Contents of a course; lengths in metres, angles in rad. Each value is drawn uniformly from its range.
 
     Attributes:
-        size: side of the square.
-        wall_height, wall_thickness: of all walls.
-        door_width: of the opening between the rooms.
-        steps: smallest and largest number of steps of stairs.
-        rise, tread, stairs_width: of stairs; the last step reaches to the wall.
-        slope, ramp_height, ramp_width: of ramps; a block as high as the ramp stands at its upper end.
-        platform_side, platform_height: of blocks that the robot steps onto.
-        clutter: smallest and largest number of blocks of clutter.
-        clutter_side, clutter_height: of these.
-        askew: largest angle by which stairs, ramps and platforms are turned against the walls.
+        size: side length.
+        wall_height, wall_thickness: wall dimensions.
+        door_width: width of the opening between the rooms.
+        steps: smallest and largest number of stair steps.
+        rise, tread, stairs_width: stair dimensions; the last step extends to the wall.
+        slope, ramp_height, ramp_width: ramp dimensions; a block with the ramp's height stands at its upper end.
+        platform_side, platform_height: dimensions of blocks onto which the robot steps.
+        clutter: smallest and largest number of clutter blocks.
+        clutter_side, clutter_height: dimensions of clutter blocks.
+        askew: largest angle between platforms and the walls; stairs and ramps use a third of it.
 
     Raises:
-        InputError: for a range that is empty or not positive.
+        InputError: if a range is empty or not positive.
     """
 
     size: float = 6.0
@@ -67,7 +67,7 @@ class CourseSettings:
 
 
 class Place(NamedTuple):
-    """Where a robot has something to decide: what is there, and a pose."""
+    """A pose with a decision to take for the robot, and the obstacle there."""
 
     kind: str
     x: float
@@ -76,7 +76,7 @@ class Place(NamedTuple):
 
 
 class Course(NamedTuple):
-    """An arena, a free position (x, y) in it from which it can be scanned, and places of interest in it."""
+    """An arena, a free position (x, y) for the start of a scan, and places of interest."""
 
     arena: Arena
     start: tuple[float, float]
@@ -84,10 +84,10 @@ class Course(NamedTuple):
 
 
 def random_course(seed: int, index: int, settings: CourseSettings | None = None) -> Course:
-    """The course number ``index`` of a seed.
+    """Draws course number ``index`` for a seed.
 
     Raises:
-        InputError: for a negative seed or index.
+        InputError: if the seed or index is negative.
     """
     if seed < 0 or index < 0:
         raise InputError(f"course seed {seed}, index {index}; need numbers of at least 0")
@@ -95,7 +95,7 @@ def random_course(seed: int, index: int, settings: CourseSettings | None = None)
     random = np.random.default_rng(np.random.SeedSequence([seed, index]))
     middle, between = s.size / 2, s.size * random.uniform(0.45, 0.55)
     width = random.uniform(*s.door_width)
-    # Near the middle of the wall, out of the reach of all that stands in the corners.
+    # The door is near the middle of the wall, away from the obstacles in the corners.
     door = middle + random.uniform(-0.05, 0.05) * s.size
     obstacles: list[Obstacle] = walls_around(s.size, s.wall_height, s.wall_thickness)
     for low, high in ((0.0, door - width / 2), (door + width / 2, s.size)):
@@ -108,7 +108,7 @@ def random_course(seed: int, index: int, settings: CourseSettings | None = None)
     kinds = ["stairs", "ramp", "platform", "clutter"]
     for corner, kind in zip(random.permutation(4), kinds, strict=True):
         left, lower = corner % 2 == 0, corner < 2
-        # The corner's room in x, and how far it reaches from the wall in y.
+        # The corner's range in x.
         x = (s.wall_thickness, between) if left else (between, s.size - s.wall_thickness)
         made, found = _DRAW[kind](random, s, sum(x) / 2, x[1] - x[0], lower)
         obstacles += made
@@ -118,7 +118,7 @@ def random_course(seed: int, index: int, settings: CourseSettings | None = None)
 
 
 def _toward_wall(s: CourseSettings, lower: bool) -> tuple[float, float]:
-    """Heading toward the wall of a corner, and that wall's y."""
+    """Heading toward a corner's wall, and the wall's y."""
     return (-math.pi / 2, s.wall_thickness) if lower else (math.pi / 2, s.size - s.wall_thickness)
 
 

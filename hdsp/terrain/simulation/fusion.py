@@ -1,10 +1,10 @@
-"""Points measured from known places -> the surface they lie on, one point for each cell.
+"""Surface reconstruction: one height for each cell from ranges measured at known sensor positions.
 
-A single range is off by centimetres, more than an edge that stops a wheel is high; and points in front of a wall, where
-noise puts them, would widen it. Two facts help: a point says that its column reaches up to it, and a ray that crosses a
-column says that it ends below the ray. The surface is what contradicts the fewest of both, a median that knows about
-free space: it moves walls neither forward nor back. Where all rays come from straight above, none crosses a column
-next to its own, and the surface lies up to a standard deviation of the noise too high.
+A single range has an error larger than the height of an edge that stops a wheel: centimetres. Noise also puts points in
+front of a wall, and the wall would become wider. Two facts help. A point shows that its column reaches up to the point.
+A ray that crosses a column shows that the column ends below the ray. The surface is the height with the fewest
+contradictions: a median that also uses free space. It moves walls neither forward nor back. If all rays come straight
+from above, no ray crosses a neighbouring column, and the surface is up to one standard deviation too high.
 
 Convention: world coordinates, m; cells as in `hdsp.terrain.height_map`.
 """
@@ -19,31 +19,31 @@ import numpy as np
 from hdsp.base.jit import njit
 from hdsp.robot.lattice import RESOLUTION
 
-_LAYER = 0.01  # m, height of the layers in which the surface is looked for
-_LOOK_BACK = 0.12  # m before its end within which a ray counts: there it tells noise before a surface from the surface
-_WINDOW = 0.06  # m around the surface within which points are averaged
-_LEAST = 3  # points without which a cell stays unknown
-_ALIKE = 0.02  # m; heights that differ by more are not averaged, whatever their errors are
-_RADIUS = 3  # cells over which heights are averaged
+_LAYER = 0.01  # m, layer height in the search for the surface
+_LOOK_BACK = 0.12  # m; a ray counts only this close to its end, where it separates a surface from noise in front of it
+_WINDOW = 0.06  # m; points this close to the surface are averaged
+_LEAST = 3  # a cell with fewer points stays unknown
+_ALIKE = 0.02  # m; heights with a larger difference are never averaged
+_RADIUS = 3  # cells; radius for averaging heights
 _ROUNDS = 3
-_AS_MANY = 200  # points after which the error of a height is no longer that of its ranges
+_AS_MANY = 200  # points; more points do not reduce a height's error further
 
 
 class Surface(NamedTuple):
-    """Heights float32 [nx, ny], NaN = not seen; and how many points each rests on, int32 [nx, ny]."""
+    """Heights float32 [nx, ny], NaN = not seen, and the number of points behind each height, int32 [nx, ny]."""
 
     heights: np.ndarray
     points: np.ndarray
 
 
 def fuse(points: np.ndarray, origins: np.ndarray, shape: tuple[int, int], resolution: float = RESOLUTION) -> Surface:
-    """The surface that points and the rays to them agree on best.
+    """Computes the surface that agrees best with the points and their rays.
 
     Args:
         points: float32 [n, 3], m.
-        origins: float32 [n, 3], from where each was measured.
-        shape: cells of the result; its lower corner is at (0, 0). Points elsewhere do not count.
-        resolution: side of a cell, m.
+        origins: float32 [n, 3], sensor position for each point.
+        shape: size of the result in cells; its lower corner is at (0, 0). Points outside are ignored.
+        resolution: cell size, m.
     """
     points, origins = (np.ascontiguousarray(array, np.float32) for array in (points, origins))
     inside = (points[:, :2] >= 0).all(axis=1) & (points[:, :2] < np.asarray(shape) * resolution).all(axis=1)
@@ -61,10 +61,10 @@ def fuse(points: np.ndarray, origins: np.ndarray, shape: tuple[int, int], resolu
 
 
 def smooth(surface: Surface, noise: float) -> np.ndarray:
-    """Heights averaged over cells around that do not differ by more than their errors explain, so that edges stay.
+    """Smooths heights and keeps edges: it averages neighbours whose difference their errors explain.
 
     Args:
-        surface: what `fuse` gives.
+        surface: result of `fuse`.
         noise: standard deviation of a range, m.
 
     Returns:
@@ -78,7 +78,7 @@ def smooth(surface: Surface, noise: float) -> np.ndarray:
 
 @njit()
 def _without_lone_cells(heights):
-    """Cells that hardly any neighbour resembles take the median of their neighbours."""
+    """Replaces a cell that differs from almost all neighbours by the neighbours' median."""
     nx, ny = heights.shape
     result = heights.copy()
     around = np.empty(8, np.float32)
@@ -99,7 +99,7 @@ def _without_lone_cells(heights):
 
 @njit()
 def _averaged(heights, points, noise):
-    """Each cell on the plane that fits the cells around which are like it; on ramps a mean would make terraces."""
+    """Fits a plane to the similar cells around each cell; on ramps, a mean would produce terraces."""
     nx, ny = heights.shape
     result, support = np.full((nx, ny), np.nan, np.float32), np.zeros((nx, ny), np.float32)
     for x in range(nx):
@@ -112,7 +112,7 @@ def _averaged(heights, points, noise):
             for i in range(max(x - _RADIUS, 0), min(x + _RADIUS + 1, nx)):
                 for j in range(max(y - _RADIUS, 0), min(y + _RADIUS + 1, ny)):
                     m = max(points[i, j], np.float32(1))
-                    d = heights[i, j] - h  # NaN is never less
+                    d = heights[i, j] - h  # comparisons with NaN are false
                     if abs(d) < _ALIKE and abs(d) < 3 * noise * math.sqrt(1 / n + 1 / m) + 0.002:
                         u, v = float(i - x), float(j - y)
                         w += m
@@ -129,7 +129,7 @@ def _averaged(heights, points, noise):
             ud, vd = wud / w - u * wd / w, wvd / w - v * wd / w
             determinant = uu * vv - uv * uv
             offset = wd / w
-            if determinant > 0.1:  # else the cells lie in a line, and there is no plane to fit
+            if determinant > 0.1:  # otherwise the cells are collinear and define no plane
                 offset -= ((vv * ud - uv * vd) * u + (uu * vd - uv * ud) * v) / determinant
             result[x, y] = h + max(-_ALIKE, min(offset, _ALIKE))
             support[x, y] = min(w, _AS_MANY)
@@ -154,7 +154,8 @@ def _count(points, origins, resolution, lowest, ends, crossings):
         level = math.sqrt(dx * dx + dy * dy)
         if level < 1e-6 or dz < 0:
             continue
-        # Back along the ray, half a cell at a time over the ground; each column counts once, where the ray is lowest.
+        # The loop goes back along the ray in horizontal steps of half a cell. Each column counts once, at the ray's
+        # lowest point.
         last = ix, iy
         reach = min(_LOOK_BACK * level / length, level)
         n = int(reach / step)
@@ -176,7 +177,7 @@ def _count(points, origins, resolution, lowest, ends, crossings):
 
 @njit()
 def _levels(ends, crossings):
-    """For each column, the boundary between layers with the fewest points above and rays below it, float32 [nx, ny]."""
+    """Boundary between layers with the fewest points above and rays below, for each column; float32 [nx, ny]."""
     nx, ny, layers = ends.shape
     levels = np.zeros((nx, ny), np.float32)
     for x in range(nx):
@@ -193,8 +194,9 @@ def _levels(ends, crossings):
                     least, first, last = above + below, k + 1, k + 1
                 elif above + below == least and last == k:
                     last = k + 1
-            # Levels with nothing between them are alike. Of those beyond the highest point the lowest counts; else the
-            # highest, since rays that graze the ground and end in it speak against all of what lies below it.
+            # All levels from first to last contradict equally few measurements. Above the highest point, the lowest
+            # level is chosen. Otherwise the highest one is chosen, because rays that graze the ground and end in it
+            # contradict all lower levels.
             levels[x, y] = first if last == layers else last
     return levels
 

@@ -1,10 +1,10 @@
-"""A spinning multi-beam lidar, carried through a world.
+"""A spinning multi-beam lidar that is carried through a world.
 
-The sensor is modelled on the paper's: a Velodyne Puck (16 beams within +-15 degrees of the plane in which it spins) at
-the robot's head, itself turned about the vertical by a motor, so that the beams sweep the whole sphere. The Puck lies
-on its side: the axis it spins about is horizontal.
+The model follows the paper's sensor: a Velodyne Puck (16 beams within +-15 degrees around its spinning plane) at the
+robot's head. The Puck lies on its side: its spin axis is horizontal. A motor rotates it about the vertical, so the
+beams sweep the whole sphere.
 
-Convention: world coordinates, m, rad, s. Ranges are measured along the beams; noise is added to them alone.
+Convention: world coordinates, m, rad, s. Ranges are measured along the beams, and only ranges have noise.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from hdsp.terrain.simulation.mujoco_world import World
 
 @dataclass(frozen=True)
 class Lidar:
-    """A sensor and how it is carried.
+    """A sensor and its motion.
 
     Attributes:
-        beams: how many, evenly spread over +- ``opening`` rad off the plane in which the sensor spins.
-        azimuth_step: between two measurements of a beam, rad.
+        beams: number of beams, evenly spread over +- ``opening`` rad around the spinning plane.
+        azimuth_step: angle between two measurements by one beam, rad.
         spin: revolutions per second.
-        swing: turning rate of the motor about the vertical, rad/s.
+        swing: angular velocity of the motor about the vertical, rad/s.
         noise: standard deviation of a range, m.
         max_range: m.
-        height: of the sensor above the ground under it, m. Momaro's head is at about this height when it drives.
-        blind: beams within this angle of straight down see the robot itself and are dropped, rad.
-        speed: at which the robot carries it, m/s.
+        height: sensor height above the ground, m. Momaro's head is at about this height when it drives.
+        blind: beams within this angle around the downward direction hit the robot itself and are dropped, rad.
+        speed: speed of the robot during a scan, m/s.
 
     Raises:
-        InputError: for a value out of range.
+        InputError: if a value is out of range.
     """
 
     beams: int = 16
@@ -62,7 +62,7 @@ class Lidar:
             )
 
     def directions(self, swing_angle: float) -> np.ndarray:
-        """The beams of one revolution, float64 [n, 3] of length 1, with the motor at an angle about the vertical."""
+        """Beam directions during one revolution, float64 [n, 3], length 1; the motor angle is ``swing_angle``."""
         around = np.arange(0, 2 * math.pi - 1e-9, self.azimuth_step)[:, None]
         off = np.linspace(-self.opening, self.opening, int(self.beams)) if self.beams > 1 else np.zeros(1)
         # In the frame of the motor the sensor spins in the plane of y and z, about x.
@@ -74,11 +74,11 @@ class Lidar:
 
 
 class Cloud(NamedTuple):
-    """What a scan measured, registered by the known poses of the sensor.
+    """Points from a scan, registered by the known sensor poses.
 
     Attributes:
         points: float32 [n, 3], m, world.
-        origins: float32 [n, 3], where the sensor was for each.
+        origins: float32 [n, 3], sensor position for each point.
     """
 
     points: np.ndarray
@@ -86,13 +86,13 @@ class Cloud(NamedTuple):
 
 
 def scan(world: World, path: np.ndarray, lidar: Lidar, random: np.random.Generator) -> Cloud:
-    """Carry the sensor along a path and measure all the time.
+    """Carries the sensor along a path and measures continuously.
 
     Args:
-        world: that is scanned.
-        path: float [n, 2], corners (x, y) of the way of the sensor over the ground, m.
+        world: the scanned world.
+        path: float [n, 2], corners (x, y) of the sensor's path over the ground, m.
         lidar: the sensor.
-        random: for the noise.
+        random: random generator for the noise.
 
     Raises:
         InputError: if the path is empty or leaves the arena.
@@ -108,7 +108,7 @@ def scan(world: World, path: np.ndarray, lidar: Lidar, random: np.random.Generat
         origin = np.array([x, y, floor + lidar.height])
         beams = lidar.directions(turn / lidar.spin * lidar.swing)
         if highest <= origin[2]:
-            beams = beams[beams[:, 2] < 0]  # the others meet nothing
+            beams = beams[beams[:, 2] < 0]  # horizontal and rising beams hit nothing
         ranges = world.ranges(origin, beams, lidar.max_range)
         hit = np.isfinite(ranges)
         measured = ranges[hit] + random.normal(0.0, lidar.noise, int(hit.sum()))
@@ -118,7 +118,7 @@ def scan(world: World, path: np.ndarray, lidar: Lidar, random: np.random.Generat
 
 
 def along(path: np.ndarray, spacing: float) -> np.ndarray:
-    """Points (x, y) along a polyline, ``spacing`` m apart, float64 [n, 2]; its first corner is the first of them.
+    """Points (x, y) along a polyline, float64 [n, 2], every ``spacing`` m from its first corner.
 
     Raises:
         InputError: if the path is not [n, 2] finite numbers with n >= 1.

@@ -1,4 +1,4 @@
-"""An arena as a robot knows it: driven through, scanned, and made into a height map; and how true that map is."""
+"""Height maps scanned by a robot that drives through an arena, and their accuracy."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from hdsp.terrain.simulation.lidar import Lidar, scan
 from hdsp.terrain.simulation.mujoco_world import World
 from hdsp.terrain.simulation.tour import tour
 
-#: The surface is levelled, free of noise and of what hangs in the air already.
+#: The fused surface is already level, and free of noise and overhangs.
 _FUSED = MapSettings(level=False, lowest=-10.0, highest=10.0, neighbours=0, smooth=0.0, island=0)
 _WRONG = 0.02  # m
 
 
 def scanned_map(arena: Arena, start, lidar: Lidar | None = None, seed: int = 0) -> HeightMap:
-    """The height map that a robot makes of an arena by driving through it; a function of its arguments alone.
+    """Scans an arena from a driving robot and makes a height map; the result depends on the arguments alone.
 
     Args:
-        arena: that is scanned.
-        start: (x, y) or (x, y, theta) from where it drives, m.
-        lidar: what it measures with.
-        seed: of the noise.
+        arena: the scanned arena.
+        start: (x, y) or (x, y, theta) where the drive begins, m.
+        lidar: the sensor.
+        seed: seed for the noise.
 
     Returns:
-        a map of the whole arena, NaN where it was not seen; lower corner at world (0, 0).
+        a map of the whole arena, NaN for unseen cells; lower corner at world (0, 0).
 
     Raises:
         InputError: if MuJoCo is missing, the start is not on free ground, or the seed is negative.
@@ -48,7 +48,7 @@ def scanned_map(arena: Arena, start, lidar: Lidar | None = None, seed: int = 0) 
 
 
 def _as_map(heights: np.ndarray) -> HeightMap:
-    """A height map of the surface, small holes filled; it covers all cells, also where nothing was seen."""
+    """Makes a height map from the surface and fills small holes; the map keeps all cells, including unseen ones."""
     x, y = np.moveaxis(Grid((0.0, 0.0), heights.shape).center(np.stack(np.indices(heights.shape), -1)), -1, 0)
     known = np.isfinite(heights)
     seen = height_map(np.column_stack([x[known], y[known], heights[known]]), _FUSED)
@@ -59,12 +59,15 @@ def _as_map(heights: np.ndarray) -> HeightMap:
 
 
 def accuracy(scanned: HeightMap, true: HeightMap, robot: Robot) -> dict[str, Any]:
-    """How a scanned map differs from the true one, by name.
+    """Compares a scanned map with the true map; returns errors by name.
 
-    `unknown_share` of the cells; of the known ones `wrong_share`, by more than 2 cm; `rms_flat`, m, on ground that is
-    flat within 10 cm around; `false_edges`, cells per m2 that look like an edge no wheel passes and are two cells or
-    more from any; `missed_edges`, the share of true edge cells without one beside them in the scan; and the share of
-    cells on which a foot could stand but not by the scan (`standable_lost`), and the reverse (`standable_gained`).
+    - `unknown_share`: share of unknown cells.
+    - `wrong_share`: share of known cells with an error above 2 cm.
+    - `rms_flat`: root mean square error on ground that is flat within 10 cm, m.
+    - `false_edges`: known cells per m2 with an edge in the scan and no true edge in their neighbourhood.
+    - `missed_edges`: share of true edge cells without an edge in the scan in their neighbourhood.
+    - `standable_lost`: share of cells where a foot can stand, but not according to the scan.
+    - `standable_gained`: share of cells where a foot can stand only according to the scan.
     """
     known = np.isfinite(scanned.heights)
     error = np.where(known, scanned.heights - true.heights, 0.0)

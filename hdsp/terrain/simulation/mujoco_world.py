@@ -1,4 +1,4 @@
-"""An arena as a MuJoCo world: the same blocks, made into geoms, for rays and pictures.
+"""A MuJoCo world for an arena, with the arena's blocks as geoms, for ray casting and images.
 
 Convention: world coordinates of the arena, z up, the ground at z = 0; m, rad.
 """
@@ -15,7 +15,7 @@ from hdsp.terrain.arenas import Arena
 from hdsp.terrain.scenes import Block, Ramp
 
 _COLORS = {"wall": ".78 .76 .72 1", "block": ".80 .55 .30 1", "ramp": ".45 .62 .55 1"}
-_WALL = 0.7  # m; blocks from this height on are drawn as walls
+_WALL = 0.7  # m; blocks at least this high are drawn as walls
 
 
 def mjcf(arena: Arena) -> str:
@@ -64,14 +64,14 @@ def _box(block: Block) -> str:
 
 
 def _wedge(ramp: Ramp) -> str:
-    """Corners in the frame of the ramp. MuJoCo puts a mesh's own origin at its centre of mass, see `World.model`."""
+    """Corners in the ramp frame. MuJoCo moves a mesh's origin to its centre of mass, see `World.model`."""
     x, y = ramp.length / 2, ramp.width / 2
     corners = [(-x, -y, 0), (-x, y, 0), (x, -y, 0), (x, y, 0), (x, -y, ramp.height), (x, y, ramp.height)]
     return "  ".join(" ".join(str(value) for value in corner) for corner in corners)
 
 
 class World:
-    """A compiled arena that rays can be cast into and that can be looked at.
+    """A compiled arena for ray casting and images.
 
     Raises:
         InputError: if MuJoCo is not installed.
@@ -85,15 +85,15 @@ class World:
         self._mujoco.mj_forward(self.model, self.data)
 
     def ranges(self, origin, directions: np.ndarray, max_range: float) -> np.ndarray:
-        """Distances to what rays from one point meet first.
+        """Distances to the first hits of rays from one point.
 
         Args:
             origin: (x, y, z), m.
-            directions: [n, 3], of length 1.
-            max_range: what is farther is not seen, m.
+            directions: [n, 3], length 1.
+            max_range: farther hits are ignored, m.
 
         Returns:
-            float64 [n], m; inf where a ray meets nothing.
+            float64 [n], m; inf for a ray without a hit.
         """
         directions = np.ascontiguousarray(directions, float)
         n = len(directions)
@@ -112,16 +112,16 @@ class World:
         elevation: float = math.radians(-55),
         distance: float | None = None,
     ) -> np.ndarray:
-        """A picture of the whole arena, uint8 [height, width, 3].
+        """Renders the whole arena, uint8 [height, width, 3].
 
         Args:
             width, height: in pixels, up to 2000.
-            azimuth: direction in which the camera looks, rad; pi / 2 looks along y.
-            elevation: of its line of sight, rad; -pi / 2 looks straight down.
-            distance: from the middle of the arena, m; None = all of it fits.
+            azimuth: camera direction, rad; pi / 2 looks along y.
+            elevation: elevation of the line of sight, rad; -pi / 2 looks straight down.
+            distance: distance to the middle of the arena, m; None = the whole arena fits.
 
         Raises:
-            InputError: if this machine cannot draw: no EGL, or what MUJOCO_GL names does not work.
+            InputError: if this machine cannot render: EGL is missing, or the backend in MUJOCO_GL does not work.
         """
         camera = self._mujoco.MjvCamera()
         camera.lookat[:] = self.arena.size / 2, self.arena.size / 2, 0.0
@@ -138,7 +138,7 @@ class World:
 
 
 def is_available() -> tuple[bool, str]:
-    """Whether MuJoCo can be used, and if not, why and how to get it."""
+    """Whether MuJoCo is installed, and otherwise the reason and the way to install it."""
     try:
         _import_mujoco()
     except InputError as error:
@@ -147,7 +147,7 @@ def is_available() -> tuple[bool, str]:
 
 
 def _import_mujoco():
-    # Before the first import: pictures without a display are drawn by EGL, in software if need be.
+    # MuJoCo reads the variable on import. EGL renders without a display, in software if necessary.
     os.environ.setdefault("MUJOCO_GL", "egl")
     try:
         import mujoco

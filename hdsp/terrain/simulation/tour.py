@@ -1,4 +1,4 @@
-"""A way through an arena from which all its free ground is seen from near."""
+"""A tour: a path from which a robot sees all free ground in an arena from near."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from hdsp.robot import lattice
 from hdsp.terrain.arenas import Arena
 
 _COARSE = 2  # cells of the height map in a cell of the tour's grid
-_DRIVABLE = 0.05  # m; higher edges take room from the robot
+_DRIVABLE = 0.05  # m; higher edges take space from the robot
 
 
 def tour(arena: Arena, start: tuple[float, float], clearance: float = 0.3, spacing: float = 1.2) -> np.ndarray:
-    """Corners of a way over free ground that comes near all of it.
+    """Plans a path over free ground that comes near all of it.
 
     Args:
-        arena: to drive through.
-        start: (x, y), where the way begins, m.
-        clearance: the way keeps so far from edges, m.
-        spacing: no free ground that is connected to the start is farther from a place that the way visits, m.
+        arena: the arena.
+        start: (x, y), first position, m.
+        clearance: distance between the path and edges, m.
+        spacing: largest distance between free ground connected to the start and the nearest visited place, m.
 
     Returns:
-        float64 [n, 2], m.
+        float64 [n, 2], corners, m.
 
     Raises:
         InputError: if the start is not free.
@@ -37,13 +37,13 @@ def tour(arena: Arena, start: tuple[float, float], clearance: float = 0.3, spaci
         raise InputError(f"tour: start {tuple(start)} is not on free ground with {clearance} m around it")
     graph, number = _graph(free)
     first = number[tuple(index)]
-    # Places: always the one farthest from those chosen, until none is far.
+    # Choice of places: the farthest cell from all chosen places is added until every cell is near a place.
     places, nearest = [first], dijkstra(graph, indices=first)
     reachable = np.isfinite(nearest)
     while np.max(nearest, where=reachable, initial=0) > spacing / cell:
         places.append(int(np.argmax(np.where(reachable, nearest, -1))))
         nearest = np.minimum(nearest, dijkstra(graph, indices=places[-1]))
-    # Order: always the nearest of those not visited yet.
+    # Order: the nearest unvisited place comes next.
     way, rest, here = [first], set(places[1:]), first
     while rest:
         distance, before = dijkstra(graph, indices=here, return_predecessors=True)
@@ -58,7 +58,7 @@ def tour(arena: Arena, start: tuple[float, float], clearance: float = 0.3, spaci
 
 
 def _free_ground(arena: Arena, clearance: float) -> np.ndarray:
-    """Coarse cells on which the sensor may be carried, bool [n, n]: low ground, away from edges."""
+    """Coarse cells over which the sensor may be carried, bool [n, n]: low ground, away from edges."""
     heights = arena.height_map().heights
     edges = ndimage.maximum_filter(heights, 3) - ndimage.minimum_filter(heights, 3) > _DRIVABLE
     room = ndimage.distance_transform_edt(~edges) * lattice.RESOLUTION
@@ -68,7 +68,7 @@ def _free_ground(arena: Arena, clearance: float) -> np.ndarray:
 
 
 def _graph(free: np.ndarray) -> tuple[csr_array, np.ndarray]:
-    """Steps between neighbouring free cells, lengths in cells; and the number of each free cell, -1 elsewhere."""
+    """Steps between neighbouring free cells, with lengths in cells; and each free cell's number, -1 elsewhere."""
     number = np.full(free.shape, -1)
     number[free] = np.arange(free.sum())
     ends, lengths = [], []
