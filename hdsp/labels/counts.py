@@ -1,4 +1,4 @@
-"""Counts of labels, summed up shard by shard, and the summary of a split that they make."""
+"""Label counts, added up shard by shard, and the split summary computed from them."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -11,12 +11,13 @@ from hdsp.labels.tasks import REASON_UNKNOWN, TaskSet
 
 @dataclass(frozen=True)
 class LabelCounts:
-    """Counts of some labelled maps; they can be added.
+    """Label counts for some maps; counts can be added.
 
     Attributes:
-        maps, dropped: with and without a valid start.
+        maps, dropped: number of maps with and without a valid start.
         reasons: int64 [256], number of tasks for each ``Status``.
-        cost_sum, cost_squares: sums of the costs of feasible tasks, and of their squares.
+        feasible: number of feasible tasks.
+        cost_sum, cost_squares: sums over feasible tasks: costs, and squared costs.
     """
 
     maps: int = 0
@@ -28,7 +29,7 @@ class LabelCounts:
 
     @classmethod
     def of(cls, feasible: np.ndarray, cost: np.ndarray, reason: np.ndarray, dropped: int = 0) -> "LabelCounts":
-        """Counts of arrays [n, 22] of n maps and of ``dropped`` further ones."""
+        """Counts arrays [n, 22] with the labels of n maps; ``dropped`` further maps have no labels."""
         found = cost[feasible].astype(np.float64)
         reasons = np.bincount(reason.ravel(), minlength=256)
         return cls(len(feasible), dropped, reasons, len(found), float(found.sum()), float((found**2).sum()))
@@ -41,7 +42,7 @@ class LabelCounts:
         return int(self.reasons.sum())
 
     def summary(self) -> dict[str, Any]:
-        """By name: tasks, share that is feasible, mean and standard deviation of cost, share of each reason."""
+        """Summary by name: tasks, feasible share, mean and standard deviation of cost, share of each reason."""
         tasks, n = self.tasks, self.feasible
         mean = self.cost_sum / n if n else None
         return {
@@ -53,12 +54,12 @@ class LabelCounts:
         }
 
     def shares(self) -> dict[str, float]:
-        """Share of the tasks for each reason that occurs."""
+        """Share of tasks for each reason that occurs."""
         return {reason_name(k): int(self.reasons[k]) / self.tasks for k in np.flatnonzero(self.reasons).tolist()}
 
 
 def counts_by_category(tasks: TaskSet) -> dict[str, LabelCounts]:
-    """The counts of a task set; it does not know of dropped maps."""
+    """Counts a task set by category; a task set does not contain dropped maps."""
     found = {}
     for category in sorted(set(tasks.category.tolist())):
         of_it = tasks.category == category
@@ -67,7 +68,7 @@ def counts_by_category(tasks: TaskSet) -> dict[str, LabelCounts]:
 
 
 def add_up(parts: Iterable[Mapping[str, LabelCounts]], categories: Iterable[str]) -> dict[str, LabelCounts]:
-    """Sums for each of ``categories``."""
+    """Sums counts for each category in ``categories``."""
     sums = {category: LabelCounts() for category in categories}
     for part in parts:
         for category, counts in part.items():
@@ -76,7 +77,7 @@ def add_up(parts: Iterable[Mapping[str, LabelCounts]], categories: Iterable[str]
 
 
 def split_summary(by_category: Mapping[str, LabelCounts], maps_per_category: int) -> dict[str, Any]:
-    """What is said of a labelled split; it depends on the labels alone."""
+    """Summary of a labelled split; it depends on the labels alone."""
     kept = {category: counts.maps for category, counts in by_category.items()}
     total = sum(by_category.values(), LabelCounts())
     return {
@@ -89,7 +90,7 @@ def split_summary(by_category: Mapping[str, LabelCounts], maps_per_category: int
 
 
 def reason_name(reason: int) -> str:
-    """The name of a ``Status``, or ``unknown``."""
+    """Name of a ``Status``, or ``unknown``."""
     from hdsp.detailed.search.solve import Status
 
     return "unknown" if reason == REASON_UNKNOWN else str(Status(reason))

@@ -1,7 +1,7 @@
-"""The set of simulated patches: random courses, scanned as a robot would, cut where it has something to decide.
+"""Simulated patches: random courses are scanned by a simulated robot and cut at places of interest.
 
-Each patch is labelled by the detailed planner on the scanned map. The patches of a course are a function of (settings,
-index of the course) alone.
+The detailed planner labels each patch on the scanned map. A course's patches are a function of (settings, course index)
+alone.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ _QUARTER = HEADINGS // 4
 _SHIFT = 0.15  # m, standard deviation of the distance between a place of interest and the start of its patch
 _TRIES = 20
 _CLOSEST = 0.4  # m between the starts of two patches with the same heading
-_TURNED_CELLS = 104  # side of a map that holds a patch at every heading
+_TURNED_CELLS = 104  # side of a map that contains a patch at every heading
 
 
 @dataclass(frozen=True)
 class PatchSettings:
-    """How many patches there are, and what of.
+    """Number and kind of patches.
 
     Attributes:
-        seed: of the courses, their scans and the choice of places.
-        courses: how many.
-        patches_per_course: how many at most; a place where no start is valid gives none, another one several where
-            there are fewer places than that.
-        heading_residues: abstract headings within a quarter turn, [0, 4), that starts have in turn; 0: only multiples
-            of 90 degrees, at which all goals lie on the grid of the abstract states.
+        seed: seed for courses, scans and the choice of places.
+        courses: number of courses.
+        patches_per_course: largest number of patches per course. A place without a valid start gives no patch; if
+            places are fewer than this number, one place may give several patches.
+        heading_residues: abstract headings within a quarter turn, [0, 4), used by the starts in turn. 0 means only
+            multiples of 90 degrees, for which all goals lie on the abstract state grid.
 
     Raises:
-        InputError: for a number out of range.
+        InputError: if a number is out of range.
     """
 
     seed: int
@@ -68,7 +68,7 @@ class PatchSettings:
 
 @dataclass(frozen=True)
 class PatchRun:
-    """All that the set depends on."""
+    """All settings on which the patches depend."""
 
     patches: PatchSettings
     courses: CourseSettings
@@ -77,7 +77,7 @@ class PatchRun:
     labels: LabelSettings
 
     def inputs(self) -> dict[str, Any]:
-        """Plain values by name; the code as a fingerprint."""
+        """Plain values by name; a fingerprint represents the code."""
         modules = ["hdsp.labels.rules", "hdsp.labels.course_patches"]
         return {**asdict(self), "robot": self.robot.to_dict(), "code": code_fingerprint(modules)}
 
@@ -85,12 +85,12 @@ class PatchRun:
         return hashlib.sha256(json.dumps(self.inputs(), sort_keys=True).encode()).hexdigest()
 
     def course_hash(self) -> str:
-        """Hash of what one course depends on: all but how many there are."""
+        """Hash of everything that one course depends on: all settings except the number of courses."""
         return replace(self, patches=replace(self.patches, courses=1)).hash()
 
 
 class Patch(NamedTuple):
-    """A place of a course, the start chosen near it (x, y in m; detailed heading), and its labels."""
+    """A place in a course, the start chosen near it (x, y in m; detailed heading), and its labels."""
 
     kind: str
     start: tuple[float, float, int]
@@ -98,7 +98,7 @@ class Patch(NamedTuple):
 
 
 class ScannedCourse(NamedTuple):
-    """A course, its scanned map, and the patches cut from it."""
+    """A course, its scanned map, and its patches."""
 
     index: int
     course: Course
@@ -109,18 +109,18 @@ class ScannedCourse(NamedTuple):
 def simulated_courses(
     run: PatchRun, cluster: ClusterSettings | None = None, numbers: Sequence[int] | None = None
 ) -> Iterator[ScannedCourse]:
-    """Courses in order, scanned, cut and labelled.
+    """Yields courses in order, each scanned, cut and labelled.
 
     Args:
-        run: what they are.
-        cluster: which processes do the work; None = this one.
-        numbers: which of them; None = all.
+        run: settings of the courses and patches.
+        cluster: processes for the work; None = this process.
+        numbers: course numbers; None = all.
 
     Raises:
         InputError: if MuJoCo is missing, or a worker was killed.
     """
     numbers = range(run.patches.courses) if numbers is None else numbers
-    # The first one here: it fills the cache of compiled kernels before several processes read it.
+    # This process scans the first course, which fills the cache of compiled kernels before several processes read it.
     yield from (scan_course(run, index) for index in numbers[:1])
     rest = numbers[1:]
     if cluster is None or cluster.processes(len(rest)) == 1:
@@ -132,7 +132,7 @@ def simulated_courses(
 
 
 def scan_course(run: PatchRun, index: int) -> ScannedCourse:
-    """Scan course number ``index`` and label the patches at its places of interest."""
+    """Scans course number ``index`` and labels the patches at its places of interest."""
     course = random_course(run.patches.seed, index, run.courses)
     terrain = scanned_map(course.arena, course.start, run.lidar, seed=run.patches.seed + index)
     world, grid = build_world(terrain, run.robot), Grid(terrain.origin, terrain.shape)
@@ -146,7 +146,7 @@ def scan_course(run: PatchRun, index: int) -> ScannedCourse:
         start = _valid_start(world, grid, place, residue, taken, random)
         if start is None:
             continue
-        # Turned by quarters, which permutes cells exactly, so that the start heads between 0 and 90 degrees.
+        # Quarter turns permute cells exactly; they bring the start heading between 0 and 90 degrees.
         cells = PATCH_CELLS if residue == 0 else _TURNED_CELLS
         heading = residue * HEADINGS_PER_ABSTRACT
         around = terrain.crop_cells(*start[:2], start[2] - heading, cells)
@@ -159,7 +159,7 @@ def scan_course(run: PatchRun, index: int) -> ScannedCourse:
 
 
 def task_set(run: PatchRun, courses: list[ScannedCourse]) -> TaskSet:
-    """The labelled tasks of all patches; ``category`` is the kind of place, ``index`` the course."""
+    """Labelled tasks from all patches; ``category`` is the place's kind, ``index`` the course."""
     rows = [(course.index, patch) for course in courses for patch in course.patches]
     if not rows:
         return TaskSet.empty()
@@ -175,7 +175,7 @@ def task_set(run: PatchRun, courses: list[ScannedCourse]) -> TaskSet:
 
 
 def _visits(places: tuple[Place, ...], random: np.random.Generator, found: list[Patch]) -> Iterator[Place]:
-    """All places once, and again as long as a round adds to what is found."""
+    """All places once, then again as long as a round adds a patch to ``found``."""
     before = -1
     while len(found) > before:
         before = len(found)
@@ -183,7 +183,7 @@ def _visits(places: tuple[Place, ...], random: np.random.Generator, found: list[
 
 
 def _mixed(places: tuple[Place, ...], random: np.random.Generator) -> list[Place]:
-    """The places in random order, but one of each kind before the second of any."""
+    """Places in random order, with one place of each kind before the second place of any kind."""
     kinds: dict[str, list[Place]] = {}
     for number in random.permutation(len(places)):
         kinds.setdefault(places[number].kind, []).append(places[number])
@@ -193,7 +193,7 @@ def _mixed(places: tuple[Place, ...], random: np.random.Generator) -> list[Place
 
 
 def _valid_start(world, grid: Grid, place: Place, residue: int, taken, random) -> tuple[int, int, int] | None:
-    """Cell and detailed heading of a valid start near a place, and not too near to those taken; None: not found."""
+    """Finds a valid start near a place, not too near to other starts: cell and detailed heading, or None."""
     for _ in range(_TRIES):
         x, y = random.normal((place.x, place.y), _SHIFT)
         heading = int(heading_index(place.heading + random.normal(0.0, 0.3)))

@@ -1,8 +1,8 @@
-"""How well an abstraction agrees with the detailed planner: the figures of the paper's Table I.
+"""Agreement between an abstraction and the detailed planner: the metrics in the paper's Table I.
 
-An abstraction judges each task twice. *Feasibility* counts as correct where it says the same as the label. *Cost* is
-compared only over the tasks that both judge feasible: the mean absolute difference is the cost error, the smaller the
-more similar are the two cost functions (paper, Sec. VI-A).
+An abstraction predicts feasibility and cost for each task. A *feasibility* prediction is correct if it equals the
+label. *Costs* are compared only over tasks that are feasible according to both. The mean absolute difference is the
+cost error; a smaller error means a larger cost similarity (paper, Sec. VI-A).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hdsp.base.errors import InputError
 if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
 
-#: Columns of the table of rows, see `rows`.
+#: Columns of the table, see `rows`.
 COLUMNS = (
     "set", "category", "method", "maps", "tasks", "feasible", "judged_feasible", "both_feasible",
     "feasibility_accuracy", "detailed_cost_mean", "detailed_cost_std", "abstract_cost_mean", "cost_error",
@@ -26,19 +26,20 @@ COLUMNS = (
 
 
 def evaluate_set(predictors: Mapping[str, TaskPredictor], tasks: TaskSet) -> dict[str, Any]:
-    """All figures of one set of tasks.
+    """Computes all metrics for one set of tasks.
 
     Args:
-        predictors: the abstractions by the name of their method.
+        predictors: abstractions by method name.
         tasks: labelled tasks; at least one map.
 
     Returns:
-        `maps`, `tasks`, `feasible`, `detailed_cost_mean`, `detailed_cost_std`, then `methods`: for each method what
-        `evaluate_predictor` returns, and `categories`: for each category of the set again all of this.
-        Plain numbers, ready for JSON: a mean over no task is None.
+        `maps`, `tasks`, `feasible`, `detailed_cost_mean`, `detailed_cost_std`; `methods`: the result of
+        `evaluate_predictor` for each method; and `categories`: the same entries for each category in the set. All
+            values
+        are plain numbers for JSON; a mean over no task is None.
 
     Raises:
-        InputError: the set is empty, or a predictor's answer has the wrong shape.
+        InputError: if the set is empty, or a prediction has the wrong shape.
     """
     if len(tasks.heights) == 0:
         raise InputError("evaluation: the set has no tasks, need at least one map")
@@ -51,21 +52,22 @@ def evaluate_set(predictors: Mapping[str, TaskPredictor], tasks: TaskSet) -> dic
 
 
 def evaluate_predictor(predictor: TaskPredictor, tasks: TaskSet) -> dict[str, Any]:
-    """Figures of one abstraction on one set.
+    """Computes the metrics for one abstraction on one set.
 
     Returns:
-        `feasibility_accuracy` in [0, 1] over all tasks; over the tasks both judge feasible `cost_error` (mean absolute
-        difference of cost), `abstract_cost_mean` and `compared_cost_mean` (of the labels of the same tasks); counts
-        `judged_feasible` and `both_feasible`. A mean over no task is None.
+        `feasibility_accuracy` in [0, 1] over all tasks; `cost_error` (mean absolute cost difference),
+            `abstract_cost_mean`
+        and `compared_cost_mean` (label costs) over the tasks that both judge feasible; the counts `judged_feasible` and
+        `both_feasible`. A mean over no task is None.
     """
     return evaluate_set({"it": predictor}, tasks)["methods"]["it"]
 
 
 def predict(predictor: TaskPredictor, tasks: TaskSet) -> tuple[np.ndarray, np.ndarray]:
-    """The predictor's answers `(feasible bool [n, 22], cost float [n, 22])`.
+    """Predictions `(feasible bool [n, 22], cost float [n, 22])`.
 
     Raises:
-        InputError: an answer has the wrong shape, or a task is judged feasible without a finite cost.
+        InputError: if a prediction has the wrong shape, or a task predicted feasible has no finite cost.
     """
     feasible, cost = (np.asarray(answer) for answer in predictor.predict(tasks.heights, tasks.goals))
     expected = np.shape(tasks.feasible)
@@ -78,11 +80,12 @@ def predict(predictor: TaskPredictor, tasks: TaskSet) -> tuple[np.ndarray, np.nd
 
 
 def rows(quality: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """The figures as a flat table with the columns `COLUMNS`: for each set and method one row for all categories, then
-    one for each category.
+    """Flat table of the metrics with the columns `COLUMNS`.
+
+    Each set and method has one row for all categories together, then one row for each category.
 
     Args:
-        quality: by the name of the set what `evaluate_set` returns; sets without figures (no `methods`) are left out.
+        quality: results of `evaluate_set` by set name; sets without `methods` are left out.
     """
     table = []
     for set_name, figures in quality.items():
@@ -94,7 +97,7 @@ def rows(quality: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _figures(tasks: TaskSet, judged: Mapping[str, tuple[np.ndarray, np.ndarray]], maps: np.ndarray) -> dict[str, Any]:
-    """Figures of the maps where `maps` (bool [n]) is true."""
+    """Metrics for the maps selected by `maps` (bool [n])."""
     feasible, cost = np.asarray(tasks.feasible, bool)[maps], np.asarray(tasks.cost, float)[maps]
     return {
         "maps": int(maps.sum()),
@@ -125,5 +128,5 @@ def _number(values: np.ndarray, statistic) -> float | None:
 
 
 def _in_order(names: np.ndarray) -> list[str]:
-    """The distinct names in the order of their first appearance."""
+    """Distinct names in the order of their first appearance."""
     return list(dict.fromkeys(names.tolist()))

@@ -1,4 +1,4 @@
-"""What the labels of a split look like: counts, shares and costs by category, and why maps were dropped."""
+"""Description of a labelled split: counts, shares and costs by category, and reasons for dropped maps."""
 
 from typing import Any
 
@@ -10,21 +10,21 @@ from hdsp.labels.counts import LabelCounts, add_up, counts_by_category
 from hdsp.labels.run.splits import LabelRun
 from hdsp.labels.shards import read_shards
 
-#: Kinds of dropped maps, by what is in the way of a start state in their middle.
+#: Kinds of dropped maps: the part of the robot for which the middle of the map has no free place.
 BODY, FEET, BOTH, OTHER = "body alone", "feet alone", "body and feet", "other"
 
 
 def describe_labels(run: LabelRun, place: Place, explained_maps: int = 2000) -> dict[str, Any]:
-    """Counts of a labelled split, as a whole and by category; shards are read one by one.
+    """Counts a labelled split, as a whole and by category; shards are read one by one.
 
     Args:
-        run: the split, and all that its labels depend on.
-        place: folder or URL of its shards.
-        explained_maps: of the first so many maps of the split, the dropped ones are made again to see what is in the
-            way of their start: the body, or a foot that finds no foothold.
+        run: the split, with everything on which its labels depend.
+        place: shard folder or URL.
+        explained_maps: number of maps to explain, from the start of the split. Dropped maps among them are made again
+            to find the obstacle at their start: a body collision, or a foot without a foothold.
 
     Raises:
-        InputError: if shards are missing, damaged, or were made with other settings or code.
+        InputError: if shards are missing or damaged, or were made with other settings or code.
     """
     counts, seen, labelled = [], set(), 0
     for shard in read_shards(place):
@@ -56,7 +56,7 @@ def describe_labels(run: LabelRun, place: Place, explained_maps: int = 2000) -> 
 
 
 def why_dropped(run: LabelRun, number: int) -> str:
-    """What is in the way of a start state in the middle of map ``number``."""
+    """Reason why map ``number`` has no valid start state in its middle."""
     from hdsp.detailed.actions.state_costs import foot_row
     from hdsp.detailed.world.world import body_is_free, build_world, cell_index
 

@@ -1,8 +1,8 @@
-"""The labels that the authors of the paper published: find the file, read it, write the same format.
+"""The published labels by the paper's authors: download, reading, and writing in the same format.
 
-The format is text. After a header with the number of maps, each map is: a line with its number; a line of 72 x 72
-heights in metres; 22 lines `x y yaw cost` (m, m, rad) in the order of `hdsp.robot.lattice.ABSTRACT_ACTIONS`, with `inf` as
-the cost of infeasible tasks. The robot stands in the middle of the patch with heading 0.
+The format is text. A header contains the number of maps. Each map follows: a line with its number; a line with 72 x 72
+heights in metres; 22 lines `x y yaw cost` (m, m, rad) in the order of `hdsp.robot.lattice.ABSTRACT_ACTIONS`, where
+infeasible tasks have cost `inf`. The robot stands in the middle of the patch with heading 0.
 
     python -m hdsp.labels.published_tasks export data/labels/random tasks.txt     # shards -> text
     python -m hdsp.labels.published_tasks import tasks.txt data/mine/tasks.h5     # text -> a shard
@@ -38,13 +38,13 @@ URL = (
 )
 SHA256 = "9a1d5bd698b3fab222491e6a822cfc5019c1785c70f2f4cab1b8eb44f98162fe"
 
-#: Where the file may lie in a data folder; the whole set before the part of it with even numbers.
+#: Paths of the file in a data folder; the whole set comes before the subset with even map numbers.
 PLACES = ("published/simulated_test_data_set.txt", "published/simulated_even.txt")
 
-#: `TaskSet.category` of all maps of the file.
+#: `TaskSet.category` for all maps in the file.
 CATEGORY = "published"
 
-#: Numbers of the maps that are flat, and of those with stairs or other edges to step over; the rest is for driving.
+#: Numbers of flat maps, and of maps with stairs or other edges for stepping; all other maps are for driving.
 FLAT_MAPS = frozenset({22, 23, 24})
 STAIRS_MAPS = frozenset({44, 45, *range(47, 57)})
 
@@ -56,22 +56,22 @@ _DIGITS = 6
 
 
 def terrain_kind(number: int) -> str:
-    """``flat``, ``stairs`` or ``driving``: what map ``number`` of the authors' file is for."""
+    """Kind of map ``number`` in the authors' file: ``flat``, ``stairs`` or ``driving``."""
     return "flat" if number in FLAT_MAPS else "stairs" if number in STAIRS_MAPS else "driving"
 
 
 def find_published(data_dir: str | os.PathLike | None = None, timeout: float = 30.0) -> tuple[Path | None, str]:
-    """Where the published labels are.
+    """Finds the published labels.
 
-    Looks in ``data_dir``, else in the folder named by the environment variable HDSP_DATA_DIR; if the file is not there,
-    fetches it once from its public address into the user's cache and checks its SHA-256.
+    The function looks in ``data_dir``, by default in the folder named by the environment variable HDSP_DATA_DIR. If the
+    file is not there, it downloads the file once from its public address to the user's cache and checks its SHA-256.
 
     Args:
-        data_dir: folder with the files of `PLACES`.
-        timeout: seconds to wait for an answer of the server.
+        data_dir: folder with the files in `PLACES`.
+        timeout: seconds to wait for the server.
 
     Returns:
-        (path, ""), or (None, why there is none and how to get it).
+        (path, ""), or (None, reason and the way to get the file).
     """
     folder = data_folder(data_dir)
     if folder:
@@ -80,7 +80,7 @@ def find_published(data_dir: str | os.PathLike | None = None, timeout: float = 3
                 return folder / place, ""
     try:
         return _fetch(timeout), ""
-    except Exception as error:  # whatever a download can fail with must not stop a pipeline that can go without
+    except Exception as error:  # no failed download may stop a pipeline that can run without the file
         reason = first_words(error)
     where = f"not in {folder}" if folder else f"{DATA_DIR_VARIABLE} is not set"
     return None, (
@@ -90,10 +90,10 @@ def find_published(data_dir: str | os.PathLike | None = None, timeout: float = 3
 
 
 def read_published(path: str | os.PathLike) -> TaskSet:
-    """The maps of a file in the published format; ``index`` is a map's number in the file.
+    """Reads a file in the published format; ``index`` is a map's number in the file.
 
     Raises:
-        InputError: if the file is missing, cut off, or anything else than the format; names the line.
+        InputError: if the file is missing, cut off, or has another format; the message names the line.
     """
     path = existing_file(path, "published labels")
     try:
@@ -123,10 +123,11 @@ def read_published(path: str | os.PathLike) -> TaskSet:
 
 
 def write_published(path: str | os.PathLike, tasks: TaskSet) -> Path:
-    """Writes tasks in the published format; heights and costs to six digits after the point.
+    """Writes tasks in the published format; heights and costs have six decimal places.
 
     Raises:
-        InputError: if a goal is not that of its abstract action (at headings other than 0), or on a failure to write.
+        InputError: if a goal differs from its abstract action (at headings other than 0), or the file cannot be
+            written.
     """
     if not (tasks.goals == ABSTRACT_ACTIONS).all():
         raise InputError("published format: needs goals equal to the abstract actions, as at heading 0")
@@ -143,7 +144,7 @@ def write_published(path: str | os.PathLike, tasks: TaskSet) -> Path:
 
 
 def export_tasks(source: Place, target: str | os.PathLike) -> TaskSet:
-    """Writes the tasks of a shard, or of a folder of shards, as text; path or URL. Returns them.
+    """Writes the tasks in a shard or shard folder (path or URL) as text; returns the tasks.
 
     Raises:
         InputError: as `hdsp.read_tasks` and `write_published`.
@@ -154,7 +155,7 @@ def export_tasks(source: Place, target: str | os.PathLike) -> TaskSet:
 
 
 def import_tasks(source: str | os.PathLike, target: Place) -> TaskSet:
-    """Writes the tasks of a text file as a shard; path or URL. Returns them.
+    """Writes the tasks in a text file as a shard (path or URL); returns the tasks.
 
     Raises:
         InputError: as `read_published` and `write_shard`.
@@ -186,7 +187,7 @@ def _fetch(timeout: float) -> Path:
 
 
 def _maps(path: Path, lines: list[str]) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-    """Number, heights [5184] and tasks [22, 4] of each map of the file."""
+    """Number, heights [5184] and tasks [22, 4] for each map in the file."""
     filled = [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
     starts = [k for k, (_, line) in enumerate(filled) if line.strip().lower().startswith("num maps")]
     if not starts:

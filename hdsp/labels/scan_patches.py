@@ -1,4 +1,4 @@
-"""Patches of a scanned map where the robot can stand, and the labels of their tasks."""
+"""Patches of a scanned map at valid start states, and their labels."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ from hdsp.robot.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, RESOLUT
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
-#: Positions and headings tried before a map counts as used up.
+#: Largest number of positions and headings tried on a map.
 _ATTEMPTS = 20_000
-#: m, range of heights in a patch of bare floor.
+#: m; a patch of bare floor has a smaller height range.
 FLAT = 0.05
 
 
 @dataclass(frozen=True)
 class PatchSettings:
-    """Which start states are drawn from a map.
+    """Start states to draw from a map.
 
     Attributes:
-        seed: of positions and headings; together with the map it decides all.
-        count: of patches of a map, if it has room for them.
-        spacing: m, least distance between two positions.
-        known: least share of a patch's cells that are known.
-        flat: greatest share of ``count`` that patches without anything higher or lower than `FLAT` may have: most of
-            the known ground is bare floor, which tells little about an abstraction.
-        heading_residues: abstract headings modulo a quarter turn, as in labels: which are drawn, with any quarter turn.
+        seed: seed for positions and headings. Seed, settings and map determine the result.
+        count: number of patches per map, if the map has space for them.
+        spacing: m, smallest distance between two positions.
+        known: smallest share of known cells in a patch.
+        flat: largest share of ``count`` for patches with a height range below `FLAT`. Most known ground is bare floor,
+            and bare floor tells little about an abstraction.
+        heading_residues: abstract headings modulo a quarter turn, as for labels; a random quarter turn is added.
 
     Raises:
-        InputError: for a value out of range.
+        InputError: if a value is out of range.
     """
 
     seed: int = 0
@@ -66,22 +66,22 @@ class PatchSettings:
 
 
 def draw_starts(terrain: HeightMap, robot: Robot, settings: PatchSettings) -> np.ndarray:
-    """Base states at which the robot can stand, drawn uniformly over known ground, with little of it bare floor.
+    """Draws valid base states uniformly over known ground, and limits the share of bare floor.
 
     Args:
-        terrain: cells of the detailed lattice.
-        robot: who has to stand there.
-        settings: how many, how dense.
+        terrain: height map with the cell size of the detailed lattice.
+        robot: the robot that must be able to stand there.
+        settings: number and density of the starts.
 
     Returns:
         int64 [n, 3]: (ix, iy, detailed heading), in the order drawn; n <= count.
 
     Raises:
-        InputError: if the map has other cells.
+        InputError: if the map has another cell size.
     """
     if abs(terrain.resolution - RESOLUTION) > 1e-9:
         raise InputError(f"patches: cells of {terrain.resolution} m; need {RESOLUTION} m")
-    # With unknown ground around it, as the cut that is labelled has it: feet keep off the border as off any other.
+    # Unknown cells surround the map, as in the labelled cut-out: feet keep their clearance to the border of the map.
     margin = TURNED_MAP_CELLS // 2
     around = HeightMap(np.pad(terrain.heights, margin, constant_values=np.nan))
     world = build_world(around, robot)
@@ -120,18 +120,18 @@ def label_scan(
     path: str | os.PathLike,
     about: Mapping[str, str],
 ) -> TaskSet:
-    """Labels the patches of a map into a shard; one that is there and was made from the same stays.
+    """Labels the patches of a map into a shard; a valid shard from the same inputs is kept.
 
     Args:
-        terrain: the map of a scan.
-        robot: whose planner labels.
-        patches: which start states.
-        settings: the rules of labelling.
-        path: of the shard.
-        about: texts by name that the shard keeps; ``place`` becomes the category of its tasks.
+        terrain: the scan's height map.
+        robot: the robot whose planner makes the labels.
+        patches: start states to draw.
+        settings: labelling rules.
+        path: shard path.
+        about: texts by name, stored in the shard; ``place`` becomes the category of its tasks.
 
     Returns:
-        the tasks; ``index`` is the number of the patch in its scan.
+        the tasks; ``index`` is the patch number in the scan.
     """
     inputs = json.dumps(_inputs(terrain, robot, patches, settings, about), sort_keys=True)
     labels_hash = hashlib.sha256(inputs.encode()).hexdigest()

@@ -1,12 +1,12 @@
-"""A folder of scans or of labelled tasks that somebody has: judged as it is, without a word in the configuration.
+"""Evaluation sets from a user's folder with scans or labelled tasks, without any configuration.
 
-Looked for anywhere in the folder:
+All files below the folder are searched:
 
-- ``*.yaml``: descriptions of scans as in conf/scans. Their files are taken from ``NAME/`` or ``real/NAME/`` beside the
-  description or from the folder of the description itself, else from where they always are (``hdsp.terrain.scans``). NAME is
-  what ``# @package scans.sources.NAME`` says, else the name of the description.
-- shards of labelled tasks (``*.h5``): taken as they are.
-- height maps (``.npz``, ``.h5``) and files of points that no description names: each a scan of its own; metres, z up.
+- ``*.yaml``: scan descriptions as in conf/scans. A scan's files are taken from ``real/NAME/`` or ``NAME/`` beside the
+  description, from the description's own folder, or from their usual places (``hdsp.terrain.scans``). NAME comes from
+  the line ``# @package scans.sources.NAME``, or else is the description's file name.
+- shards with labelled tasks (``*.h5``): used unchanged.
+- height maps (``.npz``, ``.h5``) and point files that no description names: each is a scan; metres, z up.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ _PACKED = (".gz", ".bz2")
 
 
 class Described(NamedTuple):
-    """A scan and where it was described."""
+    """A scan and the path of its description."""
 
     scan: Scan
     path: Path
 
 
 class ScanFolder(NamedTuple):
-    """What a folder gave.
+    """Result of reading a folder.
 
     Attributes:
         tasks: all labelled tasks; the category is the place.
-        used: for each scan or shard, by name, how many maps it gave.
-        skipped: for each that gave none, why.
+        used: number of maps from each scan or shard, by name.
+        skipped: reason for each scan or shard without maps, by name.
     """
 
     tasks: TaskSet
@@ -65,18 +65,18 @@ def read_scan_folder(
     work: str | os.PathLike,
     data_dir: str | os.PathLike | None = None,
 ) -> ScanFolder:
-    """The tasks of a folder: those of its shards, and patches of its scans, labelled.
+    """Reads the tasks in a folder's shards, and labels patches of its scans.
 
     Args:
-        folder: see above.
-        robot: whose planner labels.
-        patches: which start states are drawn from each map.
-        rules: of labelling.
-        work: receives the shards of the scans; labels that are there already and still hold are not made again.
+        folder: the folder, see above.
+        robot: the robot whose planner makes the labels.
+        patches: start states to draw from each map.
+        rules: labelling rules.
+        work: folder for the shards of the scans; labels there that are still valid are kept.
         data_dir: as in ``hdsp.terrain.scans.find_files``.
 
     Raises:
-        InputError: there is no such folder, a description is not one, a shard is damaged, or nothing in it gave tasks.
+        InputError: if the folder does not exist, a description is invalid, a shard is damaged, or there are no tasks.
     """
     folder, work = Path(folder), Path(work)
     if not folder.is_dir():
@@ -108,7 +108,7 @@ def read_scan_folder(
             continue
         try:
             terrain = HeightMap.load(path)
-        except InputError as error:  # a text about the scans is no scan
+        except InputError as error:  # e.g. a text file about the scans
             skipped[name] = str(error)
             continue
         digest = hashlib.sha256(name.encode()).hexdigest()[:8]
@@ -135,7 +135,7 @@ def _descriptions(folder: Path) -> Iterator[Described]:
 
 
 def _files(scan: Scan, beside: Path, data_dir: str | os.PathLike | None) -> tuple[list[Path], str]:
-    """As ``hdsp.terrain.scans.find_files``, which looks beside the description first."""
+    """As ``hdsp.terrain.scans.find_files``, but looks beside the description first."""
     for place in (beside / FOLDER / scan.name, beside / scan.name, beside):
         if all((place / file.place).is_file() for file in scan.files):
             return [verify(place / file.place, file.sha256) for file in scan.files], ""

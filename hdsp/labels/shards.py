@@ -1,8 +1,8 @@
-"""Shards: labelled tasks in HDF5 files that are whole or absent, and that name what their labels depend on.
+"""Shards: HDF5 files with labelled tasks. A shard is whole or absent, and names everything its labels depend on.
 
-The file is plain HDF5 (heights: chunk = one map, LZF). Its user block, the first 512 bytes, which HDF5 leaves to
-applications, holds a magic word, the schema version and the SHA-256 of the rest, so that any damage is found before
-HDF5 parses the file.
+The file is plain HDF5 (heights: chunk = one map, LZF). HDF5 leaves the first 512 bytes, the user block, to
+applications. Here the user block contains a magic word, the schema version and the SHA-256 of the rest, so any damage
+is found before HDF5 parses the file.
 """
 
 import hashlib
@@ -35,13 +35,13 @@ __all__ = [
     "write_shard",
 ]
 
-#: Raised when the layout of the file changes.
+#: Increases when the layout of the file changes.
 SCHEMA_VERSION = 1
 SUFFIX = ".h5"
 
 _MAGIC = "hdsp task shard"
 _USER_BLOCK = 512
-_MAPS_PER_CHUNK = 256  # of the arrays that are small for one map
+_MAPS_PER_CHUNK = 256  # for all arrays except heights
 _CATEGORY_NAMES = "category_names"
 _OWN_ATTRIBUTES = ("schema_version", _CATEGORY_NAMES)
 
@@ -49,7 +49,7 @@ Attributes = Mapping[str, str | int | float]
 
 
 class Shard(NamedTuple):
-    """What a shard holds: its tasks, and the attributes it was written with (`labels_hash` among them)."""
+    """Tasks in a shard, and its attributes (`labels_hash` among them)."""
 
     tasks: TaskSet
     attributes: dict[str, str | int | float]
@@ -59,7 +59,7 @@ def write_shard(path: Place, tasks: TaskSet, attributes: Attributes) -> Place:
     """Writes a shard.
 
     Args:
-        path: the file, or its URL; a shard that is there is replaced.
+        path: path or URL; an existing shard is replaced.
         tasks, attributes: see `shard_bytes`.
 
     Raises:
@@ -71,15 +71,15 @@ def write_shard(path: Place, tasks: TaskSet, attributes: Attributes) -> Place:
 
 
 def shard_bytes(tasks: TaskSet, attributes: Attributes, where: str = "") -> bytes:
-    """The contents of a shard's file.
+    """Makes the file contents of a shard.
 
     Args:
-        tasks: what it holds; may be empty.
-        attributes: texts and numbers by name; `labels_hash`, a hash of all that the labels depend on, has to be there.
-        where: names the shard in errors.
+        tasks: the tasks; may be empty.
+        attributes: texts and numbers by name. `labels_hash`, a hash of everything the labels depend on, is required.
+        where: name of the shard in error messages.
 
     Raises:
-        InputError: if `labels_hash` is missing, or an attribute is of another type.
+        InputError: if `labels_hash` is missing, or an attribute has another type.
     """
     import h5py
 
@@ -93,7 +93,7 @@ def shard_bytes(tasks: TaskSet, attributes: Attributes, where: str = "") -> byte
         raise InputError(f"shard {where}: {len(names)} categories; at most 256 fit")
     arrays = {name: tasks.arrays()[name] for name in FIELDS}
     arrays["category"] = np.searchsorted(names, tasks.category).astype(np.uint8)
-    # Through memory: a full disk is then an ordinary OSError, which HDF5 reports in ways of its own.
+    # The buffer turns a full disk into an ordinary OSError; HDF5 itself reports a full disk in several ways.
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", userblock_size=_USER_BLOCK, libver=("v110", "v110")) as file:
         for name, array in sorted(arrays.items()):
@@ -112,10 +112,11 @@ def read_shard(path: Place) -> Shard:
     """Reads and verifies a shard.
 
     Args:
-        path: the file, or its URL.
+        path: path or URL.
 
     Raises:
-        InputError: names the file and what is wrong: missing, no shard, other schema version, cut off, or damaged.
+        InputError: if the file is missing, no shard, cut off or damaged, or has another schema version; the message
+            names the file.
     """
     if not is_url(path):
         existing_file(path, "shard")
@@ -124,10 +125,10 @@ def read_shard(path: Place) -> Shard:
 
 
 def shard_of(content: bytes, where: str = "") -> Shard:
-    """The shard in the contents of a file; ``where`` names it in errors.
+    """Reads the shard in a file's contents; ``where`` names it in error messages.
 
     Raises:
-        InputError: names what is wrong: no shard, other schema version, cut off, or damaged.
+        InputError: if the contents are no shard, cut off or damaged, or have another schema version.
     """
     import h5py
 
@@ -143,16 +144,16 @@ def shard_of(content: bytes, where: str = "") -> Shard:
 
 
 def is_shard(path: str | os.PathLike) -> bool:
-    """Whether a local file begins as a shard does; it may still be damaged."""
+    """Whether a local file begins like a shard; it may still be damaged."""
     with existing_file(path, "shard").open("rb") as file:
         return file.read(len(_MAGIC)) == _MAGIC.encode()
 
 
 def read_tasks(path: Place) -> TaskSet:
-    """The tasks of a shard, or of all shards of a folder in the order of their names; path or URL.
+    """Reads the tasks in a shard, or in all shards of a folder in name order; path or URL.
 
     Raises:
-        InputError: if there is no such file or folder, the folder holds no shard, or a shard is damaged.
+        InputError: if the file or folder does not exist, the folder contains no shard, or a shard is damaged.
     """
     if not is_folder(path):
         return read_shard(path).tasks
@@ -160,10 +161,10 @@ def read_tasks(path: Place) -> TaskSet:
 
 
 def read_shards(folder: Place) -> Iterator[Shard]:
-    """The shards of a folder one by one, in the order of their names; never more than one is in memory.
+    """Yields the shards of a folder in name order; at most one is in memory.
 
     Raises:
-        InputError: if the folder holds no shard, or when a damaged one is met.
+        InputError: if the folder contains no shard, or a shard is damaged.
     """
     paths = shard_paths(folder)
     if not paths:
@@ -172,13 +173,13 @@ def read_shards(folder: Place) -> Iterator[Shard]:
 
 
 def shard_paths(folder: Place) -> list[Place]:
-    """The shards of a folder by name: paths, or URLs if the folder is one."""
+    """Shards of a folder in name order: paths, or URLs if the folder is a URL."""
     names = shard_names(open_folder(folder).names())
     return [f"{str(folder).rstrip('/')}/{name}" if is_url(folder) else Path(folder) / name for name in names]
 
 
 def shard_names(names: list[str]) -> list[str]:
-    """Those that are shards; temporary files of a writer at work, or of one that was killed, are none."""
+    """Names of shards; temporary files from a running or killed writer are excluded."""
     return [name for name in names if name.endswith(SUFFIX) and not name.startswith(".")]
 
 

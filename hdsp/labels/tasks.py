@@ -1,4 +1,4 @@
-"""Tasks with their labels, as arrays: what label makers give and what learning and evaluation take."""
+"""Arrays with labelled tasks: label makers produce them; learning and evaluation use them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -8,13 +8,13 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.robot.lattice import N_ABSTRACT_ACTIONS, PATCH_CELLS
 
-#: `TaskSet.reason` of a task whose labels came without one. Other values are those of `hdsp.detailed.search.solve.Status`.
+#: `TaskSet.reason` for labels without a reason. `hdsp.detailed.search.solve.Status` defines the other values.
 REASON_UNKNOWN = 255
 
 _PATCH = (PATCH_CELLS, PATCH_CELLS)
 _GOALS = (N_ABSTRACT_ACTIONS,)
 
-#: dtype and shape for one map of each array of a `TaskSet`, except `category`.
+#: dtype and shape per map for each array in a `TaskSet`, except `category`.
 FIELDS = {
     "heights": (np.float32, _PATCH),
     "goals": (np.float32, (*_GOALS, 3)),
@@ -31,26 +31,26 @@ FIELDS = {
 
 @dataclass(frozen=True, eq=False)
 class TaskSet:
-    """The 22 tasks of each of n maps and their labels.
+    """The 22 tasks of n maps, with their labels.
 
-    Convention: patches and goals are in the robot frame (see `hdsp.terrain.height_map`), goals in abstract steps (10 cm, 22.5
-    degrees) in the order of `hdsp.robot.lattice.ABSTRACT_ACTIONS`.
+    Convention: patches and goals are in the robot frame (see `hdsp.terrain.height_map`). Goals are in abstract steps
+    (10 cm, 22.5 degrees), in the order of `hdsp.robot.lattice.ABSTRACT_ACTIONS`.
 
     Attributes:
         heights: float32 [n, 72, 72], m, NaN = unknown.
         goals: float32 [n, 22, 3], (dx, dy, dtheta) in abstract steps.
         feasible: bool [n, 22].
         cost: float32 [n, 22], 0 where infeasible.
-        reason: uint8 [n, 22], how the search for the goal ended.
-        category: str [n], what the terrain is.
-        index: int64 [n], number of the map in its category and split, or in its file.
+        reason: uint8 [n, 22], ``Status`` of the search for each goal.
+        category: str [n], kind of terrain.
+        index: int64 [n], map number in its category and split, or in its file.
         seed: int64 [n], seed of the split.
-        heading: uint8 [n], heading of the start on the detailed lattice, [0, 64).
-        start: float32 [n, 7], detailed state at which the tasks start: m, m, rad, 4 x m.
-        goal: float32 [n, 22, 7], detailed states the goals stand for.
+        heading: uint8 [n], start heading on the detailed lattice, [0, 64).
+        start: float32 [n, 7], detailed start state: m, m, rad, 4 x m.
+        goal: float32 [n, 22, 7], detailed goal states.
 
     Raises:
-        InputError: names the array whose shape is wrong, or whose cost is not a finite number.
+        InputError: if an array has the wrong shape, or a cost is not finite; the message names the array.
     """
 
     heights: np.ndarray
@@ -82,22 +82,22 @@ class TaskSet:
         return len(self.category)
 
     def __getitem__(self, maps) -> "TaskSet":
-        """The maps picked by a slice, an index array or a mask."""
+        """Maps selected by a slice, an index array or a mask."""
         return TaskSet(**{name: array[maps] for name, array in self.arrays().items()})
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The arrays by name; no copies."""
+        """Arrays by name, without copies."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @classmethod
     def empty(cls) -> "TaskSet":
-        """A set of no maps."""
+        """A task set without maps."""
         arrays = {name: np.zeros((0, *shape), dtype) for name, (dtype, shape) in FIELDS.items()}
         return cls(category=np.zeros(0, np.str_), **arrays)
 
     @classmethod
     def concatenate(cls, sets: Sequence["TaskSet"]) -> "TaskSet":
-        """The maps of all ``sets``, in their order."""
+        """Maps of all ``sets``, in their order."""
         if not sets:
             return cls.empty()
         return cls(**{name: np.concatenate([tasks.arrays()[name] for tasks in sets]) for name in sets[0].arrays()})

@@ -1,8 +1,8 @@
-"""Labels the shards of a run on a Dask cluster, whatever happens to its workers.
+"""Labelling on a Dask cluster that tolerates lost workers.
 
-The maps of a shard are labelled in parts; a part stays where it was made until the shard is written, by a worker, to
-its place. Dask does again what a lost worker had. A part that keeps losing its workers is taken apart, so that the map
-that ends them, if it is one, can be named.
+The maps of a shard are labelled in parts. A part stays on its worker until a worker writes the shard to its place. Dask
+repeats the work of a lost worker. If a part keeps losing its workers, its maps are labelled one by one; this finds the
+map that ends the workers, if one map is the cause.
 """
 
 import secrets
@@ -23,13 +23,13 @@ from hdsp.labels.run.splits import LabelRun, ShardPlan, labels_code
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-#: Maps of a part: seconds of work, so that all workers are busy to the end and little is lost with one.
+#: Maps in a part: a few seconds of work, so that all workers are busy to the end and a lost worker costs little.
 MAPS_PER_PART = 10
 
-#: How often the writing of a shard may lose its worker as often as Dask allows.
+#: Attempts to write a shard; an attempt fails after it has lost as many workers as Dask allows.
 STORE_ATTEMPTS = 3
 
-#: Seconds without any worker after which a run on its own processes gives up, and another one says that it waits.
+#: Seconds without any worker. Then a run on its own processes gives up; any other run reports that it waits.
 NO_WORKER_SECONDS = 120.0
 
 SCHEDULER_GONE = "the Dask scheduler is gone; finished shards stay, run again for the others"
@@ -39,13 +39,13 @@ _POLL_SECONDS = 0.02
 
 @dataclass
 class _Job:
-    """A shard on its way.
+    """A shard in progress.
 
     Attributes:
-        parts: labels of its maps, in order.
-        counts: of the parts.
-        store: the writing.
-        stores: how often that was begun.
+        parts: labels for its maps, in order.
+        counts: counts for the parts.
+        store: the write to storage.
+        stores: number of attempts to write.
     """
 
     shard: ShardPlan
@@ -60,12 +60,12 @@ class ClusterLabelling:
     """A label run on a cluster.
 
     Args:
-        client: of the cluster.
-        run: the split and all its labels depend on.
-        label: labels one map; None = `hdsp.labels.rules.label_map`. Pickled by name.
-        place: of the shards; seen by all workers.
-        progress: is told of each part.
-        own_workers: nobody else starts workers; without any there is nothing to wait for.
+        client: Dask client of the cluster.
+        run: the split, with everything on which its labels depend.
+        label: function that labels one map; None = `hdsp.labels.rules.label_map`. Pickled by name.
+        place: shard folder or URL, visible to all workers.
+        progress: progress bar to update after each part.
+        own_workers: whether this run alone starts workers; if none is left, the run does not wait for others.
     """
 
     def __init__(
@@ -81,22 +81,22 @@ class ClusterLabelling:
 
         self._client, self._run, self._label, self._place, self._progress = client, run, label, place, progress
         self._code, self._token, self._submitted = labels_code(), secrets.token_hex(4), 0
-        self._jobs: dict[str, _Job] = {}  # by the keys of the futures that are waited for
+        self._jobs: dict[str, _Job] = {}  # by the keys of the awaited futures
         self._done = as_completed(loop=client.loop)
         self._own_workers, self._workers, self._looked, self._last_seen = own_workers, 0, -1.0, time.monotonic()
         self._said_waiting, self._dead = False, set()
 
     def shards(self, shards: Sequence[ShardPlan]) -> Iterator[tuple[ShardPlan, dict[str, LabelCounts]]]:
-        """Labels and writes shards; yields each with its counts, by category, once it is written.
+        """Labels and writes shards; yields each shard with its counts by category after it is written.
 
         Raises:
             InputError: if a shard cannot be written, or a map keeps ending its workers. Finished shards stay.
-            RuntimeError: what labelling raises; names the map.
+            RuntimeError: if labelling fails; the message names the map.
         """
         try:
             yield from self._shards(shards)
         except (CancelledError, OSError) as error:
-            # Dask's own words for a lost scheduler; what a worker raises of that kind comes as `InputError`.
+            # Dask raises these errors for a lost scheduler; workers convert theirs to `InputError`.
             raise InputError(SCHEDULER_GONE) from error
 
     def _shards(self, shards: Sequence[ShardPlan]) -> Iterator[tuple[ShardPlan, dict[str, LabelCounts]]]:
@@ -109,7 +109,7 @@ class ClusterLabelling:
             future = self._next()
             job = self._jobs.pop(future.key, None)
             if job is None:
-                continue  # of an attempt that was given up
+                continue  # this future belongs to an abandoned attempt
             if future.status != "finished":
                 self._mend(job, future)
             elif future is job.store:
@@ -121,11 +121,11 @@ class ClusterLabelling:
                 self._progress.count(future.result())
 
     def _window(self) -> int:
-        """How many shards are on their way at a time: enough for all workers, and not the whole split in memory."""
+        """Number of shards in progress: enough for all workers, but not the whole split in memory."""
         return 2 + 2 * self._workers
 
     def _next(self) -> "Future":
-        """Waits for a future, and meanwhile looks after the workers."""
+        """Waits for a future and meanwhile monitors the workers."""
         while not self._done.has_ready():
             self._look_at_workers()
             time.sleep(_POLL_SECONDS)
@@ -148,7 +148,7 @@ class ClusterLabelling:
             raise InputError(SCHEDULER_GONE) from error
         if self._own_workers:
             dead = dead_workers(self._client.cluster)
-            replace_workers(self._client.cluster, dead & self._dead)  # Dask had a second to do it
+            replace_workers(self._client.cluster, dead & self._dead)  # Dask had one second to replace them
             self._dead = dead - self._dead
         if self._workers:
             self._last_seen, self._said_waiting = now, False
@@ -162,8 +162,11 @@ class ClusterLabelling:
                 self._said_waiting = True
 
     def _begin(self, shard: ShardPlan, alone: bool = False) -> None:
-        """Submits a shard; ``alone``: waits for its first part, so that one process fills the cache of compiled
-        kernels before others read it."""
+        """Submits a shard.
+
+        ``alone`` waits for its first part, so that one process fills the cache of compiled kernels before others read
+        it.
+        """
         job = _Job(shard)
         for first in range(0, len(shard.maps), MAPS_PER_PART):
             maps = shard.maps[first : first + MAPS_PER_PART]
@@ -195,7 +198,7 @@ class ClusterLabelling:
         return self._client.submit(function, *arguments, key=key)
 
     def _mend(self, job: _Job, future: "Future") -> None:
-        """Does again what went wrong because workers were lost; all else is raised."""
+        """Repeats work that failed because workers were lost; raises all other errors."""
         from distributed import KilledWorker
 
         if future.status == "cancelled":
@@ -207,7 +210,7 @@ class ClusterLabelling:
         for other in [*job.counts, job.store]:
             if other.status == "error":
                 self._jobs.pop(other.key, None)
-        for k in reversed(lost):  # from the back: places of those before stay
+        for k in reversed(lost):  # reversed order keeps the earlier indices valid
             mended = self._one_by_one(job.maps[k])
             job.parts[k : k + 1] = mended
             job.maps[k : k + 1] = [[number] for number in job.maps[k]]

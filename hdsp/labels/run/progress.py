@@ -1,4 +1,4 @@
-"""What a label run shows while it works."""
+"""Progress of a label run on the terminal."""
 
 import sys
 
@@ -7,11 +7,13 @@ from hdsp.robot.lattice import N_ABSTRACT_ACTIONS
 
 
 class TaskProgress:
-    """A bar with tasks per second, the time left, the share of infeasible tasks by reason and the number of dropped
-    maps; a context manager.
+    """A progress bar; a context manager.
+
+    The bar shows tasks per second, the time left, the share of infeasible tasks by reason, and the number of dropped
+    maps.
 
     Args:
-        name: what is being labelled.
+        name: name of the labelled split.
         total: number of maps.
         show: False shows messages, but no bar.
     """
@@ -29,30 +31,30 @@ class TaskProgress:
             self._bar.close()
 
     def say(self, *messages: str) -> None:
-        """Lines on standard error."""
+        """Prints lines on standard error."""
         for message in messages:
             print(f"{self._name}: {message}", file=sys.stderr)
 
     def note(self, *messages: str) -> None:
-        """As `say`, but only where there is a bar."""
+        """As `say`, but only if there is a bar."""
         if self._show:
             self.say(*messages)
 
     def begin(self, already_done: int = 0) -> None:
-        """Shows the bar; ``already_done`` maps of the total need no work."""
+        """Shows the bar; ``already_done`` maps need no work."""
         done = already_done * N_ABSTRACT_ACTIONS
         if not self._show or done == self._total:
             return
         from tqdm import tqdm
 
-        # A log file gets a line now and then, a terminal a bar that moves.
+        # A terminal gets a moving bar, a log file an occasional line.
         interval = 0.2 if sys.stderr.isatty() else 10.0
         self._bar = tqdm(
             desc=self._name, total=self._total, initial=done, unit="task", mininterval=interval, dynamic_ncols=True
         )
 
     def count(self, counts: LabelCounts) -> None:
-        """Adds the counts of maps that were labelled."""
+        """Adds the counts for newly labelled maps."""
         self.counts += counts
         if self._bar is None:
             return

@@ -1,6 +1,6 @@
-"""Labels for all maps of a split: in shards, on one process or many, and resumable after whatever stopped it.
+"""Labels for all maps in a split: written in shards, by one or many processes, and resumable after any interruption.
 
-A run keeps the shards that are valid and makes the rest: see `hdsp.labels.run.splits` for what their labels depend on.
+A run keeps valid shards and makes the others; `hdsp.labels.run.splits` defines everything on which their labels depend.
 """
 
 import time
@@ -22,13 +22,13 @@ __all__ = ["ClusterSettings", "LabelRun", "LabelledSplit", "SplitSettings", "lab
 
 
 class LabelledSplit(NamedTuple):
-    """What a label run tells.
+    """Result of a label run.
 
     Attributes:
-        summary: counts of the split; they depend on its labels alone.
-        record: how this run went: tasks labelled (those of dropped maps included), seconds (`start_seconds` of them
-            until the workers were there), tasks per second after that, workers, the most bytes that one of them held.
-            None if nothing was missing.
+        summary: counts for the split; they depend on its labels alone.
+        record: statistics of this run: labelled tasks (including tasks of dropped maps), seconds, `start_seconds` (time
+            until the workers were ready), tasks per second after the start, workers, and the peak memory of a worker in
+            bytes. None if no shard was missing.
     """
 
     summary: dict[str, Any]
@@ -43,20 +43,21 @@ def label_split(
     progress: bool = True,
     label: LabelMap | None = None,
 ) -> LabelledSplit:
-    """Labels all maps of a split into shards in ``folder``; shards that are there and valid stay.
+    """Labels all maps of a split into shards in ``folder``; valid shards are kept.
 
     Args:
-        run: the split, and all that its labels depend on.
-        folder: path or URL, for the shards and for nothing else. Shards of other labels in it are removed, files that
-            readers would take for shards are moved into a folder beside it, whose name ends in ``.foreign``.
-        cluster: who does the work; None = a process for each core.
-        progress: show a bar, and where Dask's dashboard is.
-        label: labels one map; None = `hdsp.labels.rules.label_map`. With several workers it is pickled by name.
+        run: the split, with everything on which its labels depend.
+        folder: path or URL, used for the shards only. Shards with other labels are removed. Other files that readers
+            would take for shards move to a folder beside it with a name that ends in ``.foreign``.
+        cluster: cluster for the work; None = one process per core.
+        progress: whether to show a bar and the address of Dask's dashboard.
+        label: function that labels one map; None = `hdsp.labels.rules.label_map`. Several workers need a function that
+            can be pickled by name.
 
     Raises:
-        InputError: if the folder cannot be written to, the disk is full, the cluster cannot be had, or a map ends its
-            workers again and again. Finished shards stay.
-        RuntimeError: what labelling raises; names the map.
+        InputError: if the folder is not writable, the disk is full, the cluster is not available, or a map keeps ending
+            its workers. Finished shards stay.
+        RuntimeError: if labelling fails; the message names the map.
     """
     cluster = cluster or ClusterSettings()
     files = open_folder(folder)
@@ -80,7 +81,7 @@ def _label(
     bar: TaskProgress,
     counts: dict[str, dict[str, LabelCounts]],
 ) -> dict[str, Any]:
-    """Makes shards, adds their counts to ``counts``; returns the record of the run."""
+    """Makes the missing shards and adds their counts to ``counts``; returns the record."""
     maps = sum(len(shard.maps) for shard in missing)
     jobs = sum(-(-len(shard.maps) // MAPS_PER_PART) for shard in missing)
     began = time.perf_counter()
@@ -129,7 +130,7 @@ def _label_here(
 def _valid_shards(
     files: Folder, run: LabelRun, shards: Sequence[ShardPlan], bar: TaskProgress
 ) -> dict[str, dict[str, LabelCounts]]:
-    """Counts, by category, of the shards that are there and valid; says what else there is, and clears it away."""
+    """Counts by category for the existing valid shards; reports and clears away all other files."""
     planned = {shard.name: shard for shard in shards}
     counts: dict[str, dict[str, LabelCounts]] = {}
     removed: dict[str, list[str]] = {}
