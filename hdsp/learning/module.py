@@ -1,4 +1,4 @@
-"""The Lightning module: losses, optimiser, schedule and metrics of a network of tasks."""
+"""Lightning module for task networks: losses, optimiser, schedule and metrics."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -16,7 +16,7 @@ from hdsp.learning.task_data import Batch
 
 @dataclass(frozen=True)
 class OptimizerSettings:
-    """The optimiser; ``sgd`` with lr 1e-4 and momentum 0.9 is the paper's.
+    """Optimiser settings; the paper uses ``sgd`` with lr 1e-4 and momentum 0.9.
 
     Weight decay acts on matrices and kernels, not on biases and normalisations.
     """
@@ -29,8 +29,12 @@ class OptimizerSettings:
 
 @dataclass(frozen=True)
 class ScheduleSettings:
-    """The learning rate over the training, stepped each batch: ``constant``, ``cosine`` to zero, or ``onecycle``: up
-    during the first ``warmup`` share of all steps, then down to zero."""
+    """Learning rate schedule, stepped each batch.
+
+    Attributes:
+        name: ``constant``; ``cosine`` to zero; ``onecycle``: up during the first ``warmup`` share, then down to zero.
+        warmup: share of all steps, between 0 and 1.
+    """
 
     name: Literal["constant", "cosine", "onecycle"] = "constant"
     warmup: float = 0.2
@@ -42,8 +46,7 @@ class ScheduleSettings:
 
 @dataclass(frozen=True)
 class LossSettings:
-    """Initial loss weights, and the rule by which they fall: ``plateau`` (paper), ``published`` (script),
-    ``constant``."""
+    """Initial loss weights and their decay rule: ``plateau`` (paper), ``published`` (script) or ``constant``."""
 
     feasibility: float = 1.0
     cost: float = 1.0
@@ -55,13 +58,13 @@ class LossSettings:
 class AbstractionModule(pl.LightningModule):
     """Trains a ``TaskNetwork``.
 
-    The loss is w_f BCE(feasibility) + w_c L1(cost over feasible tasks); the weights are buffers and thus part of every
+    The loss is w_f BCE(feasibility) + w_c L1(cost over feasible tasks). The weights are buffers and part of every
     checkpoint.
 
     Args:
-        network: what is trained.
+        network: network to train.
         optimizer, schedule, losses: settings.
-        val_sets: names of the validation sets, in the order of the dataloaders.
+        val_sets: validation set names, in dataloader order.
     """
 
     def __init__(
@@ -81,15 +84,16 @@ class AbstractionModule(pl.LightningModule):
         self.metrics = {name: TaskMetrics() for name in val_sets}
 
     def epoch_losses(self) -> dict[str, float]:
-        """Mean unweighted losses of the training epoch so far: feasibility over all tasks, cost over feasible
-        batches."""
+        """Returns the epoch's mean unweighted losses so far: feasibility over all tasks, cost over feasible tasks."""
         sums = self.loss_sums.tolist()
         return {name: sums[i] / max(sums[2], 1.0) for i, name in enumerate(LOSSES)}
 
     def epoch_metrics(self) -> dict[str, float]:
-        """Flat metrics of the epoch that just ended: ``loss/*`` and ``loss_weight/*`` (as used in it) for
-        ``feasibility`` and ``cost``, ``feasibility_accuracy/{set}`` and ``cost_error/{set}`` for each validation
-        set."""
+        """Returns flat metrics for the epoch that just ended.
+
+        Keys are ``loss/*`` and ``loss_weight/*`` (as used in the epoch) for ``feasibility`` and ``cost``, and
+        ``feasibility_accuracy/{set}`` and ``cost_error/{set}`` for each validation set.
+        """
         values = {f"loss/{name}": value for name, value in self.epoch_losses().items()}
         values |= {f"loss_weight/{name}": self.loss_weight(name) for name in LOSSES}
         for set_name, metrics in self.metrics.items():
@@ -98,11 +102,11 @@ class AbstractionModule(pl.LightningModule):
         return values
 
     def loss_weight(self, name: str) -> float:
-        """Present weight of the loss ``feasibility`` or ``cost``."""
+        """Returns the current weight for loss ``feasibility`` or ``cost``."""
         return float(self.loss_weights[LOSSES.index(name)])
 
     def scale_loss_weight(self, name: str, factor: float) -> None:
-        """Multiplies a loss weight."""
+        """Multiplies a loss weight by a factor."""
         self.loss_weights[LOSSES.index(name)] *= factor
 
     def on_train_epoch_start(self) -> None:

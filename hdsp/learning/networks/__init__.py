@@ -1,7 +1,7 @@
 """Network architectures by name.
 
-To add one: a file beside this one with a ``TaskNetwork`` and a dataclass of its options, one line in ``ARCHITECTURES``,
-and ``conf/model/NAME.yaml`` that names it.
+A new architecture needs a file beside this one with a ``TaskNetwork`` and its options dataclass, one line in
+``ARCHITECTURES``, and ``conf/model/NAME.yaml``.
 """
 
 from collections.abc import Mapping
@@ -34,13 +34,13 @@ ARCHITECTURES: dict[str, tuple[type[TaskNetwork], type]] = {
 
 @dataclass(frozen=True)
 class ModelSettings:
-    """What ``conf/model/*.yaml`` holds.
+    """Model settings, as in ``conf/model/*.yaml``.
 
     Attributes:
-        architecture: a name in ``ARCHITECTURES``.
-        initialisation: ``he``, or ``default`` for that of PyTorch.
-        encoding: treatment of heights.
-        options: the architecture's own options; missing ones keep their defaults.
+        architecture: key in ``ARCHITECTURES``.
+        initialisation: ``he``, or ``default`` for PyTorch's.
+        encoding: height encoding.
+        options: architecture options; missing keys keep their defaults.
     """
 
     architecture: str = "klamt2019"
@@ -49,7 +49,7 @@ class ModelSettings:
     options: dict[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain mapping that ``build_network`` reads back, with all defaults written out."""
+        """Returns a plain mapping for ``build_network``, with all defaults written out."""
         options = asdict(self.checked_options())
         return {
             "architecture": self.architecture,
@@ -59,10 +59,10 @@ class ModelSettings:
         }
 
     def checked_options(self):
-        """The options as the architecture's dataclass.
+        """Returns the options as the architecture's dataclass.
 
         Raises:
-            InputError: on an unknown architecture or option.
+            InputError: the architecture or an option is unknown.
         """
         if self.architecture not in ARCHITECTURES:
             raise InputError(f"model.architecture: {self.architecture!r} is not one of {', '.join(ARCHITECTURES)}")
@@ -70,10 +70,10 @@ class ModelSettings:
 
 
 def build_network(config: Mapping[str, Any] | ModelSettings) -> TaskNetwork:
-    """A freshly initialised network, in training mode, from a model configuration (``ModelSettings``).
+    """Builds a freshly initialised network, in training mode, from a model configuration (``ModelSettings``).
 
     Raises:
-        InputError: on unknown keys, architectures or options.
+        InputError: a key, the architecture or an option is unknown.
     """
     settings = settings_from(ModelSettings, config, "model")
     options = settings.checked_options()

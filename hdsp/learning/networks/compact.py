@@ -1,4 +1,4 @@
-"""A smaller and faster network: strided residual stages, the goal acts as a gate on the map."""
+"""Smaller, faster network: strided residual stages, and a goal gate on the map features."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,12 @@ from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
 
 @dataclass(frozen=True)
 class CompactOptions:
-    """Widths of the network.
+    """Layer widths.
 
     Attributes:
-        widths: channels of the stages; each stage halves the resolution of the one before, the first works at 36 x 36.
-        blocks: residual blocks of each stage.
-        map_features: channels to which the last stage is reduced before it is flattened.
+        widths: channels per stage; each stage halves the resolution, the first works at 36 x 36 cells.
+        blocks: residual blocks per stage.
+        map_features: channels after the reduction that precedes flattening.
         hidden: width of the layers that see the goal.
     """
 
@@ -35,10 +35,10 @@ class CompactOptions:
 
 
 class Compact(TaskNetwork):
-    """Residual stages with batch normalisation; a goal scales and shifts the hidden features of the map (FiLM).
+    """Residual stages with batch normalisation; a goal scales and shifts the hidden map features (FiLM).
 
-    A sum of map and goal, as in the published network, can only become a product ("this obstacle matters for that
-    goal") in later layers; the gate gives that product directly, so that one hidden layer behind it is enough.
+    The published network adds map and goal, so a product ("this obstacle matters for that goal") arises only in later
+    layers. The gate gives this product directly: one hidden layer after it is enough.
     """
 
     def __init__(self, encoding: HeightEncoding, options: CompactOptions):
@@ -70,7 +70,7 @@ class Compact(TaskNetwork):
 
 
 class ResidualBlock(nn.Module):
-    """Two 3 x 3 convolutions beside the identity."""
+    """Two 3 x 3 convolutions with an identity shortcut."""
 
     def __init__(self, width: int):
         super().__init__()
@@ -78,7 +78,7 @@ class ResidualBlock(nn.Module):
             nn.Conv2d(width, width, 3, padding=1, bias=False), nn.BatchNorm2d(width), nn.ReLU(),
             nn.Conv2d(width, width, 3, padding=1, bias=False), nn.BatchNorm2d(width),
         )  # fmt: skip
-        # The block starts as the identity, so that depth does not hinder the first epochs.
+        # Each block starts as the identity, so depth does not hinder the first epochs.
         nn.init.zeros_(self.inner[-1].weight)
 
     def forward(self, x: Tensor) -> Tensor:

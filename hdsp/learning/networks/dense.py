@@ -1,9 +1,9 @@
-"""A trunk of convolutions evaluated at every cell of a map instead of in every patch.
+"""Dense evaluation: a convolutional trunk runs at every map cell once instead of in every patch.
 
-Where patches overlap, a trunk without padding computes the same values again for each of them. Evaluated densely it
-computes them once: pooling with a stride becomes pooling at every cell, and what follows is dilated by that stride
-(Giusti et al. 2013, "Fast image scanning with deep max-pooling convolutional neural networks"). The feature map of a
-patch is then a window of the dense result with that dilation as step.
+A trunk without padding computes the same values again for each overlapping patch. Dense evaluation computes them once:
+a pooling with stride becomes a pooling at every cell, and all later layers are dilated by this stride (Giusti et al.
+2013, "Fast image scanning with deep max-pooling convolutional neural networks"). A patch's feature map is then a window
+into the dense result, with this dilation as step.
 """
 
 from typing import Any, Protocol
@@ -17,48 +17,48 @@ from hdsp.robot.lattice import PATCH_CELLS
 
 
 class DenseEvaluation(Protocol):
-    """What gives the features of all patches of a map at once; it shares the weights of the network.
+    """Computes features for all patches in a map at once; shares the network's weights.
 
     Attributes:
-        exact: whether they are the features of each patch alone.
-        margin: cells that it looks beyond a patch, on each side.
+        exact: whether the features equal the features from each patch alone.
+        margin: cells read beyond a patch, on each side.
     """
 
     exact: bool
     margin: int
 
     def __call__(self, encoded: Tensor) -> Any:
-        """All that patches share, from the encoded window of a turned map.
+        """Computes everything that patches share, from an encoded window in a rotated map.
 
         Args:
-            encoded: float [1, channels, nx, ny], with ``margin`` cells around the patches in question. The network may
+            encoded: float [1, channels, nx, ny], with ``margin`` cells around the requested patches. The network may
                 run under autocast here.
         """
         ...
 
     def windows(self, dense: Any, corners: Tensor) -> Tensor:
-        """Features of patches, float [n, F], as ``TaskNetwork.map_part`` gives them.
+        """Returns patch features, float [n, F], as ``TaskNetwork.map_part`` does.
 
         Args:
-            dense: what a call returned.
-            corners: int64 [n, 2], lower corners (x, y) of the patches: the one at (x, y) begins at cell (x + margin, y
-                + margin) of ``encoded``.
+            dense: result of a call.
+            corners: int64 [n, 2], lower patch corners (x, y); patch (x, y) begins at cell (x + margin, y + margin) of
+                ``encoded``.
         """
         ...
 
 
 class DenseTrunk:
-    """Dense evaluation of a trunk of convolutions, ReLUs and poolings.
+    """Dense evaluation for a trunk with convolutions, ReLUs and poolings.
 
     Attributes:
-        exact: whether a window of the dense result equals the features of the patch. Zero padding makes the features
-            near the rim of a patch differ, because the map goes on there.
-        margin: cells that the padded layers look beyond a patch, on each side.
-        step: cells between neighbours of a patch's feature map.
-        cells: side of that feature map.
+        exact: whether a window into the dense result equals the patch features. Zero padding changes features near a
+            patch's rim, because the map continues there.
+        margin: cells that padded layers read beyond a patch, on each side.
+        step: cells between neighbours in a patch's feature map.
+        cells: side of this feature map.
 
     Raises:
-        InputError: if the trunk has other layers, or convolutions with a stride.
+        InputError: the trunk has other layers, or convolutions with a stride.
     """
 
     def __init__(self, trunk: nn.Sequential):
@@ -81,14 +81,14 @@ class DenseTrunk:
         self.exact = self.margin == 0
 
     def __call__(self, encoded: Tensor) -> Tensor:
-        """Features at every cell.
+        """Returns features at every cell.
 
         Args:
-            encoded: float [1, channels, nx, ny], with ``margin`` cells around the patches in question.
+            encoded: float [1, channels, nx, ny], with ``margin`` cells around the requested patches.
 
         Returns:
-            float [1, features, mx, my]; ``[..., x + step * i, y + step * j]`` is cell (i, j) of the feature map of the
-            patch whose lower corner is cell (x + margin, y + margin) of ``encoded``.
+            float [1, features, mx, my]; ``[..., x + step * i, y + step * j]`` is feature map cell (i, j) for the patch
+            with lower corner (x + margin, y + margin) in ``encoded``.
         """
         values = encoded
         for layer, dilation in self.layers:
@@ -101,19 +101,19 @@ class DenseTrunk:
         return values
 
     def windows(self, dense: Tensor, corners: Tensor) -> Tensor:
-        """Flattened feature maps of patches.
+        """Returns flattened feature maps for patches.
 
         Args:
-            dense: what a call returned.
-            corners: int64 [n, 2], lower corners (x, y) of the patches, in the coordinates of ``dense``.
+            dense: result of a call.
+            corners: int64 [n, 2], lower patch corners (x, y), in ``dense`` coordinates.
 
         Returns:
-            float [n, features * cells * cells], as ``nn.Flatten`` orders the feature map of a patch.
+            float [n, features * cells * cells], in ``nn.Flatten`` order.
         """
         width = dense.shape[-1]
         inside = torch.arange(self.cells, device=dense.device) * self.step
         index = (corners[:, 0] * width + corners[:, 1])[:, None, None] + inside[:, None] * width + inside
-        # Cells first: what belongs to one cell then lies side by side, and is copied in one piece.
+        # Cells first: the features at one cell are then contiguous and copied in one piece.
         rows = dense[0].permute(1, 2, 0).reshape(-1, dense.shape[1])[index.flatten()]
         return rows.view(len(corners), self.cells**2, -1).transpose(1, 2).flatten(1)
 

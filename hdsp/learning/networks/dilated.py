@@ -1,4 +1,4 @@
-"""Context without strides: dilated convolutions, then the greatest value around each of a few places."""
+"""Network without strides: dilated convolutions, then max pooling over squares."""
 
 from dataclasses import dataclass
 
@@ -14,14 +14,14 @@ from hdsp.robot.lattice import PATCH_CELLS
 
 @dataclass(frozen=True)
 class DilatedOptions:
-    """Widths and reach of the network.
+    """Layer widths and reach.
 
     Attributes:
-        widths: channels of the convolutions. Multiples of 16: with others the gradients that oneDNN computes in
-            bfloat16 for dilated convolutions are NaN.
-        kernels: their sides in cells.
-        dilations: cells between neighbours of a kernel.
-        pool: side in cells of the squares of which the greatest values are kept.
+        widths: channels per convolution. Use multiples of 16: otherwise oneDNN's bfloat16 gradients for dilated
+            convolutions are NaN.
+        kernels: kernel sides in cells.
+        dilations: cells between neighbouring kernel taps.
+        pool: side in cells of the max pooling squares.
         hidden: width of the layers that see the goal.
     """
 
@@ -44,16 +44,16 @@ class DilatedOptions:
             )
 
     def cells(self) -> int:
-        """Side of the feature map that is left of a patch."""
+        """Returns the side of a patch's feature map."""
         seen = sum(dilation * (kernel - 1) for kernel, dilation in zip(self.kernels, self.dilations, strict=True))
         return (PATCH_CELLS - seen) // self.pool
 
 
 class Dilated(TaskNetwork):
-    """Convolutions whose kernels spread out layer by layer, so that few weights see far; a goal gates what they found.
+    """Convolutions with growing dilation, so that few weights see far; a goal gates the pooled features.
 
-    Every layer works at full resolution and none pads, so that whole maps are evaluated densely where the encoding
-    allows it. The pooling keeps the worst that a neighbourhood of places holds.
+    Every layer works at full resolution without padding, so whole maps are evaluated densely where the encoding allows
+    it. Max pooling keeps the worst value in each neighbourhood.
     """
 
     def __init__(self, encoding: HeightEncoding, options: DilatedOptions):

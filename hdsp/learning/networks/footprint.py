@@ -1,4 +1,4 @@
-"""A network that judges the robot's footprint at every pose on the way to a goal; dense, the same on every floor."""
+"""Network that judges the robot's footprint at every pose on the way to a goal; dense, on any floor level."""
 
 import math
 from collections.abc import Sequence
@@ -15,42 +15,45 @@ from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
 from hdsp.learning.networks.requirements import FEET, POSE_FEATURES, STANCE_FEATURES, Stance, StanceOptions, told
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
 
-#: Cells that the base may move along each axis on its way to a goal: the longest action at any heading residue.
+#: Largest base displacement along an axis, in cells: the longest action at any heading residue.
 REACH = 9
-#: Side of the square of base positions at which footprints are judged.
+#: Side of the square with all judged base positions.
 POSES = 2 * REACH + 1
-#: Poses on the way to a goal, start and goal included.
+#: Poses on the way to a goal, including start and goal.
 SAMPLES = 5
-#: Where the network looks for feet at the start, in cells from the base; what it sees there is wide, so that this need
-#: not be to the cell where the feet of a robot are.
+#: Approximate foot positions at the start, in cells from the base. The network reads a wide strip around them, so the
+#: robot's feet may stand some cells away.
 FOOT_X, FOOT_Y = 13, 10
-#: Cells ahead of each foot and behind it where features and heights are read: how far feet reach, and a goal's way.
+#: Offsets in cells, ahead of each foot and behind it, at which features (LINE) and heights (PROFILE) are read; they
+#: cover the foot reach and the way to a goal.
 LINE = tuple(range(-15, 16, 3))
 PROFILE = tuple(range(-18, 19, 3))
 LINE_RADIUS = 3
-#: Of the rows between the two lines on which feet stand: those around the right one, and around the left one.
+#: Rows around the right line of feet and around the left line, within the strip that holds both lines.
 SIDES = (slice(2 * LINE_RADIUS + 1), slice(-2 * LINE_RADIUS - 1, None))
 #: Radius in cells of the first convolution.
 NEAR_RADIUS = 2
-#: Radius in cells of the ground around each tap whose highest and lowest points are compared with that at the base.
+#: Window radius in cells around each tap; its highest and lowest points are compared with the ground at the base.
 GROUND_RADIUS = 2
 
 
 @dataclass(frozen=True)
 class FootprintOptions:
-    """Widths of the network.
+    """Layer widths.
 
     Attributes:
-        width: channels of the local features.
-        dilations: of the 3 x 3 convolutions behind the first one, 5 x 5. Together they may look 9 cells far.
-        taps: points of the footprint (along x, along y), odd numbers, at which local features are read.
-        spacing: cells between taps. 9 x 7 taps, 3 apart, put one at 1 cell from where each neutral foot stands.
+        width: local feature channels.
+        dilations: dilations of the 3 x 3 convolutions after the 5 x 5 one. Their sum is at most 7: all together reach 9
+            cells.
+        taps: footprint points (along x, along y) at which local features are read; odd numbers.
+        spacing: cells between taps. 9 x 7 taps with spacing 3 place one tap within 1 cell of each neutral foot.
         hidden: width of the first layer that sees a whole footprint.
-        features: width of what is kept of a footprint.
-        context: width of the summary of all footprints around the start; detours need it.
-        feet: width of the summary of what lies ahead of and behind each foot at the start; steps need it.
+        features: features kept per footprint.
+        context: width of the summary over all footprints around the start; detours need it.
+        feet: width of the ground summary ahead of and behind each foot at the start; steps need it.
         head: width of the layers that judge a way.
-        stance: what the robot asks of the ground at a pose, which the network then need not learn. None: it has to.
+        stance: the robot's requirements on the ground at a pose, as input features. None: the network has to learn
+            them.
     """
 
     width: int = 32
@@ -76,15 +79,15 @@ class FootprintOptions:
 
 
 class Footprint(TaskNetwork):
-    """Local features, gathered over the robot's footprint at each pose of a way.
+    """Local features, gathered over the robot's footprint at each pose on a way.
 
-    The detailed costs depend on what lies under the feet and the body at each pose, in the same manner for every goal
-    and every part of a way. So one and the same layer judges the footprint at all positions within reach (a convolution
-    with the robot's size), and turned, for the goals that turn. Beside it stands what the robot asks of a pose
-    (``stance.Stance``). A small network then judges the sequence of footprints on the straight way to a goal, beside a
-    summary of all that lie around it.
+    Detailed costs depend on the ground under feet and body at each pose, in the same manner for every goal and every
+    part of a way. So one layer judges the footprint at all positions within reach (a convolution with the robot's
+    size), and at rotated poses for goals that turn. ``requirements.Stance`` adds features for the robot's requirements
+    at each pose. A small network then judges the footprint sequence on the straight way to a goal, together with a
+    summary of all footprints around it.
 
-    Nothing is padded and only differences of heights enter, so the network can be evaluated densely, on any floor.
+    The network uses no padding and only height differences, so it can be evaluated densely and on any floor level.
     """
 
     def __init__(self, encoding: HeightEncoding, options: FootprintOptions):
@@ -93,7 +96,7 @@ class Footprint(TaskNetwork):
         names = encoding.channels
         if "height" not in names:
             raise InputError(f"model.encoding.channels: {list(names)} lacks height, which the footprint network needs")
-        # The trunk sees differences; the height itself only where there is nothing else.
+        # The trunk reads differences, and the height itself only if there is no other channel.
         self.trunk_channels = [i for i, c in enumerate(names) if c not in ("height", "unevenness")]
         self.trunk_channels = self.trunk_channels or [names.index("height")]
         self.ground_channels = 3 if "unevenness" in names else 2
@@ -110,7 +113,7 @@ class Footprint(TaskNetwork):
         of_ground = self.ground_channels * math.prod(options.taps) + (STANCE_FEATURES if options.stance else 0)
         self.of_ground = nn.Linear(of_ground, hidden, bias=False)
         self.footprint = nn.Linear(hidden, options.features)
-        #: Of a pose: its footprint, and as it is, how it stands with what the robot asks.
+        #: Features per pose: its footprint features and, with a stance, the unchanged stance features.
         self.pose_features = options.features + (POSE_FEATURES if options.stance else 0)
         self.context = nn.Linear(7 * 7 * self.pose_features, options.context)
         self.of_line = nn.Sequential(nn.Conv2d(width, width, 2 * LINE_RADIUS + 1), nn.ReLU())
@@ -137,7 +140,7 @@ class Footprint(TaskNetwork):
 
     def map_part(self, encoded: Tensor) -> Tensor:
         near, ground = self._first(encoded)
-        # Only where footprints are judged; and of what feet may reach, the two lines on which they stand.
+        # Local features only at judged footprints, line features only along the two lines of feet.
         x, y = (PATCH_CENTER - REACH - n for n in self.margins)
         local = self.local(_cut(near, x - self.radius, y - self.radius))
         under = _cut(ground, x, y)
@@ -156,7 +159,7 @@ class Footprint(TaskNetwork):
         return FootprintTrunk(self)
 
     def is_dense(self) -> bool:
-        # What the network reads of a patch lies so far from its rim that what is beyond has no part in it.
+        # Dense evaluation is exact if no value read in a patch depends on cells beyond its rim.
         footprint = max(self.margins) + REACH
         line = FOOT_X + max(LINE[-1] + LINE_RADIUS + NEAR_RADIUS, PROFILE[-1] + GROUND_RADIUS)
         within = dict.fromkeys(self.encoding.channels, max(footprint + self.radius + NEAR_RADIUS, line))
@@ -169,9 +172,13 @@ class Footprint(TaskNetwork):
         return self.encoding.reference == "none" and beyond < PATCH_CELLS - PATCH_CENTER
 
     def _first(self, encoded: Tensor) -> tuple[Tensor, Tensor]:
-        """What all else is made of, at the cells that are not within NEAR_RADIUS of the rim: features [B, width, ...];
-        of the ground [B, 3 to 5, ...] the height of the cell itself (NaN if unknown), the highest and lowest around,
-        the unevenness if that is a channel, and with a stance whether feet are barred."""
+        """Common inputs, at all cells at least NEAR_RADIUS cells from the rim.
+
+        Returns:
+            features: [B, width, ...].
+            ground: [B, 3 to 5, ...]: the cell's height (NaN = unknown), the highest and the lowest height nearby, the
+                unevenness if it is a channel, and ``Stance.barred`` with a stance.
+        """
         names = self.encoding.channels
         near = self.near(encoded[:, self.trunk_channels])
         height = encoded[:, names.index("height"), None].float()
@@ -187,21 +194,23 @@ class Footprint(TaskNetwork):
         if self.stance:
             bounded = encoded[:, names.index("edge"), None].float()
             edges = self.stance.barred(self.encoding.edge_scale * bounded / (1 - bounded).clamp_min(1e-6))
-            # Nothing reads it within the rim that is missing or made up here.
+            # Nothing reads the rim cells that are cut or padded here.
             rim = self.stance.radius - NEAR_RADIUS
             barred = [functional.pad(edges, [rim] * 4) if rim >= 0 else edges[..., -rim:rim, -rim:rim]]
         return near, torch.cat([own, highest, lowest, *unevenness, *barred], dim=1)
 
     @staticmethod
     def _line_cells(bases: Tensor, offsets: tuple[int, ...] = LINE) -> Tensor:
-        """Cells [n, 4, offsets, 2] ahead of the four feet and behind them, of bases [n, 2]."""
+        """Cells [n, 4, offsets, 2] ahead of the four feet and behind them, for bases [n, 2]."""
         feet = bases[:, None] + bases.new_tensor([(i * FOOT_X, j * FOOT_Y) for i, j in FEET])
         along = torch.stack([bases.new_tensor(offsets), bases.new_zeros(len(offsets))], dim=-1)
         return feet[:, :, None] + along
 
     def _feet(self, line: Tensor, at: Tensor, ground: Tensor, bases: Tensor) -> Tensor:
-        """What lies ahead of the feet and behind them, [B, n, feet], of line features at cells [n, 4, offsets, 2] and
-        ground around bases [n, 2]."""
+        """Ground summary ahead of the feet and behind them, [B, n, feet].
+
+        Reads line features at cells ``at`` [n, 4, offsets, 2] and the ground around ``bases`` [n, 2].
+        """
         profile = self._line_cells(bases, PROFILE)
         seen = line[:, :, at[..., 0], at[..., 1]].permute(0, 2, 3, 4, 1).flatten(2)
         heights = ground[:, 1:3, profile[..., 0], profile[..., 1]].permute(0, 2, 3, 4, 1)
@@ -237,7 +246,7 @@ class Footprint(TaskNetwork):
         return judged if stances is None else torch.cat([judged, stances[:, -POSE_FEATURES:].to(judged)], dim=1)
 
     def _turned(self, local: Tensor, ground: Tensor, centres: Tensor) -> Tensor:
-        """Footprints [B, n, turns, pose features] of bases at cells ``centres`` [n, 2] of the maps, turned there."""
+        """Footprints [B, n, turns, pose features] for bases rotated in place at cells ``centres`` [n, 2]."""
         cos, sin = self.turns.cos()[:, None], self.turns.sin()[:, None]
         x, y = self.taps.unbind(-1)
         positions = centres[:, None, None, :] + torch.stack([cos * x - sin * y, sin * x + cos * y], dim=-1)
@@ -277,7 +286,7 @@ class Footprint(TaskNetwork):
 
 
 class FootprintTrunk:
-    """Dense evaluation of a footprint network (see ``networks.dense.DenseTrunk``, whose contract it keeps)."""
+    """Dense evaluation for ``Footprint``, see ``networks.dense.DenseEvaluation``."""
 
     exact = True
     margin = 0
@@ -286,19 +295,21 @@ class FootprintTrunk:
         self.network = network
 
     def __call__(self, encoded: Tensor) -> tuple[Tensor, ...]:
-        """Local features, ground under them, footprints, features of lines, and all ground, at all cells of [1,
-        channels, nx, ny] that have the surroundings they need."""
+        """Returns local features, the ground under them, footprints, line features and all ground.
+
+        Each part covers all cells of ``encoded`` [1, channels, nx, ny] with sufficient surroundings.
+        """
         network, inner = self.network, slice(self.network.radius, -self.network.radius)
         near, ground = network._first(encoded)
         local, under = network.local(near), ground[..., inner, inner]
-        # Cells first: what belongs to one cell then lies side by side, and is copied in one piece.
+        # Cells first: the features at one cell are then contiguous and copied in one piece.
         size = [n - 2 * margin for n, margin in zip(under.shape[-2:], network.margins, strict=True)]
         stances = network._stances(ground, [network.radius + margin for margin in network.margins], size)
         straight = network._footprints(local, under, stances)[0].permute(1, 2, 0).contiguous()
         return local.float(), under, straight.float(), network.of_line(near).float(), ground
 
     def windows(self, dense: tuple[Tensor, ...], corners: Tensor) -> Tensor:
-        """Features [n, F], as ``map_part`` gives them, of patches with lower corners [n, 2]."""
+        """Returns features [n, F], as ``map_part`` does, for patches with lower corners [n, 2]."""
         local, under, straight, line, ground = dense
         network = self.network
         bases = corners + (PATCH_CENTER - NEAR_RADIUS)
@@ -313,21 +324,26 @@ class FootprintTrunk:
 
 
 def _cut(maps: Tensor, x: int, y: int) -> Tensor:
-    """Of maps of the cells of a patch that are not within NEAR_RADIUS of its rim: those from (x, y) to the cells as far
-    from the base on its other side. The base stands on cell 36 of 72."""
+    """Cuts a rectangle around the base from maps without the outer NEAR_RADIUS cells of a patch.
+
+    The base stands on patch cell (36, 36); the rectangle spans patch cells (x, y) to (72 - x, 72 - y).
+    """
     first_x, first_y = x - NEAR_RADIUS, y - NEAR_RADIUS
     span_x, span_y = (2 * (PATCH_CENTER - n) + 1 for n in (x, y))
     return maps[..., first_x : first_x + span_x, first_y : first_y + span_y]
 
 
 def _relative(heights: Tensor, base: Tensor) -> Tensor:
-    """Heights relative to the ground at the base. Higher than the body, or deeper than a foot reaches: how much no
-    longer matters. What is unknown counts as level."""
+    """Heights relative to the ground at the base, clipped to [-0.5, 0.8] m; unknown heights become 0.
+
+    Beyond this range the ground is higher than the body or deeper than a foot reaches, and differences no longer
+    matter.
+    """
     return (heights - base).nan_to_num(nan=0.0, posinf=0.0, neginf=0.0).clamp(-0.5, 0.8)
 
 
 def _highest(values: Tensor, window: int) -> Tensor:
-    """Maximum over a square window at every cell that has a whole one, [B, C, nx - window + 1, ...]."""
+    """Maximum over a square window at every cell with a whole window, [B, C, nx - window + 1, ...]."""
     for axis in (-2, -1):
         length = values.shape[axis] - window + 1
         parts = [values.narrow(axis, start, length) for start in range(window)]
@@ -338,7 +354,7 @@ def _highest(values: Tensor, window: int) -> Tensor:
 
 
 def _interpolated(maps: Tensor, positions: Tensor) -> Tensor:
-    """Maps [B, C, nx, ny] at positions [..., 2] common to all: [B, ..., C], bilinear."""
+    """Samples maps [B, C, nx, ny] bilinearly at shared positions [..., 2]; returns [B, ..., C]."""
     low = positions.detach().floor()
     share = positions - low
     i, j = low.long().unbind(-1)
@@ -349,7 +365,7 @@ def _interpolated(maps: Tensor, positions: Tensor) -> Tensor:
 
 
 def _interpolated_each(maps: Tensor, positions: Tensor) -> Tensor:
-    """Maps [B, nx, ny, C] at positions [B, ..., 2] of their own: [B, ..., C], bilinear."""
+    """Samples maps [B, nx, ny, C] bilinearly at each map's own positions [B, ..., 2]; returns [B, ..., C]."""
     cells = maps.shape[1]
     at = positions.flatten(1, -2)
     low = at.floor().clamp_max(cells - 2)

@@ -1,4 +1,4 @@
-"""The goal as a map: its feet are painted beside the heights, and convolutions see both."""
+"""Network with the goal as a map: goal feet are painted beside the heights, and convolutions see both."""
 
 import math
 from dataclasses import dataclass
@@ -10,18 +10,18 @@ from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
 
-#: Side of the feature maps that goals are painted on, and cells of a patch that one of theirs spans.
+#: Side of the feature maps with painted goals, and patch cells per feature cell along one axis.
 SIDE, SPAN = PATCH_CELLS // 2, 2
 
 
 @dataclass(frozen=True)
 class GoalMapOptions:
-    """Widths of the network.
+    """Layer widths.
 
     Attributes:
         widths: channels at 36 x 36, 18 x 18 and 9 x 9 cells. Only the first are computed once per map.
-        feet: where the front left foot stands (x, y), in cells from the base; the others mirror it.
-        hidden: width of the layer behind the convolutions.
+        feet: position (x, y) of the front left foot, in cells from the base; the other feet mirror it.
+        hidden: width of the layer after the convolutions.
     """
 
     widths: tuple[int, int, int] = (16, 32, 48)
@@ -30,10 +30,10 @@ class GoalMapOptions:
 
 
 class GoalMap(TaskNetwork):
-    """Convolutions over features of the map and two channels in which the feet at the goal are painted, front and rear.
+    """Convolutions over map features and two painted channels: front feet and rear feet at the goal.
 
-    Goals and terrain meet where they are, and nothing has to be learned about coordinates. In return all but the first
-    layer is evaluated for each goal, 22 times for a patch.
+    Goal and terrain meet in the same cells, so the network has no coordinates to learn. In return, all layers after the
+    first stage run once per goal, 22 times per patch.
     """
 
     def __init__(self, encoding: HeightEncoding, options: GoalMapOptions):
@@ -43,7 +43,7 @@ class GoalMap(TaskNetwork):
             nn.Conv2d(len(encoding.channels), first, 5, stride=2, padding=2), nn.ReLU(),
             nn.Conv2d(first, first, 3, padding=1), nn.ReLU(), nn.Flatten(),
         )  # fmt: skip
-        # One convolution over both, apart so that the part of the map is computed once.
+        # One convolution over both inputs, split so that its map part runs once per map.
         self.of_map = nn.Conv2d(first, second, 4, stride=2, padding=1)
         self.of_goal = nn.Conv2d(2, second, 4, stride=2, padding=1, bias=False)
         self.rest = nn.Sequential(
@@ -67,9 +67,9 @@ class GoalMap(TaskNetwork):
         return cost, logits
 
     def paint(self, goals: Tensor) -> Tensor:
-        """Front and rear feet of the robot at its goals: [B, G, 3] to [B, G, 2, 36, 36].
+        """Paints the robot's feet at its goals: [B, G, 3] to [B, G, 2, 36, 36], front and rear feet.
 
-        A foot counts one in all, shared among the four cells around it. Feet beyond the patch are not painted.
+        Each foot has weight 1, shared bilinearly among the four cells around it. Feet beyond the patch are not painted.
         """
         angle = goals[..., None, 2] * (2 * math.pi / ABSTRACT_HEADINGS)
         x, y = self.feet.unbind(-1)

@@ -1,16 +1,17 @@
-"""Goals as networks see them."""
+"""Goal features for networks."""
 
 import torch
 from torch import Tensor
 
-#: Number of features of a goal.
+#: Features per goal.
 GOAL_FEATURES = 7
 
 
 def goal_features(goals: Tensor) -> Tensor:
-    """(dx, dy, dtheta), distance, direction and whether it is a turn; [..., 3] to [..., 7], order of magnitude one.
+    """Expands goals [..., 3] to features [..., 7] with magnitude one.
 
-    The cost of a goal on flat ground depends on distance times a function of direction, which these make easy to learn.
+    Features are (dx, dy, dtheta), distance, direction (x, y) and a flag for turns. Flat ground costs are distance times
+    a function of direction, which these features make easy to learn.
     """
     position = goals[..., :2]
     distance = position.norm(dim=-1, keepdim=True)

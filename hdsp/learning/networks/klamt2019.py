@@ -1,4 +1,4 @@
-"""The network of the paper, as the authors published it."""
+"""The paper's network, as published by its authors."""
 
 from dataclasses import dataclass
 
@@ -13,13 +13,13 @@ from hdsp.robot.lattice import PATCH_CELLS
 
 @dataclass(frozen=True)
 class Klamt2019Options:
-    """The published architecture, unless something else is chosen.
+    """Options; the defaults are the published architecture.
 
     Attributes:
-        padded: zero padding in the first two convolutions, as published. Without it the feature map of a patch has
-            5 x 5 cells instead of 7 x 7, and is part of the same map for all patches (``networks.dense``).
-        kernels: sides in cells of the kernels of the first four convolutions, as published: neighbours (3), what a foot
-            keeps away from edges to both sides (7), the length of a step (14), and 4.
+        padded: zero padding in the first two convolutions, as published. Without padding, a patch's feature map has 5 x
+            5 cells instead of 7 x 7, and all patches share one dense map (``networks.dense``).
+        kernels: kernel sides in cells of the first four convolutions. The published sides correspond to neighbouring
+            cells (3), a foot's distance from edges on both sides (7), the step length (14), and 4.
     """
 
     padded: bool = True
@@ -34,7 +34,7 @@ class Klamt2019Options:
             raise InputError(f"model.options.kernels: {list(self.kernels)} leave nothing of {PATCH_CELLS} cells")
 
     def cells(self) -> int:
-        """Side of the feature map that is left of a patch."""
+        """Returns the side of a patch's feature map."""
         seen = self.kernels[2:] if self.padded else self.kernels
         left = PATCH_CELLS - sum(kernel - 1 for kernel in seen)
         return (left // 2 - 2) // 2 - 6
@@ -43,8 +43,8 @@ class Klamt2019Options:
 class Klamt2019(TaskNetwork):
     """Eight convolutions, two poolings, five fully connected layers, two heads; 1,154,561 parameters as published.
 
-    Source: Klamt & Behnke 2019, figure of the network architecture, and the authors' published layer list. The
-    feasibility head gives the logit; its sigmoid is the published output.
+    Source: Klamt & Behnke 2019, network architecture figure, and the authors' published layer list. The feasibility
+    head returns the logit; its sigmoid is the published output.
     """
 
     def __init__(self, encoding: HeightEncoding, options: Klamt2019Options):

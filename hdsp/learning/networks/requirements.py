@@ -1,4 +1,4 @@
-"""What a robot asks of the ground at a pose, each as a share of what it can bear."""
+"""Robot requirements on the ground at a pose, as shares of the robot's limits."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,30 +11,30 @@ from hdsp.base.errors import InputError
 from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.cost_maps import disc_mask
 
-#: Signs of the four feet: (along x, along y).
+#: Signs (x, y) of the feet: front left, rear left, rear right, front right.
 FEET = ((1, 1), (-1, 1), (-1, -1), (1, -1))
-#: How sharply a share is told from 1: with a width of these parts of it.
+#: Widths, in shares, of the sigmoids that compare a share with 1.
 SHARPNESS = (0.02, 0.2)
-#: Shares above this are all alike.
+#: Shares are clipped at this value.
 MOST = 3.0
-#: Known of a pose: three shares, each with its sharp forms, and what driving there costs.
+#: Features per pose: three shares, each with its two sigmoids, and the drive cost.
 POSE_FEATURES = 3 * (1 + len(SHARPNESS)) + 1
-#: Besides: the height under each foot, and whether an edge is too close to it.
+#: Additional features per foot: the height under it, and whether an edge is too close.
 STANCE_FEATURES = POSE_FEATURES + 2 * len(FEET)
 
 
 @dataclass(frozen=True)
 class StanceOptions:
-    """What a robot asks of the ground; the values of its ``hdsp.robot.robot.Robot``, all lengths in metres.
+    """Robot limits from ``hdsp.robot.robot.Robot``; all lengths in metres.
 
     Attributes:
-        neutral: where its neutral feet are, along x and along y.
-        level: most that the heights of the feet may differ for driving in all directions.
-        edge: most height difference between neighbouring cells that a wheel passes.
-        clearance: of feet from cells with more than that.
-        contact_inward: how far from the foot, toward the body, is the ground whose unevenness it pays for.
-        unevenness_cost: what driving costs more per metre of unevenness.
-        boxes: those which have to stay free, with ``above``, ``x_min``, ``x_max`` and ``half_width``.
+        neutral: neutral foot position, along x and along y.
+        level: largest height difference among the feet for driving in all directions.
+        edge: largest height difference between neighbouring cells that a wheel passes.
+        clearance: distance that feet keep from cells with larger differences.
+        contact_inward: offset, from each foot toward the body, to the ground whose unevenness costs.
+        unevenness_cost: drive cost per metre of unevenness.
+        boxes: volumes that have to stay free, with ``above``, ``x_min``, ``x_max`` and ``half_width``.
     """
 
     neutral: tuple[float, float]
@@ -60,17 +60,18 @@ class StanceOptions:
 
 
 class Stance(nn.Module):
-    """Features of poses: how near the ground there comes to what a robot can bear.
+    """Computes pose features: ground measures as shares of the robot's limits.
 
-    The detailed planner asks three things of a pose on neutral feet: that no edge is close to a foot, that nothing
-    rises into the body, and, unless it drives straight ahead, that the feet are on one level. Each is a comparison
-    with a limit, hard to learn from heights, easy to compute: here they are shares of their limits, and sharp steps at
-    them. The price of driving at a pose is the fourth. All else, and where feet leave neutral, is left to the network.
+    The detailed planner checks three conditions at a pose on neutral feet: no edge is close to a foot, nothing rises
+    into the body, and, unless the robot drives straight ahead, the feet are level. Each condition compares a measure
+    with a limit, which is hard to learn from heights and easy to compute. The features are shares of these limits and
+    steep sigmoids around them; the drive cost at the pose is the fourth measure. The network learns everything else,
+    including feet away from neutral.
 
     Args:
-        options: the robot's limits.
-        radius: of the ground, in cells, whose highest point ``ground`` has.
-        rotations: headings of ``turned`` in radians, [turns].
+        options: robot limits.
+        radius: window radius, in cells, for the highest ground in ``ground``.
+        rotations: headings for ``turned``, radians, [turns].
     """
 
     def __init__(self, options: StanceOptions, radius: int, rotations: Tensor):
@@ -86,20 +87,30 @@ class Stance(nn.Module):
         cos, sin = rotations.cos()[:, None], rotations.sin()[:, None]
         x, y = points.unbind(-1)
         turned = torch.stack([cos * x - sin * y, sin * x + cos * y], dim=-1)
-        # Not integers: averaging of weights would average and truncate them.
+        # Floats, because weight averaging would average integers and truncate them.
         self.register_buffer("cells", points.round(), persistent=False)
         self.register_buffer("turned_cells", turned.round(), persistent=False)
 
     def reach(self, travel: int) -> dict[str, int]:
-        """Cells from a base at which it looks at encoded channels, where straight poses are ``travel`` cells away."""
+        """Returns, for each encoded channel, the distance in cells from a base within which it is read.
+
+        Args:
+            travel: distance in cells from the base to the farthest pose with the start heading.
+        """
         straight, turned = (cells.split(self.groups, dim=-2) for cells in (self.cells, self.turned_cells))
         far = [int(max(a.abs().max() + travel, b.abs().max())) for a, b in zip(straight, turned, strict=True)]
         _, feet, contacts, *bodies = far
         return {"height": max(feet, *bodies), "unevenness": contacts, "edge": feet + self.radius}
 
     def barred(self, edges: Tensor) -> Tensor:
-        """Of the greatest height differences in metres [B, 1, nx, ny], inf where unknown: the greatest within a foot's
-        clearance as a share of what wheels pass, [B, 1, nx - 2 radius, ...]."""
+        """Returns the greatest height difference within foot clearance, as a share of the wheels' limit.
+
+        Args:
+            edges: [B, 1, nx, ny], greatest height difference at each cell in metres, inf = unknown.
+
+        Returns:
+            [B, 1, nx - 2 radius, ny - 2 radius].
+        """
         mask = disc_mask(self.options.clearance / RESOLUTION)
         nx, ny = edges.shape[-2] - 2 * self.radius, edges.shape[-1] - 2 * self.radius
         result = None
@@ -109,11 +120,13 @@ class Stance(nn.Module):
         return (result / self.options.edge).clamp(0.0, MOST)
 
     def straight(self, ground: Tensor, first: Sequence[int], size: Sequence[int]) -> Tensor:
-        """Features [B, STANCE_FEATURES, *size] of unturned poses at ``size`` bases from cell ``first`` of a map.
+        """Returns features [B, STANCE_FEATURES, *size] for poses with the start heading.
 
         Args:
-            ground: [B, 4, nx, ny]: heights (NaN = unknown), the highest around, unevenness (of ``HeightEncoding``), and
-                ``barred``.
+            ground: [B, 4, nx, ny]: height (NaN = unknown), highest height nearby, unevenness (see ``HeightEncoding``)
+                and ``barred``.
+            first: map cell (x, y) under the first base.
+            size: number of bases along x and y.
         """
         (x, y), (nx, ny) = first, size
 
@@ -124,7 +137,7 @@ class Stance(nn.Module):
         return torch.cat(self._features(at, self.cells, 1), dim=1)
 
     def turned(self, ground: Tensor, centres: Tensor) -> Tensor:
-        """The same of bases at cells ``centres`` [n, 2], turned on the spot: [B, n, turns, STANCE_FEATURES]."""
+        """Returns features [B, n, turns, STANCE_FEATURES] for bases rotated in place at cells ``centres`` [n, 2]."""
 
         def at(channel: int, cells: Tensor) -> Tensor:
             x, y = (centres[:, None, None] + cells.long()).unbind(-1)
@@ -151,7 +164,7 @@ class Stance(nn.Module):
 
 
 def told(share: Tensor, width: float = SHARPNESS[0]) -> Tensor:
-    """Whether a share is above 1: 0 to 1, one half at 1."""
+    """Sigmoid step at share 1: from 0 (below) to 1 (above), one half at 1."""
     return torch.sigmoid((share - 1) / width)
 
 
@@ -160,7 +173,7 @@ def _told(share: Tensor) -> list[Tensor]:
 
 
 def _covering(box: Mapping[str, float], radius: int) -> Tensor:
-    """Points [n, 2] in cells such that squares of a radius about them cover a box and little else."""
+    """Points [n, 2] in cells whose squares with this radius cover a box and little else."""
     spans = ((box["x_min"], box["x_max"]), (-box["half_width"], box["half_width"]))
     axes = []
     for low, high in spans:

@@ -1,4 +1,4 @@
-"""A network that looks where the robot goes: map features sampled under the robot along the way to each goal."""
+"""Network that samples map features under the robot along the way to each goal."""
 
 import math
 from dataclasses import dataclass
@@ -16,15 +16,15 @@ from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELL
 
 @dataclass(frozen=True)
 class SweptOptions:
-    """Widths of the network.
+    """Layer widths and sample points.
 
     Attributes:
-        widths: channels of the feature maps at 72 x 72, 36 x 36 and 18 x 18 cells.
-        points: number (along x, along y) of points in the robot frame at which features are sampled. They start on a
-            grid and move with training.
-        reach: half the extent (along x, along y) of that grid, in cells.
-        samples: positions along the straight way to the goal, start and goal included.
-        hidden: width of the layers behind the sampling.
+        widths: channels at 72 x 72, 36 x 36 and 18 x 18 cells.
+        points: number (along x, along y) of sample points in the robot frame. They start on a grid and move with
+            training.
+        reach: half the grid's extent (along x, along y), in cells.
+        samples: positions along the straight way to the goal, including start and goal.
+        hidden: width of the layers after the sampling.
     """
 
     widths: tuple[int, ...] = (8, 24, 32)
@@ -41,10 +41,10 @@ class SweptOptions:
 
 
 class Swept(TaskNetwork):
-    """Three feature maps, sampled at learned points that are carried along the straight way to the goal.
+    """Three feature maps, sampled at learned points that move along the straight way to the goal.
 
-    What stands under a foot on its way matters in the same manner for every goal and every part of the way. A network
-    on the flattened map has to learn that once for each goal and position; here the weights are shared among them.
+    The ground under a foot matters in the same manner for every goal and every part of the way. A network on the
+    flattened map learns this once for each goal and position; here all share the weights.
     """
 
     def __init__(self, encoding: HeightEncoding, options: SweptOptions):
@@ -69,13 +69,13 @@ class Swept(TaskNetwork):
             nn.Linear(options.hidden, options.hidden), nn.ReLU(),
         )  # fmt: skip
         self.heads = nn.Linear(options.hidden, 2)
-        # Costs are those of flat ground times what the terrain adds, so they are learned as a product.
+        # A cost is the cost on flat ground times a terrain factor, so the network learns a product.
         self.goal_cost = nn.Sequential(nn.Linear(GOAL_FEATURES, 64), nn.ReLU(), nn.Linear(64, 1))
 
     def map_part(self, encoded: Tensor) -> Tensor:
         fine = self.fine(encoded)
         middle = self.middle(fine)
-        # Channels innermost: what is sampled at a point lies side by side.
+        # Channels innermost: the features at one point are then contiguous.
         levels = [level.permute(0, 2, 3, 1).flatten(1) for level in (fine, middle, self.coarse(middle))]
         return torch.cat(levels, dim=1)
 
@@ -92,9 +92,9 @@ class Swept(TaskNetwork):
         return [part.view(-1, n, n, width) for part, (width, n) in zip(parts, self.shapes, strict=True)]
 
     def positions(self, goals: Tensor) -> Tensor:
-        """Where the points are on the way to each goal: [B, G, 3] to [B, G, samples, points, 2].
+        """Returns the sample points on the way to each goal: [B, G, 3] to [B, G, samples, points, 2].
 
-        Convention: (x, y) in cells from the lower corner of the patch; the base starts at the centre of cell (36, 36).
+        Convention: (x, y) in cells from the patch's lower corner; the base starts at the centre of cell (36, 36).
         """
         share = torch.linspace(0, 1, self.samples, device=goals.device)[:, None]
         angle = goals[..., None, None, 2] * share * (2 * math.pi / ABSTRACT_HEADINGS)
@@ -105,12 +105,12 @@ class Swept(TaskNetwork):
 
 
 def sample(level: Tensor, positions: Tensor) -> Tensor:
-    """Feature map [B, n, n, C] at positions [B, ..., 2], interpolated bilinearly: [B, ..., C].
+    """Samples a feature map [B, n, n, C] bilinearly at positions [B, ..., 2]; returns [B, ..., C].
 
-    As ``grid_sample`` without aligned corners and with border padding, but with channels innermost on both sides, which
-    saves copies as large as all samples.
+    The result equals ``grid_sample`` without aligned corners and with border padding. Channels are innermost on both
+    sides, which saves copies as large as all samples.
 
-    Convention: positions in cells of the patch, from its lower corner; each of the n cells spans 72 / n of them.
+    Convention: positions in patch cells, from the lower corner; each of the n cells spans 72 / n patch cells.
     """
     maps, cells, _, width = level.shape
     at = (positions * (cells / PATCH_CELLS) - 0.5).clamp(0, cells - 1).flatten(1, -2)
@@ -121,7 +121,7 @@ def sample(level: Tensor, positions: Tensor) -> Tensor:
     x, y = share.unbind(-1)
     corners = torch.stack([first, first + 1, first + cells, first + cells + 1], dim=-1)
     weights = torch.stack([(1 - x) * (1 - y), (1 - x) * y, x * (1 - y), x * y], dim=-1)
-    # A weighted sum of rows is what an embedding bag computes, without keeping the rows.
+    # An embedding bag computes this weighted sum of rows without keeping the rows.
     result = functional.embedding_bag(
         corners.view(-1, 4), level.reshape(-1, width), per_sample_weights=weights.view(-1, 4), mode="sum"
     )
@@ -133,5 +133,5 @@ def _convolution(before: int, after: int, kernel: int) -> nn.Module:
 
 
 def _halving(before: int, after: int) -> nn.Module:
-    # Four wide and not three, so that each cell of the result is centred on the four cells it stands for.
+    # Kernel side 4 instead of 3: each result cell is then centred on its four input cells.
     return nn.Sequential(nn.Conv2d(before, after, 4, stride=2, padding=1), nn.ReLU())

@@ -1,4 +1,4 @@
-"""One output for each action: no goal goes in, and a patch is evaluated once for all of them."""
+"""Network with one output per action: it takes no goal, and one evaluation per patch serves all actions."""
 
 from dataclasses import dataclass
 
@@ -12,19 +12,19 @@ from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.dense import DenseTrunk
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, robot_frame_goals
 
-#: Largest difference, in abstract steps, of a goal to the action that it is taken for.
+#: Largest difference, in abstract steps, between a goal and its action.
 TOLERANCE = 1e-3
-#: Headings at which the robot sees the actions elsewhere; a quarter turn leads the set of actions into itself.
+#: Headings with distinct robot-frame actions; a quarter turn maps the action set onto itself.
 RESIDUES = ABSTRACT_HEADINGS // 4
 
 
 @dataclass(frozen=True)
 class TableOptions:
-    """Widths of the network.
+    """Layer widths.
 
     Attributes:
-        widths: channels of the four convolutions.
-        hidden: width of the two layers behind them.
+        widths: channels per convolution.
+        hidden: width of the two layers after the convolutions.
     """
 
     widths: tuple[int, int, int, int] = (12, 24, 40, 48)
@@ -32,11 +32,11 @@ class TableOptions:
 
 
 class Table(TaskNetwork):
-    """Convolutions and poolings without padding, then a table of costs and logits of all actions.
+    """Convolutions and poolings without padding, then a table with costs and logits for all actions.
 
-    The table has 82 entries: the 20 translations as the robot sees them at each of four heading residues, and two
-    turns. Any other goal is an ``InputError``. Entries learn from the labels of their residue alone: after a training
-    on maps that all start at residue 0, as the paper's do, those of the other residues mean nothing.
+    The table has 82 entries: the 20 translations in the robot frame at each of four heading residues, and two turns.
+    Any other goal is an ``InputError``. Entries learn from labels with their residue alone. After training on maps that
+    all start at residue 0, like the paper's, entries for other residues are meaningless.
     """
 
     def __init__(self, encoding: HeightEncoding, options: TableOptions):
@@ -68,10 +68,10 @@ class Table(TaskNetwork):
         return cost.gather(1, entries), logits.gather(1, entries)
 
     def entries(self, goals: Tensor) -> Tensor:
-        """Entries of the table, int64 [B, G], of goals [B, G, 3].
+        """Returns table entries, int64 [B, G], for goals [B, G, 3].
 
         Raises:
-            InputError: names the first goal that is none of the actions at any heading.
+            InputError: a goal is no action at any heading; the message names the first one.
         """
         difference, entries = (goals[..., None, :] - self.actions).abs().amax(-1).min(-1)
         foreign = goals[difference > TOLERANCE]
@@ -85,7 +85,7 @@ class Table(TaskNetwork):
 
 
 def distinct_goals() -> np.ndarray:
-    """Goals, float32 [82, 3], that the abstract actions are in the frame of the robot at any heading."""
+    """Returns all goals, float32 [82, 3], that abstract actions have in the robot frame at any heading."""
     seen = [robot_frame_goals(residue) for residue in range(RESIDUES)]
     translations = [goals[goals[:, 2] == 0] for goals in seen]
     return np.concatenate([*translations, seen[0][seen[0][:, 2] != 0]])
