@@ -1,6 +1,6 @@
-"""Learned abstractions: task data, networks, training, saved models, costs of whole maps.
+"""Learned abstractions: task data, networks, training, saved models, costs for whole maps.
 
-Each name loads its module, and with it torch or Lightning, when it is first used: importing this package loads neither.
+Importing this package loads neither torch nor Lightning; the first use of a name loads its module.
 """
 
 from importlib import import_module

@@ -1,6 +1,6 @@
-"""A trained abstraction as a folder: ``config.json`` + ``model.safetensors``.
+"""Trained abstraction as a folder: ``config.json`` + ``model.safetensors``.
 
-The configuration carries everything in which inference has to agree with training, and it is checked on loading.
+The configuration carries everything in which inference has to agree with training; loading checks it.
 """
 
 import hashlib
@@ -38,20 +38,20 @@ if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
 
 FORMAT_VERSION = 1
-WINDOWS = 24  # patches of a map whose goals are judged at once
+WINDOWS = 24  # patches per goal evaluation in ``predict_windows``
 Precision = Literal["float32", "float16"]
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where the labels came from.
+    """Label origin.
 
     Attributes:
-        robot: name of the robot.
-        robot_hash: ``Robot.hash()`` of the robot that was labelled for; empty = not recorded.
-        cost_model_version: version of the cost model of the labels.
-        labels_hash: hash of everything the labels depend on; empty = not recorded.
-        notes: anything else worth keeping, as plain values.
+        robot: robot name.
+        robot_hash: ``Robot.hash()`` of the labelled robot; empty = not recorded.
+        cost_model_version: cost model version behind the labels.
+        labels_hash: hash over everything the labels depend on; empty = not recorded.
+        notes: further plain values.
     """
 
     robot: str = ""
@@ -62,20 +62,20 @@ class Provenance:
 
     @classmethod
     def of(cls, robot: Robot, labels_hash: str = "", **notes: Any) -> "Provenance":
-        """Provenance of labels made now, with the present cost model, for ``robot``."""
+        """Provenance for labels made now for ``robot``, with the current cost model."""
         return cls(robot.name, robot.hash(), COST_MODEL_VERSION, labels_hash, notes)
 
 
 class LearnedAbstraction:
-    """A trained network with its configuration: patches and goals to feasibility and cost.
+    """Trained network with its configuration: maps patches and goals to feasibility and cost.
 
     Attributes:
-        network: in evaluation mode, on the device of ``hardware``.
-        model: the settings it was built from.
-        provenance: where its labels came from.
+        network: in evaluation mode, on the ``hardware`` device.
+        model: settings that built the network.
+        provenance: label origin.
         metrics: flat metrics at the end of training.
-        calibration: corrects probabilities, and knows quantiles of costs.
-        quantile: level of the costs that are predicted, see ``at_quantile``; None = as the network says.
+        calibration: corrects probabilities and holds cost quantiles.
+        quantile: level of predicted costs, see ``at_quantile``; None = the network's own costs.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class LearnedAbstraction:
         self.network = network.to(self.device, memory_format=torch.channels_last).eval()
 
     def predict(self, patches: np.ndarray, goals: np.ndarray, batch: int = 128) -> tuple[np.ndarray, np.ndarray]:
-        """Judges tasks.
+        """Predicts feasibility and cost of tasks.
 
         Args:
             patches: float32 [n, 72, 72], metres, NaN = unknown.
@@ -105,11 +105,11 @@ class LearnedAbstraction:
 
         Returns:
             feasible: bool [n, G], probability above one half.
-            cost: float32 [n, G], at least ``MINIMUM_COST``; meaningful where feasible; that quantile for an abstraction
+            cost: float32 [n, G], at least ``MINIMUM_COST``; meaningful where feasible; a quantile after
                 ``at_quantile``.
 
         Raises:
-            InputError: on wrong shapes.
+            InputError: a shape is wrong.
 
         Convention: axis 1 of ``patches`` is x, along the robot's heading; the base stands at the centre of cell (36,
         36).
@@ -120,16 +120,17 @@ class LearnedAbstraction:
     def predict_probability(
         self, patches: np.ndarray, goals: np.ndarray, batch: int = 128
     ) -> tuple[np.ndarray, np.ndarray]:
-        """As ``predict``, with the probability of feasibility, float32 [n, G], instead of the judgement."""
+        """Like ``predict``, with feasibility probabilities, float32 [n, G], instead of decisions."""
         logits, cost = self._predict(patches, goals, batch)
         return expit(logits / np.float32(self.calibration.temperature)), self._at_level(cost, goals)
 
     def at_quantile(self, level: float) -> "LearnedAbstraction":
-        """The same abstraction (the network is shared) with a quantile of the cost instead of its prediction: 0.05
-        gives costs that in one task of twenty are above the label.
+        """Returns an abstraction with the same network that predicts a cost quantile.
+
+        With level 0.05, one cost in twenty is above its label.
 
         Raises:
-            InputError: the level is not among those that the abstraction was calibrated for.
+            InputError: the abstraction was not calibrated for this level.
         """
         self.calibration.factors(level)
         other = copy(self)
@@ -137,14 +138,14 @@ class LearnedAbstraction:
         return other
 
     def calibrated(self, tasks: "TaskSet") -> "LearnedAbstraction":
-        """The same abstraction (the network is shared), calibrated on tasks that it was not trained on."""
+        """Returns an abstraction with the same network, calibrated on tasks outside its training set."""
         logits, cost = self._predict(tasks.heights, tasks.goals)
         other = copy(self)
         other.calibration = fit_calibration(logits, cost, self.flat_costs(tasks.goals), tasks.feasible, tasks.cost)
         return other
 
     def calibration_figures(self, tasks: "TaskSet") -> dict[str, Any]:
-        """Of labelled tasks what ``hdsp.learning.calibration.calibration_figures`` returns."""
+        """Returns ``hdsp.learning.calibration.calibration_figures`` for labelled tasks."""
         logits, cost = self._predict(tasks.heights, tasks.goals)
         flat = self.flat_costs(tasks.goals)
         bounds = {level: self.calibration.at_level(level, cost, flat) for level in self.calibration.cost_quantiles}
@@ -152,7 +153,7 @@ class LearnedAbstraction:
         return calibration_figures(probability, tasks.feasible, bounds, tasks.cost, logits > 0)
 
     def flat_costs(self, goals: np.ndarray) -> np.ndarray:
-        """What the network predicts for goals [..., 3] on flat ground; float32 [...]."""
+        """Returns predicted costs, float32 [...], for goals [..., 3] on flat ground."""
         goals = np.asarray(goals, np.float32)
         distinct, which = np.unique(goals.reshape(-1, 3), axis=0, return_inverse=True)
         flat = np.zeros((1, lattice.PATCH_CELLS, lattice.PATCH_CELLS), np.float32)
@@ -160,11 +161,11 @@ class LearnedAbstraction:
         return cost[0][which.reshape(-1)].reshape(goals.shape[:-1])
 
     def _at_level(self, cost: np.ndarray, goals: np.ndarray) -> np.ndarray:
-        """The costs [n, G] that the network predicts, at the level that is asked for."""
+        """Converts predicted costs [n, G] to the requested level."""
         if self.quantile is None:
             return cost
         key = np.asarray(goals, np.float32).tobytes()
-        if key not in self._flat:  # the goals of a heading are asked for again and again
+        if key not in self._flat:  # callers repeat each heading's goals
             if len(self._flat) == lattice.ABSTRACT_HEADINGS:
                 self._flat.clear()
             self._flat[key] = self.flat_costs(goals)
@@ -173,7 +174,7 @@ class LearnedAbstraction:
 
     @torch.inference_mode()
     def _predict(self, patches: np.ndarray, goals: np.ndarray, batch: int = 128) -> tuple[np.ndarray, np.ndarray]:
-        """Logits of feasibility and costs as the network says, float32 [n, G]."""
+        """Feasibility logits and the network's own costs, float32 [n, G] each."""
         patches, goals = np.asarray(patches, np.float32), np.asarray(goals, np.float32)
         cells = lattice.PATCH_CELLS
         if patches.ndim != 3 or patches.shape[1:] != (cells, cells):
@@ -194,13 +195,14 @@ class LearnedAbstraction:
     def predict_windows(
         self, trunk: DenseEvaluation, heights: np.ndarray, corners: np.ndarray, wanted: np.ndarray, goals: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """As ``predict`` with the same goals for all, for patches that are windows of one array.
+        """Like ``predict`` with shared goals, for patches that are windows into one array.
 
         Args:
-            trunk: the network's.
+            trunk: the network's dense trunk.
             heights: float32 [nx, ny], metres, NaN = unknown; with ``trunk.margin`` cells around the patches.
-            corners: int64 [n, 2], lower corners of the patches, relative to cell (margin, margin) of ``heights``.
-            wanted: bool [n], patches whose answer matters. To the last bit it does not depend on which others do.
+            corners: int64 [n, 2], lower patch corners, relative to cell (margin, margin) of ``heights``.
+            wanted: bool [n], patches to evaluate. A patch's result does not depend on the other entries, to the last
+                bit.
             goals: float32 [G, 3] in abstract steps in the robot frame.
         """
         network = self.network
@@ -210,8 +212,8 @@ class LearnedAbstraction:
             dense = trunk(encoded.contiguous(memory_format=torch.channels_last))
         shared_goals = torch.from_numpy(goals)[None].to(self.device)
         feasible, costs = np.zeros((len(corners), len(goals)), bool), np.zeros((len(corners), len(goals)), np.float32)
-        # Some at a time: what belongs to all goals of all patches would not stay in the processor's cache. And always
-        # the same ones together: sums of another number of rows may round otherwise.
+        # Small groups, because the values for all goals and patches together exceed the processor's cache. The groups
+        # are always the same, because sums over another number of rows may round differently.
         for start in range(0, len(corners), WINDOWS):
             part = slice(start, start + WINDOWS)
             if wanted[part].any():
@@ -229,15 +231,15 @@ class LearnedAbstraction:
     def save_pretrained(
         self, folder: str | Path, precision: Precision = "float32", beside: Mapping[str, str] | None = None
     ) -> Path:
-        """Writes the abstraction; a folder that is there already is replaced as a whole.
+        """Writes the abstraction; an existing folder is replaced as a whole.
 
         Args:
             folder: receives ``config.json`` and ``model.safetensors``.
-            precision: of the trained values in the file; ``float16`` halves it and rounds them.
-            beside: further texts to put into the folder, by the name of their file.
+            precision: stored precision of trained values; ``float16`` rounds them and halves the file.
+            beside: further texts for the folder, by file name.
 
         Raises:
-            InputError: if the folder cannot be written, or holds something else than an abstraction.
+            InputError: the folder cannot be written, or holds something other than an abstraction.
         """
         folder = Path(folder)
         if folder.exists() and any(folder.iterdir()) and not (folder / "config.json").is_file():
@@ -248,7 +250,7 @@ class LearnedAbstraction:
             "model": self.model.to_dict(),
             "lattice": _lattice_contract(),
             "provenance": asdict(self.provenance),
-            # JSON has no NaN; a metric that does not exist is left out.
+            # JSON has no NaN, so undefined metrics are left out.
             "metrics": {key: value for key, value in self.metrics.items() if math.isfinite(value)},
             "calibration": self.calibration.to_dict(),
             "precision": precision,
@@ -275,7 +277,7 @@ class LearnedAbstraction:
     def _tensors(self, precision: Precision) -> dict[str, torch.Tensor]:
         if precision not in ("float32", "float16"):
             raise InputError(f"precision {precision!r}: allowed are float32, float16")
-        # What is no parameter (running means of normalisation) is little, and may be out of the range of half floats.
+        # Buffers (running means in normalisation) are small, and may exceed the half float range.
         halved = {key for key, _ in self.network.named_parameters()} if precision == "float16" else set()
         return {
             key: (value.detach().half() if key in halved else value.detach()).cpu().contiguous()
@@ -290,12 +292,11 @@ class LearnedAbstraction:
 
         Args:
             folder: with ``config.json`` and ``model.safetensors``.
-            robot: if given, the abstraction has to be one of this robot.
-            hardware: device and precision of inference.
+            robot: if given, the abstraction has to belong to this robot.
+            hardware: device and precision for inference.
 
         Raises:
-            InputError: if a file is missing or damaged, or if the lattice, the actions, the cost model or the robot
-                differ from those of training.
+            InputError: a file is missing or damaged; or the lattice, actions, cost model or robot differ from training.
         """
         folder = Path(folder)
         config_path = existing_file(folder / "config.json", "pretrained abstraction")
@@ -336,8 +337,7 @@ class LearnedAbstraction:
 
 
 def example_input() -> dict[str, np.ndarray]:
-    """One flat patch and its 22 goals, shaped as the network takes them: ``heights`` [1, 1, 72, 72], ``goals`` [1, 22,
-    3]."""
+    """One flat patch and its 22 goals as network input: ``heights`` [1, 1, 72, 72], ``goals`` [1, 22, 3]."""
     cells = lattice.PATCH_CELLS
     return {"heights": np.zeros((1, 1, cells, cells), np.float32), "goals": lattice.robot_frame_goals(0)[None]}
 

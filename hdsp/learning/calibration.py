@@ -1,15 +1,15 @@
-"""How far the probabilities and costs of a network can be believed, and what corrects them.
+"""Calibration: reliability figures for a network's probabilities and costs, and their correction.
 
-*Probabilities.* A network that says 0.9 of many tasks should be right about nine in ten. The expected calibration error
-(ECE) is the mean distance between what is said and what is so, over bins of probability (Guo et al., On Calibration of
-Modern Neural Networks, 2017). Temperature scaling, from the same paper, divides all logits by one number; no judgement
-at one half changes.
+*Probabilities.* Among tasks with a predicted probability of 0.9, about nine in ten should be feasible. The expected
+calibration error (ECE) is the mean distance between predicted and observed share over probability bins (Guo et al., On
+Calibration of Modern Neural Networks, 2017). Temperature scaling, from the same paper, divides all logits by one
+number; no decision at one half changes.
 
-*Costs.* Split conformal prediction turns the errors on tasks that were not trained on into bounds for new ones: if
-tasks are exchangeable, the cost of a new one lies below the bound of level a with probability at most a (for a <= 1/2;
-at least a for the others), whatever the network is like (Vovk et al. 2005; Lei et al. 2018). Errors grow with how much
-dearer a task is than on flat ground, and are small for most tasks. So they are taken relative to the predicted cost,
-and tasks are grouped by that excess before quantiles are taken, which also makes the bounds hold within each group.
+*Costs.* Split conformal prediction turns errors on tasks outside the training set into bounds for new tasks. If tasks
+are exchangeable, a new task's cost lies below the level a bound with probability at most a (for a <= 1/2; at least a
+for larger a), for any network (Vovk et al. 2005; Lei et al. 2018). Errors are small for most tasks, and grow with the
+excess cost over flat ground. So errors are relative to the predicted cost, and quantiles are taken per excess group,
+which also makes the bounds hold within each group.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from scipy.optimize import minimize_scalar
 from hdsp.base.errors import InputError
 
 BINS = 15
-#: Levels whose quantiles are kept with a model.
+#: Quantile levels kept with a model.
 LEVELS = (0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
-#: Groups of excess cost, and how many tasks a group needs at least.
+#: Largest number of excess cost groups, and smallest number of tasks per group.
 GROUPS, GROUP_TASKS = 8, 200
-#: Range in which the temperature is looked for.
+#: Search range for the temperature.
 _TEMPERATURES = (0.05, 20.0)
 
 
 class Reliability(NamedTuple):
-    """Tasks by predicted probability, empty bins left out; arrays [bins].
+    """Tasks binned by predicted probability, without empty bins; arrays [bins].
 
     Attributes:
-        count: tasks in the bin.
-        predicted: their mean probability of being feasible.
-        observed: share of them that is feasible.
+        count: tasks per bin.
+        predicted: mean predicted probability per bin.
+        observed: share of feasible tasks per bin.
     """
 
     count: np.ndarray
@@ -48,7 +48,7 @@ class Reliability(NamedTuple):
 
     @property
     def error(self) -> float:
-        """The expected calibration error: mean over tasks of |observed - predicted| of their bin; NaN without tasks."""
+        """Expected calibration error: mean |observed - predicted| per bin, weighted by tasks; NaN without tasks."""
         if len(self.count) == 0:
             return float("nan")
         return float(np.average(np.abs(self.observed - self.predicted), weights=self.count))
@@ -60,11 +60,11 @@ def reliability(probability: np.ndarray, feasible: np.ndarray, bins: int = BINS,
     Args:
         probability: in [0, 1], any shape.
         feasible: bool, the same shape.
-        bins: at most so many.
-        adaptive: bins with equally many tasks instead of bins of equal width.
+        bins: largest number of bins.
+        adaptive: bins with equal task counts instead of equal widths.
 
     Raises:
-        InputError: shapes differ, or a value is no probability.
+        InputError: shapes differ, a value is no probability, or ``bins`` is below 1.
     """
     probability, feasible = np.ravel(probability).astype(float), np.ravel(feasible).astype(bool)
     if probability.shape != feasible.shape:
@@ -88,7 +88,7 @@ def reliability(probability: np.ndarray, feasible: np.ndarray, bins: int = BINS,
 
 
 def fit_temperature(logits: np.ndarray, feasible: np.ndarray) -> float:
-    """The temperature T with which sigmoid(logit / T) has the highest likelihood; 1 without tasks."""
+    """Returns the temperature T with the highest likelihood for sigmoid(logit / T); 1 without tasks."""
     logits, feasible = np.ravel(logits).astype(float), np.ravel(feasible).astype(bool)
     if logits.size == 0:
         return 1.0
@@ -102,16 +102,19 @@ def fit_temperature(logits: np.ndarray, feasible: np.ndarray) -> float:
 
 
 def conformal_quantile(residuals: np.ndarray, level: float) -> float:
-    """The bound that a further residual, exchangeable with these n, is below with probability at most ``level``.
+    """Returns a bound; a further, exchangeable residual lies below it with probability at most ``level``.
 
-    For levels above one half: at least ``level``. That is the order statistic number floor(level (n + 1)), above one
-    half ceil(level (n + 1)); infinite where n is too small for the level.
+    For levels above one half the probability is at least ``level``. The bound is order statistic number floor(level (n
+    + 1)), above one half ceil(level (n + 1)); it is infinite if n is too small for the level.
+
+    Raises:
+        InputError: the level is not between 0 and 1.
     """
     if not 0 < level < 1:
         raise InputError(f"quantile level {level}; need one between 0 and 1")
     ordered = np.sort(np.ravel(residuals))
     place = level * (len(ordered) + 1)
-    # The rounding is of numbers such as 0.05 * 20, which are whole.
+    # The tolerance serves whole products like 0.05 * 20, which floating point may miss.
     rank = math.floor(place + 1e-9) if level <= 0.5 else math.ceil(place - 1e-9)
     if rank < 1:
         return -math.inf
@@ -120,13 +123,13 @@ def conformal_quantile(residuals: np.ndarray, level: float) -> float:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What corrects a network.
+    """Corrections for a network's probabilities and costs.
 
     Attributes:
         temperature: probabilities are sigmoid(logit / temperature).
-        excess: rising; borders between the groups of tasks by predicted cost / predicted cost on flat ground.
-        cost_quantiles: by level, for each group the quantile of (cost - predicted cost) / predicted cost.
-        tasks: how many it was fitted to.
+        excess: rising borders between task groups, by predicted cost / predicted cost on flat ground.
+        cost_quantiles: for each level, each group's quantile of (cost - predicted cost) / predicted cost.
+        tasks: number of fitted tasks.
     """
 
     temperature: float = 1.0
@@ -142,18 +145,17 @@ class Calibration:
                 raise InputError(f"calibration.cost_quantiles of {level}: need {len(self.excess) + 1} finite numbers")
 
     def at_level(self, level: float, cost: np.ndarray, flat_cost: np.ndarray) -> np.ndarray:
-        """The quantile of the cost of tasks, float32, any shape, given what the network predicts for them and for the
-        same goals on flat ground.
+        """Returns cost quantiles, float32, any shape, from predicted costs on the terrain and on flat ground.
 
         Raises:
-            InputError: for a level that was not fitted.
+            InputError: the level was not fitted.
         """
         values = self.factors(level)
         groups = np.searchsorted(self.excess, cost / np.maximum(flat_cost, 1e-9), side="right")
         return (cost * values[groups]).astype(np.float32)
 
     def factors(self, level: float) -> np.ndarray:
-        """For each group, what a predicted cost is multiplied by; raises as ``at_level``."""
+        """Returns each group's factor on predicted costs; raises as ``at_level``."""
         values = next((values for key, values in self.cost_quantiles.items() if math.isclose(key, level)), None)
         if values is None:
             known = ", ".join(f"{key:g}" for key in sorted(self.cost_quantiles)) or "none: the model is not calibrated"
@@ -161,7 +163,7 @@ class Calibration:
         return 1.0 + np.asarray(values)
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain values, for JSON."""
+        """Returns plain values for JSON."""
         return {
             "temperature": self.temperature,
             "excess": list(self.excess),
@@ -171,10 +173,10 @@ class Calibration:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Calibration:
-        """The inverse of ``to_dict``.
+        """Inverse of ``to_dict``.
 
         Raises:
-            InputError: the values are not those of a calibration.
+            InputError: the values are no calibration.
         """
         try:
             quantiles = {float(level): tuple(map(float, row)) for level, row in values["cost_quantiles"].items()}
@@ -192,14 +194,14 @@ def fit_calibration(
     labelled_cost: np.ndarray,
     levels: Sequence[float] = LEVELS,
 ) -> Calibration:
-    """Temperature and cost quantiles from tasks that were not trained on; all arrays of one shape.
+    """Fits temperature and cost quantiles to tasks outside the training set; all arrays have one shape.
 
     Args:
-        logits: of feasibility.
-        cost: as the network predicts it.
-        flat_cost: predicted for the same goals on flat ground.
-        feasible, labelled_cost: the labels.
-        levels: which quantiles. Those that there are too few tasks for are left out.
+        logits: feasibility logits.
+        cost: predicted costs.
+        flat_cost: predicted costs for the same goals on flat ground.
+        feasible, labelled_cost: labels.
+        levels: quantile levels. Levels with too few tasks are left out.
 
     Raises:
         InputError: shapes differ.
@@ -227,17 +229,18 @@ def calibration_figures(
     probability: np.ndarray, feasible: np.ndarray, bounds: Mapping[float, np.ndarray], labelled_cost: np.ndarray,
     judged: np.ndarray,
 ) -> dict[str, Any]:  # fmt: skip
-    """How well calibrated a network is on a set: plain numbers, ready for JSON.
+    """Returns calibration figures for a task set: plain numbers, ready for JSON.
 
     Args:
-        probability: of feasibility.
-        feasible, labelled_cost: the labels.
-        bounds: by level, the quantile of cost that the network states.
+        probability: predicted feasibility probabilities.
+        feasible, labelled_cost: labels.
+        bounds: for each level, the predicted cost quantiles.
         judged: bool, tasks that the network judges feasible.
 
     Returns:
-        ``ece``, ``ece_adaptive``, ``brier`` (mean squared error of the probability); ``bins``: the diagram with bins of
-        equal width; ``cost_coverage``: by level, the share of tasks feasible for both whose cost is at most the bound.
+        ``ece``, ``ece_adaptive``, ``brier`` (mean squared probability error); ``bins``: reliability diagram with equal
+        bin widths; ``cost_coverage``: for each level, the share of tasks with costs up to the bound, among tasks
+        feasible for both.
     """
     equal = reliability(probability, feasible)
     both = feasible & judged

@@ -1,7 +1,7 @@
-"""Loss weights that fall during training, by the paper's rule or the published script's; an average of the weights.
+"""Callbacks: loss weight rules (the paper's and the published script's), position in an epoch, weight averaging.
 
-Both rules count losses per epoch, before weighting. The weights of losses are part of the module's state and the
-history of the rule is part of the callback's, so both survive a resume from a checkpoint.
+Both rules compare unweighted epoch losses. Loss weights are part of the module's state and a rule's history is part of
+its callback's state, so both survive a resume from a checkpoint.
 """
 
 from abc import ABC, abstractmethod
@@ -16,12 +16,12 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 from hdsp.base.errors import InputError
 from hdsp.learning.task_data import ResumableBatches
 
-#: The losses, in the order in which rules treat them.
+#: Losses, in the order in which rules treat them.
 LOSSES = ("feasibility", "cost")
 
 
 class LossWeightRule(pl.Callback, ABC):
-    """Divides loss weights by ``factor`` at the end of a training epoch when ``losses_to_cut`` says so."""
+    """Divides the weights of the losses from ``losses_to_cut`` by ``factor`` after each training epoch."""
 
     def __init__(self, factor: float = 5.0, patience: int = 3):
         if not factor > 1:
@@ -32,7 +32,7 @@ class LossWeightRule(pl.Callback, ABC):
 
     @abstractmethod
     def losses_to_cut(self, losses: Mapping[str, float]) -> list[str]:
-        """Names of the losses whose weight is to be cut, given those of the epoch that just ended."""
+        """Returns the names of the losses to cut, given the losses of the epoch that just ended."""
 
     def on_train_epoch_end(self, trainer: pl.Trainer, module: pl.LightningModule) -> None:
         for name in self.losses_to_cut(module.epoch_losses()):
@@ -40,8 +40,11 @@ class LossWeightRule(pl.Callback, ABC):
 
 
 class PlateauLossWeights(LossWeightRule):
-    """The paper's rule (Sec. VI, network training): when a loss has not fallen below its lowest value in ``patience``
-    successive epochs (3), its weight is divided by ``factor`` (5) and the count begins anew, each loss by itself."""
+    """The paper's rule (Sec. VI, network training).
+
+    When a loss stays at or above its lowest value for ``patience`` successive epochs (3), its weight is divided by
+    ``factor`` (5) and its count restarts. Each loss has its own count.
+    """
 
     def __init__(self, factor: float = 5.0, patience: int = 3):
         super().__init__(factor, patience)
@@ -68,9 +71,11 @@ class PlateauLossWeights(LossWeightRule):
 
 
 class PublishedLossWeights(LossWeightRule):
-    """The rule of the authors' published script: when a loss has risen ``patience`` times in a row (2), its weight is
-    divided by ``factor`` (5) and its history forgotten; a cut of the feasibility weight also forgets the history of the
-    cost loss."""
+    """The rule in the authors' published script.
+
+    When a loss rises ``patience`` times in a row (2), its weight is divided by ``factor`` (5) and its history is reset.
+    A cut of the feasibility weight also resets the cost loss history.
+    """
 
     def __init__(self, factor: float = 5.0, patience: int = 2):
         super().__init__(factor, patience)
@@ -96,15 +101,15 @@ class PublishedLossWeights(LossWeightRule):
         self.last, self.rises = dict(state["last"]), dict(state["rises"])
 
 
-#: Names of the rules in the configuration; ``constant`` has no callback.
+#: Rule names in the configuration; ``constant`` has no callback.
 LOSS_WEIGHT_RULES: dict[str, type[LossWeightRule]] = {"plateau": PlateauLossWeights, "published": PublishedLossWeights}
 
 
 class EpochPosition(pl.Callback):
-    """Brings batches to where a checkpoint was written within an epoch.
+    """Restores the batch position within an epoch from a checkpoint.
 
-    Lightning restores states of loaders by itself only where nothing has asked for the number of steps before, and the
-    schedules of the learning rate do.
+    Lightning restores loader states only if nothing asked for the number of steps before, but learning rate schedules
+    do.
     """
 
     def __init__(self, batches: ResumableBatches):
@@ -118,10 +123,10 @@ class EpochPosition(pl.Callback):
 
 
 class AveragedWeights(WeightAveraging):
-    """Keeps an exponential moving average of the weights, which validation uses and checkpoints hold as the network's.
+    """Keeps an exponential moving average of the weights, for validation and for checkpoints.
 
-    The average forgets faster in the first steps (its decay is at most (1 + n) / (10 + n) after n of them), so that it
-    does not hold on to the random weights of the beginning.
+    The average forgets faster in the first steps (after n steps its decay is at most (1 + n) / (10 + n)), so the random
+    initial weights fade quickly.
     """
 
     def __init__(self, decay: float):

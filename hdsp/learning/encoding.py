@@ -1,7 +1,7 @@
-"""How a patch of heights becomes the input of a network.
+"""Encoding of a height patch as network input.
 
-The encoding is part of the network and is saved with it, so inference cannot treat heights or unknown cells differently
-from training.
+The encoding is part of the network and is saved with it, so training and inference treat heights and unknown cells
+alike.
 """
 
 import math
@@ -17,29 +17,28 @@ from torch.nn import functional
 from hdsp.base.errors import InputError
 from hdsp.learning.network_settings import settings_from
 
-#: What a network can see, and how many cells beyond its own a cell of each depends on; unevenness: besides its radius.
+#: Input channels, and the distance in cells at which each reads heights (unevenness: in addition to its radius).
 CHANNELS = {"height": 0, "edge": 1, "slope_x": 1, "slope_y": 1, "unknown": 0, "unevenness": 1}
 
 
 @dataclass(frozen=True)
 class HeightEncoding:
-    """Treatment of heights; a pure function of one patch.
+    """Height encoding; a pure function of one patch.
 
     Attributes:
-        reference: what heights are relative to. ``base``: the height of the cell the base stands on, so that a robot on
-            a platform sees what one on the floor sees. ``none``: the map's own zero (the published treatment); only
-            this one lets a network be evaluated densely.
-        unknown: height in metres, after the reference was taken off, of unknown (NaN) cells. None: they have no height;
-            ``edge`` is 1 there, their neighbours differ from known cells only, and ``height`` is 0.
-        clip: range in metres to which heights are limited. The published data tops out at 1.5 m.
+        reference: zero of the heights. ``base``: height of the cell under the base, so that a robot on a platform and a
+            robot on the floor see the same. ``none``: the map's own zero (published treatment); a network can be
+            evaluated densely only with ``none``.
+        unknown: height in metres for unknown (NaN) cells, relative to the reference. None: unknown cells have no
+            height; there ``edge`` is 1 and ``height`` is 0, and they add nothing to their neighbours' differences.
+        clip: height range in metres. The published data reaches up to 1.5 m.
         scale: factor on the clipped heights.
-        channels: what the network sees. ``height``: the heights treated as above. ``edge``: e / (e + edge_scale) for
-            the greatest height difference e of a cell to its eight neighbours, in [0, 1). The costs of the detailed
-            planner are built from that difference, and this spares the network learning it. ``slope_x``, ``slope_y``:
-            the difference d between the two neighbours along an axis, as d / (|d| + edge_scale), in (-1, 1).
-            ``unevenness``: log(1 + S) of the sum S over all cells within ``unevenness_radius`` of their greatest
-            height differences, weighted by 1 - distance / radius: what the costs of feet consist of.
-            ``unknown``: 1 where the height is unknown.
+        channels: network inputs. ``height``: heights treated as above. ``edge``: e / (e + edge_scale) in [0, 1), where
+            e is the greatest height difference between a cell and its eight neighbours; detailed costs are built from
+            e, so the network need not learn it. ``slope_x``, ``slope_y``: d / (|d| + edge_scale) in (-1, 1), where d is
+            the height difference between the two neighbours along an axis. ``unevenness``: log(1 + S), where S sums the
+            greatest height differences over all cells within ``unevenness_radius``, weighted by 1 - distance / radius;
+            foot costs consist of this sum. ``unknown``: 1 where the height is unknown.
         edge_scale: height difference in metres at which ``edge`` is one half.
         unevenness_radius: in cells.
     """
@@ -64,23 +63,23 @@ class HeightEncoding:
 
     @classmethod
     def from_config(cls, config: Mapping[str, Any] | None) -> "HeightEncoding":
-        """From the ``encoding`` part of a model configuration.
+        """Builds an encoding from the ``encoding`` part of a model configuration.
 
         Raises:
-            InputError: on unknown keys or wrong values.
+            InputError: a key is unknown or a value is wrong.
         """
         return settings_from(cls, config, "model.encoding")
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain mapping that ``from_config`` reads back."""
+        """Returns a plain mapping for ``from_config``."""
         return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
 
     def is_local(self) -> bool:
-        """Whether each encoded cell depends on that cell alone, and not on the patch it is seen in."""
+        """Returns whether each encoded cell depends on its own height alone, independent of the patch around it."""
         return self.reference == "none" and self.channels == ("height",)
 
     def radius(self, channel: str) -> int:
-        """How many cells away, along x or y, what a cell of the encoded map depends on may lie."""
+        """Returns the distance in cells, along x or y, within which an encoded cell reads heights."""
         return CHANNELS[channel] + (self.unevenness_radius - 1 if channel == "unevenness" else 0)
 
     def __call__(self, heights: Tensor) -> Tensor:
@@ -92,7 +91,7 @@ class HeightEncoding:
         Returns:
             float [B, len(channels), nx, ny] without NaN.
 
-        Convention: the base stands on cell (nx // 2, ny // 2). Where that cell is unknown, zero is the reference.
+        Convention: the base stands on cell (nx // 2, ny // 2). If this cell is unknown, the reference is zero.
         """
         if self.reference == "base":
             base = heights[..., heights.shape[-2] // 2, heights.shape[-1] // 2].nan_to_num(nan=0.0)
@@ -101,7 +100,7 @@ class HeightEncoding:
         heights = heights.nan_to_num(nan=self.unknown or 0.0).clamp(*self.clip)
         encoded = {"height": heights * self.scale, "unknown": unknown.to(heights.dtype)}
         if "edge" in self.channels:
-            # Without a height, unknown cells are edges by themselves, whatever the height of the ground around them.
+            # Unknown cells without a height are edges, independent of the ground around them.
             edge = greatest_difference(heights if self.unknown is not None else known)
             encoded["edge"] = (
                 torch.where(unknown, 1.0, self._bounded(edge)) if self.unknown is None else self._bounded(edge)
@@ -120,15 +119,17 @@ class HeightEncoding:
 
 
 def slope(heights: Tensor, axis: int) -> Tensor:
-    """Height of the next cell along an axis less that of the one before, same shape [B, 1, nx, ny]; zero at the rim."""
+    """Difference between the next and the previous cell along an axis; same shape [B, 1, nx, ny], zero at the rim."""
     inner = heights.shape[axis] - 2
     difference = heights.narrow(axis, 2, inner) - heights.narrow(axis, 0, inner)
     return functional.pad(difference, (0, 0, 1, 1) if axis == -2 else (1, 1, 0, 0))
 
 
 def cone_sum(values: Tensor, radius: int) -> Tensor:
-    """Sum over the cells within a radius, weighted by 1 - distance / radius; same shape [B, 1, nx, ny], zero beyond the
-    rim."""
+    """Sum over cells within a radius, weighted by 1 - distance / radius; same shape [B, 1, nx, ny].
+
+    Cells beyond the rim count as zero.
+    """
     along = torch.arange(1 - radius, radius, dtype=torch.float32, device=values.device)
     weights = (1 - torch.hypot(along[:, None], along) / radius).clamp_min(0)
     with torch.autocast(values.device.type, enabled=False):  # costs need the digits
@@ -136,9 +137,11 @@ def cone_sum(values: Tensor, radius: int) -> Tensor:
 
 
 def greatest_difference(heights: Tensor) -> Tensor:
-    """Greatest height difference of each cell to its eight neighbours, same shape [B, 1, nx, ny]; none beyond the rim,
-    none to cells that are NaN, and zero there."""
-    # Pooling would say the same in fewer words and take three times as long on the CPU.
+    """Greatest height difference between each cell and its eight neighbours; same shape [B, 1, nx, ny].
+
+    Cells beyond the rim and NaN cells do not count as neighbours; the result at NaN cells is zero.
+    """
+    # Max pooling gives the same result, but takes three times as long on the CPU.
     padded = functional.pad(heights, (1, 1, 1, 1), mode="replicate")
     highest, lowest = padded.nan_to_num(nan=-math.inf), padded.nan_to_num(nan=math.inf)
     for axis in (-2, -1):

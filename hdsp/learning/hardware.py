@@ -1,4 +1,4 @@
-"""What a computation runs on: device, precision, threads. Nothing here changes what is computed beyond rounding."""
+"""Hardware settings: device, precision, threads. They change results by rounding only."""
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ from hdsp.base.errors import InputError
 
 @dataclass(frozen=True)
 class HardwareSettings:
-    """Device and precision.
+    """Device, precision and threads.
 
     Attributes:
         accelerator: ``auto`` takes a GPU if there is one.
-        precision: ``bf16`` runs the trunk of the network in bfloat16, ``32`` all of it in float32; ``auto`` takes bf16
-            where the hardware computes in it.
-        threads: threads of torch on the CPU; None leaves torch's choice.
+        precision: ``bf16`` runs the network's trunk in bfloat16, ``32`` runs the whole network in float32; ``auto``
+            takes bf16 if the hardware computes in it.
+        threads: torch CPU threads; None = torch's choice.
     """
 
     accelerator: Literal["auto", "cpu", "gpu"] = "auto"
@@ -29,27 +29,27 @@ class HardwareSettings:
             raise InputError(f"hardware.threads: {self.threads} is below 1")
 
     def device(self) -> torch.device:
-        """The device for a computation outside of a trainer.
+        """Returns the device for computations outside a trainer.
 
         Raises:
-            InputError: if a GPU was asked for and there is none.
+            InputError: a GPU is requested and there is none.
         """
         if self.accelerator == "gpu" and not torch.cuda.is_available():
             raise InputError("hardware.accelerator: gpu was asked for, but torch sees none; allowed are auto, cpu")
         return torch.device("cuda" if self.accelerator != "cpu" and torch.cuda.is_available() else "cpu")
 
     def uses_bfloat16(self) -> bool:
-        """Whether trunks run in bfloat16 on this machine."""
+        """Returns whether trunks run in bfloat16 on this machine."""
         return self.precision == "bf16" or (self.precision == "auto" and _computes_in_bfloat16(self.device()))
 
     def apply_threads(self) -> None:
-        """Sets the number of torch threads of this process."""
+        """Sets this process's torch threads."""
         if self.threads is not None:
             torch.set_num_threads(self.threads)
 
 
 def autocast(device: torch.device, bfloat16: bool) -> AbstractContextManager:
-    """Context in which convolutions and linear layers run in bfloat16, if asked for."""
+    """Context in which convolutions and linear layers run in bfloat16, if requested."""
     return torch.autocast(device.type, torch.bfloat16, enabled=bfloat16)
 
 

@@ -1,4 +1,4 @@
-"""The metrics of every epoch: shown, kept, written, passed on."""
+"""Epoch metrics: collected, written, printed, passed to loggers."""
 
 import csv
 import json
@@ -15,11 +15,10 @@ OnEpoch = Callable[[int, dict[str, float]], None]
 
 
 class EpochHistory(pl.Callback):
-    """Collects the module's metrics after each epoch, with ``learning_rate``, ``seconds`` and the score of the
-    selection.
+    """Collects the module's metrics after each epoch, with ``learning_rate``, ``seconds`` and ``score``.
 
-    Rows are part of the checkpoint, so a resumed training has the whole history. After each epoch ``history.csv`` and
-    ``history.json`` are rewritten, one line is printed, and loggers and ``on_epoch`` are told.
+    The rows are part of the checkpoint, so a resumed training has the whole history. After each epoch ``history.csv``
+    and ``history.json`` are rewritten, one line is printed, and loggers and ``on_epoch`` receive the metrics.
     """
 
     def __init__(self, folder: Path, score: Callable[[dict[str, float]], float], on_epoch: OnEpoch | None, quiet: bool):
@@ -29,7 +28,7 @@ class EpochHistory(pl.Callback):
         self.epochs_seen = 0
 
     def on_train_start(self, trainer: pl.Trainer, module: pl.LightningModule) -> None:
-        self.started = time.perf_counter()  # an epoch that goes on within does not start
+        self.started = time.perf_counter()  # a resumed epoch has no start event
 
     def on_train_epoch_start(self, trainer: pl.Trainer, module: pl.LightningModule) -> None:
         self.started = time.perf_counter()
@@ -59,7 +58,7 @@ class EpochHistory(pl.Callback):
 
 
 def epoch_line(epoch: int, epochs: int | None, metrics: dict[str, float]) -> str:
-    """One line on an epoch for people."""
+    """Formats an epoch's metrics as one line."""
     sets = sorted(name.removeprefix("cost_error/") for name in metrics if name.startswith("cost_error/"))
     quality = "  ".join(
         f"{name} {100 * metrics[f'feasibility_accuracy/{name}']:.2f} % / {metrics[f'cost_error/{name}']:.4f}"
@@ -70,7 +69,7 @@ def epoch_line(epoch: int, epochs: int | None, metrics: dict[str, float]) -> str
 
 
 def write_history(folder: Path, rows: list[dict[str, Any]]) -> None:
-    """Writes ``history.csv`` and ``history.json`` (a list of flat mappings, one per epoch)."""
+    """Writes ``history.csv`` and ``history.json`` (a list with one flat mapping per epoch)."""
     with replacing(folder / "history.json") as path:
         path.write_text(json.dumps(rows, indent=1) + "\n")
     with replacing(folder / "history.csv") as path, path.open("w", newline="") as file:

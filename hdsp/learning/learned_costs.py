@@ -1,4 +1,4 @@
-"""Abstract costs of a whole map from a trained network."""
+"""Abstract costs for whole maps from a trained network."""
 
 import hashlib
 from collections.abc import Callable, Iterator
@@ -13,34 +13,35 @@ from hdsp.learning.rotated_maps import TurnedMap
 from hdsp.robot import lattice
 from hdsp.terrain.height_map import HeightMap, crop_patches
 
-#: Patches cropped at once, 85 MB.
+#: Patches cropped at once; 85 MB.
 CHUNK = 4096
-#: Side in cells of the tiles of dense evaluation. Larger ones share more between patches; smaller ones let a change of
-#: the map touch less. A tile takes some tens of megabytes, whatever the size of the map.
+#: Side in cells of a tile in dense evaluation. Larger tiles share more between patches; a map change affects less with
+#: smaller ones. A tile takes some tens of megabytes, independent of the map size.
 TILE = 96
 
 
 class LearnedCosts:
-    """``AbstractCosts``, ``LocalCosts`` and ``TaskPredictor`` of a learned abstraction.
+    """``AbstractCosts``, ``LocalCosts`` and ``TaskPredictor`` from a learned abstraction.
 
-    There are two ways to the costs of a map. *Patches*: every abstract state's patch goes through the trunk once for
-    its 22 actions, and equal patches (flat ground) once for all their states. *Dense*: the trunk is evaluated once for
-    each cell of 16 turned maps, in tiles. A tile holds the same cells and the same states whatever is asked for, so
-    that a region of a map gets to the last bit the costs it has in the whole.
+    Two methods compute a map's costs. *Patches*: each abstract state's patch passes the trunk once for its 22 actions,
+    and equal patches (flat ground) once for all their states. *Dense*: the trunk runs once for each cell in 16 rotated
+    maps, tile by tile. A tile always holds the same cells and states, so a region's costs equal the whole map's costs
+    to the last bit.
 
-    Convention: the patches of a network that declares itself dense are windows of the turned map (``hdsp.learning
-    .turned``), in both ways. Those of all others are cut at the anchor of their state.
+    Convention: with both methods, patches for a network that declares itself dense are windows into the rotated map
+    (``hdsp.learning.rotated_maps``). Patches for all other networks are cut at their state's anchor.
 
     Args:
-        abstraction: the trained network.
+        abstraction: trained network.
         batch: patches evaluated at once.
-        method: ``auto``: dense where the network declares itself so. ``patches``, ``dense``: that way; dense evaluation
-            of a network with zero padding is an approximation, which sees the map where the patch saw zeros.
-        quantile: level of the costs, see ``LearnedAbstraction.at_quantile``: a low one makes the heuristic overestimate
-            seldom, so that plans are better and searches longer. None = costs as the network says.
+        method: ``auto``: dense if the network declares itself dense, otherwise patches. ``patches``, ``dense``: always
+            this method. For a network with zero padding, dense evaluation is an approximation: it sees the map where a
+            patch has zeros.
+        quantile: cost level, see ``LearnedAbstraction.at_quantile``. A low level makes overestimates rare, for better
+            plans and longer searches. None = predicted costs.
 
     Raises:
-        InputError: if the method is dense and the network cannot be evaluated so, or if the abstraction was not
+        InputError: the method is unknown, the network does not allow dense evaluation, or the abstraction was not
             calibrated for the quantile.
     """
 
@@ -78,17 +79,17 @@ class LearnedCosts:
         """See ``AbstractCosts.edges``; here also:
 
         Args:
-            height_map: the terrain.
-            region: as there.
-            mask: bool, shape of the result without actions: states worth evaluating, for instance those whose feet find
-                ground. All others become infeasible.
-            progress: called with (states done, states in all) after every few thousand states.
+            height_map: terrain.
+            region: as in ``AbstractCosts.edges``.
+            mask: bool, result shape without actions: states to evaluate, for instance states with ground under all
+                feet. All other states become infeasible.
+            progress: called with (states done, all states) every few thousand states.
 
         Raises:
-            InputError: also if the mask does not have the shape of the result.
+            InputError: also if the mask has another shape than the result.
 
-        Convention: each patch is turned to the heading of its state, and the actions, which are in the frame of the
-        map, are turned into the frame of the robot.
+        Convention: each patch is rotated to its state's heading; actions are rotated from the map frame into the robot
+        frame.
         """
         first_x, first_y, end_x, end_y = checked_region(height_map, region)
         shape = (lattice.ABSTRACT_HEADINGS, end_x - first_x, end_y - first_y)
@@ -115,7 +116,7 @@ class LearnedCosts:
         if len(cells) == 0:
             return result
         margin = 0 if self._trunk is None else self._trunk.margin
-        # No cell of a patch is further than this from its base, along x or along y.
+        # Largest distance between a patch cell and its base, along x or along y.
         reach = int(np.ceil((lattice.PATCH_CENTER + margin) * np.sqrt(2))) + 2
         bases = _anchors(np.argwhere(np.ones((nx, ny), bool)), 0)
         near = bases[((bases >= cells.min(axis=0) - reach) & (bases <= cells.max(axis=0) + reach)).all(axis=1)]
@@ -133,7 +134,7 @@ class LearnedCosts:
     def _by_patches(
         self, height_map: HeightMap, heading: int, wanted: np.ndarray, first: tuple[int, int]
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """States [n, 2] of a region and their costs [n, 22], some at a time."""
+        """Yields states [n, 2] in a region and their costs [n, 22], some at a time."""
         goals = lattice.robot_frame_goals(heading)
         turned = TurnedMap(height_map.heights, heading) if self._on_turned_map else None
         states = np.argwhere(wanted)
@@ -149,7 +150,7 @@ class LearnedCosts:
     def _by_tiles(
         self, height_map: HeightMap, heading: int, wanted: np.ndarray, first: tuple[int, int]
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """As ``_by_patches``."""
+        """Like ``_by_patches``, with dense evaluation."""
         goals = lattice.robot_frame_goals(heading)
         turned = TurnedMap(height_map.heights, heading)
         whole = np.zeros(lattice.abstract_shape(height_map.shape), bool)
@@ -169,19 +170,19 @@ class LearnedCosts:
             yield states[members[asked]] - first, costs[asked]
 
     def _costs(self, patches: np.ndarray, goals: np.ndarray) -> np.ndarray:
-        """Costs [n, 22] of patches [n, 72, 72], inf = infeasible."""
+        """Costs [n, 22] for patches [n, 72, 72], inf = infeasible."""
         first, which = distinct_patches(patches)
         feasible, cost = self.abstraction.predict(patches[first], goals, self.batch)
         return np.where(feasible, cost, np.float32(np.inf))[which]
 
 
 def _anchors(states: np.ndarray, heading: int) -> np.ndarray:
-    """Detailed cells, int64 [n, 2], of the bases of abstract cells [n, 2]."""
+    """Detailed base cells, int64 [n, 2], for abstract cells [n, 2]."""
     return lattice.abstract_anchor(np.column_stack([states, np.full(len(states), heading)]))[:, :2]
 
 
 def _grouped(keys: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Each distinct row of keys [n, 2] with the numbers of the rows that equal it."""
+    """Yields each distinct row in keys [n, 2], with the indices of all rows equal to it."""
     low = keys.min(axis=0)
     single = (keys[:, 0] - low[0]) * (keys[:, 1].max() - low[1] + 1) + keys[:, 1] - low[1]
     order = np.argsort(single, kind="stable")
@@ -190,7 +191,7 @@ def _grouped(keys: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 def _touched(marks: TurnedMap, bases: np.ndarray, margin: int) -> np.ndarray:
-    """Whether a cell marked above zero lies in each base's patch, or within a margin around it; bool [n]."""
+    """Whether each base's patch, enlarged by a margin, holds a cell marked above zero; bool [n]."""
     sums = np.zeros(np.add(marks.heights.shape, 1), np.int64)
     sums[1:, 1:] = (marks.heights > 0).cumsum(axis=0).cumsum(axis=1)
     first = marks.cells(bases) - lattice.PATCH_CENTER - margin - marks.first
@@ -200,13 +201,17 @@ def _touched(marks: TurnedMap, bases: np.ndarray, margin: int) -> np.ndarray:
 
 
 def distinct_patches(patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Indices, int64, of the first patch of each kind, and for each patch the number of its kind, so that
-    ``patches[first][which]`` equals ``patches`` to the byte."""
+    """Groups equal patches.
+
+    Returns:
+        first: int64 [kinds], index of each kind's first patch.
+        which: int64 [n], each patch's kind; ``patches[first][which]`` equals ``patches`` to the byte.
+    """
     kinds: dict[bytes, int] = {}
     first: list[int] = []
     which = np.empty(len(patches), np.int64)
     for index, patch in enumerate(np.ascontiguousarray(patches)):
-        # A digest and not the bytes: twenty kilobytes for each state of a map would be kept alive.
+        # Digests as keys, because the bytes would keep twenty kilobytes alive for each map state.
         kind = kinds.setdefault(hashlib.blake2b(patch, digest_size=16).digest(), len(first))
         if kind == len(first):
             first.append(index)

@@ -1,18 +1,18 @@
-"""How good an abstraction is: the two numbers of the paper, with what stands behind them."""
+"""Abstraction metrics: the paper's two figures, and the sums behind them."""
 
 import torch
 from torch import Tensor
 
-#: Lower bound on predicted costs, for use and for metrics. A network may predict zero or less; a search needs positive
-#: edges.
+#: Lower bound on predicted costs, in use and in metrics. A network may predict zero or less, but a search needs
+#: positive edge costs.
 MINIMUM_COST = 1e-3
 
 
 class TaskMetrics:
-    """Sums over batches; ``compute`` gives the metrics of all tasks seen since ``reset``.
+    """Sums over batches; ``compute`` returns the metrics for all tasks since ``reset``.
 
-    A task is judged feasible at a probability above one half. Costs are compared over the tasks that both the labels
-    and the network judge feasible (paper, Sec. VI-A).
+    A task counts as judged feasible at a probability above one half. Costs are compared over tasks feasible for both
+    labels and network (paper, Sec. VI-A).
     """
 
     def __init__(self) -> None:
@@ -23,7 +23,7 @@ class TaskMetrics:
         self.detailed_cost = self.abstract_cost = self.error = 0.0
 
     def update(self, cost: Tensor, logits: Tensor, feasible: Tensor, labelled_cost: Tensor) -> None:
-        """Adds tasks; all arguments have one shape: predicted cost, feasibility logits, and their labels."""
+        """Adds tasks: predicted costs, feasibility logits, and their labels; all arguments have one shape."""
         judged = logits > 0
         both = judged & feasible
         self.tasks += feasible.numel()
@@ -35,8 +35,11 @@ class TaskMetrics:
         self.error += float((ours - theirs).abs().sum())
 
     def compute(self) -> dict[str, float]:
-        """``feasibility_accuracy`` in [0, 1]; ``cost_error``, ``detailed_cost``, ``abstract_cost``: means over the
-        tasks both judge feasible, NaN if there are none; counts ``tasks`` and ``both_feasible``."""
+        """Returns the metrics.
+
+        Keys are ``feasibility_accuracy`` in [0, 1]; ``cost_error``, ``detailed_cost`` and ``abstract_cost``, which are
+        means over tasks feasible for both (NaN without any); and the counts ``tasks`` and ``both_feasible``.
+        """
         compared = self.both_feasible or float("nan")
         return {
             "feasibility_accuracy": self.correct / self.tasks if self.tasks else float("nan"),
@@ -49,17 +52,17 @@ class TaskMetrics:
 
 
 def combined_score(feasibility_accuracy: float, cost_error: float) -> float:
-    """Share of wrong feasibility plus mean cost error, lower is better; both are a few hundredths for a good network.
+    """Share of wrong feasibility plus mean cost error; lower is better.
 
-    A network that judges nothing feasible has no cost error (NaN) and scores infinitely bad.
+    Both terms are a few hundredths for a good network. A network that judges nothing feasible has no cost error (NaN),
+    and its score is infinite.
     """
     score = (1 - feasibility_accuracy) + cost_error
     return score if score == score else float("inf")
 
 
 def task_losses(cost: Tensor, logits: Tensor, feasible: Tensor, labelled_cost: Tensor) -> tuple[Tensor, Tensor]:
-    """The two losses of the paper: BCE of feasibility over all tasks, L1 of cost over the feasible ones (0 without
-    any)."""
+    """Returns the paper's losses: feasibility BCE over all tasks, cost L1 over feasible tasks (0 without any)."""
     feasibility = torch.nn.functional.binary_cross_entropy_with_logits(logits, feasible.to(logits.dtype))
     error = (cost - labelled_cost).abs() * feasible
     return feasibility, error.sum() / feasible.sum().clamp_min(1)

@@ -1,10 +1,9 @@
-"""A map turned to a heading of the robot, so that the patches of all its states are windows of one array.
+"""Maps rotated to a robot heading, so that the patches for all states are windows into one array.
 
-A patch that is cut at its own base (`hdsp.terrain.height_map.crop_patches`) rounds each of its cells on its own, so that two
-such patches share no cells even where they overlap. Here one grid for the whole map is turned, and every base stands in
-the centre of that cell of the grid that holds it. At multiples of 90 degrees the two are equal. At other headings the
-base is moved by up to half a cell along each axis, an eighth of an abstract cell; in return a network can be evaluated
-once for a cell instead of once for each patch that holds it.
+`hdsp.terrain.height_map.crop_patches` cuts each patch at its own base and rounds each cell separately, so overlapping
+patches share no cells. Here the whole map is rotated on one grid, and every base moves to the centre of its grid cell.
+Both methods are equal at multiples of 90 degrees. At other headings the base moves by up to half a cell along each
+axis, an eighth of an abstract cell. In return, a network can be evaluated once per cell instead of once per patch.
 """
 
 import numpy as np
@@ -16,10 +15,10 @@ from hdsp.terrain.height_map import TIE
 
 
 class TurnedMap:
-    """Heights on a grid whose first axis lies along a heading.
+    """Heights on a grid whose first axis points along a heading.
 
-    Convention: grid cell (u, v) takes the height of the map cell nearest to ``R @ (u, v)``, with R the rotation by the
-    heading; halves are rounded away from zero. Grid cell (0, 0) is map cell (0, 0). Cells may be negative.
+    Convention: grid cell (u, v) takes the height of the map cell nearest to ``R @ (u, v)``, where R is the rotation by
+    the heading; halves round away from zero. Grid cell (0, 0) is map cell (0, 0). Grid cells may be negative.
 
     Args:
         heights: float32 [nx, ny], metres, NaN = unknown.
@@ -35,11 +34,11 @@ class TurnedMap:
         _turn(np.ascontiguousarray(heights, np.float32), *self.first, self.rotation, TIE, self.heights)
 
     def cells(self, bases: np.ndarray) -> np.ndarray:
-        """Grid cells, int64 [..., 2], that hold the centres of map cells ``bases`` [..., 2]."""
+        """Returns the grid cells, int64 [..., 2], that hold the centres of map cells ``bases`` [..., 2]."""
         return np.rint(np.asarray(bases) @ self.rotation).astype(np.int64)
 
     def window(self, first: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-        """Heights, float32 [shape], from grid cell ``first`` = (u, v) on; NaN outside the map."""
+        """Returns heights, float32 [shape], from grid cell ``first`` = (u, v) on; NaN outside the map."""
         window = np.full(shape, np.nan, np.float32)
         low = np.asarray(first) - self.first
         begin = np.clip(low, 0, self.heights.shape)
@@ -50,7 +49,7 @@ class TurnedMap:
         return window
 
     def patches(self, bases: np.ndarray) -> np.ndarray:
-        """Patches, float32 [n, 72, 72], whose bases are the map cells ``bases`` [n, 2]."""
+        """Returns patches, float32 [n, 72, 72], for bases on map cells ``bases`` [n, 2]."""
         cells = lattice.PATCH_CELLS
         starts = self.cells(bases) - lattice.PATCH_CENTER
         patches = np.empty((len(starts), cells, cells), np.float32)
@@ -74,5 +73,5 @@ def _turn(heights, first_u, first_v, rotation, tie, turned):
 
 @njit(inline="always")
 def _nearest(value, tie):
-    """The nearest whole number; halves go away from zero."""
+    """Nearest integer; halves round away from zero."""
     return np.int64(np.floor(value + 0.5 + tie)) if value >= 0 else -np.int64(np.floor(-value + 0.5 + tie))

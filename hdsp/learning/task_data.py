@@ -1,5 +1,4 @@
-"""Labelled tasks as batches of tensors: everything in memory once, batches are picked by index (`task_loader`); or read
-shard by shard, where that is too much (`TaskStream`)."""
+"""Labelled tasks as tensor batches, from memory by index (`task_loader`) or shard by shard (`TaskStream`)."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,11 +21,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BatchSettings:
-    """How tasks are put into batches.
+    """Batch composition.
 
     Attributes:
-        by: ``map``: all 22 goals of ``size`` maps (the trunk is evaluated once per map). ``task``: ``size`` single
-            tasks, each its own evaluation; size 1 is the paper's training.
+        by: ``map``: all 22 goals on ``size`` maps (the trunk runs once per map). ``task``: ``size`` single tasks, each
+            evaluated separately; size 1 is the paper's training.
         size: maps or tasks per batch.
     """
 
@@ -39,8 +38,14 @@ class BatchSettings:
 
 
 class Batch(NamedTuple):
-    """Tasks of one step: heights [B, 1, 72, 72], goals [B, G, 3], feasible bool [B, G], cost [B, G] (0 if
-    infeasible)."""
+    """Tasks for one step.
+
+    Attributes:
+        heights: [B, 1, 72, 72].
+        goals: [B, G, 3].
+        feasible: bool [B, G].
+        cost: [B, G], 0 if infeasible.
+    """
 
     heights: Tensor
     goals: Tensor
@@ -49,8 +54,13 @@ class Batch(NamedTuple):
 
 
 class BatchIndex(NamedTuple):
-    """What a batch consists of: maps int64 [B]; tasks int64 [B] for single tasks, else None; mirrored bool [B] or
-    None."""
+    """Batch contents.
+
+    Attributes:
+        maps: int64 [B].
+        tasks: int64 [B] for single tasks, otherwise None.
+        mirrored: bool [B] or None.
+    """
 
     maps: Tensor
     tasks: Tensor | None
@@ -58,7 +68,7 @@ class BatchIndex(NamedTuple):
 
 
 class TaskDataset(Dataset):
-    """The tensors of a ``TaskSet``, shared with it and never copied; indexed by ``BatchIndex``."""
+    """Tensors that share memory with a ``TaskSet``; indexed by ``BatchIndex``."""
 
     def __init__(self, tasks: "TaskSet"):
         if len(tasks.heights) == 0:
@@ -85,13 +95,14 @@ class TaskDataset(Dataset):
 
 
 class BatchSampler(Sampler[BatchIndex]):
-    """Batches of an epoch, shuffled and mirrored as a function of (seed, epoch) alone, so that a resumed training sees
-    the batches an undisturbed one would have seen.
+    """An epoch's batches, shuffled and mirrored as a function of (seed, epoch) alone.
+
+    A resumed training sees the same batches as an uninterrupted one.
 
     Attributes:
-        epoch: which one the next iteration is.
-        skip: batches that the next iteration, and it alone, leaves out: those before an interruption.
-        first: size of the first batch where it is not that of all; 0 = it is.
+        epoch: epoch of the next iteration.
+        skip: number of batches before an interruption, which only the next iteration leaves out.
+        first: size of the first batch if it differs; 0 = it does not.
     """
 
     def __init__(
@@ -102,7 +113,7 @@ class BatchSampler(Sampler[BatchIndex]):
         self.skip = self.first = 0
 
     def set_epoch(self, epoch: int) -> None:
-        """Called by Lightning before each epoch."""
+        """Sets the next iteration's epoch; Lightning calls it before each epoch."""
         self.epoch = epoch
 
     def __len__(self) -> int:
@@ -129,17 +140,17 @@ class BatchSampler(Sampler[BatchIndex]):
 def task_loader(
     tasks: "TaskSet", settings: BatchSettings, shuffle: bool = False, mirror: bool = False, seed: int = 0
 ) -> DataLoader:
-    """Batches of a task set.
+    """Batches from a task set.
 
     Args:
         tasks: labelled maps.
-        settings: batches by map or single tasks.
+        settings: batches by map or by single tasks.
         shuffle: new order every epoch.
         mirror: mirror each item on its x axis with probability one half; the robot and its costs are symmetric.
-        seed: of order and mirroring.
+        seed: seed for order and mirroring.
 
     Raises:
-        InputError: if the task set is empty.
+        InputError: the task set is empty.
     """
     dataset = TaskDataset(tasks)
     sampler = BatchSampler(len(dataset), dataset.goals.shape[1], settings, shuffle, mirror, seed)
@@ -147,23 +158,23 @@ def task_loader(
 
 
 class TaskStream(IterableDataset):
-    """Batches of labelled splits that need not fit into memory: their shards are read a few at a time.
+    """Batches from labelled splits that need not fit into memory; reads a few shards at a time.
 
-    The same maps as those of `task_loader`, each once an epoch. Shards come in an order that is new every epoch, and
-    maps are shuffled among the shards that are in memory together; what is left of these fills the first batch of the
-    next, so that all batches but the last are full. All is a function of (seed, epoch) alone.
+    An epoch holds each map once, as with `task_loader`. Shards come in a new order every epoch, and maps are shuffled
+    among the shards in memory. Remaining maps fill the first batch from the next shards, so all batches but the last
+    are full. The order is a function of (seed, epoch) alone.
 
     Args:
-        places: folder or URL of shards, or several.
-        settings: batches by map or single tasks.
+        places: one or several folders or URLs with shards.
+        settings: batches by map or by single tasks.
         shuffle, mirror, seed: as for `task_loader`.
-        shards_in_memory: how many are read at a time.
+        shards_in_memory: number of shards read at a time.
 
     Attributes:
-        epoch, skip: as of `BatchSampler`; batches that are skipped are read all the same.
+        epoch, skip: as in `BatchSampler`; skipped batches are still read.
 
     Raises:
-        InputError: if there is no shard in a place, or, when it is met, one is damaged.
+        InputError: a place holds no shard, or a shard is damaged (raised when it is read).
     """
 
     def __init__(
@@ -189,18 +200,18 @@ class TaskStream(IterableDataset):
 
     @cached_property
     def maps(self) -> list[int]:
-        """Maps in each shard; all are read for it, once."""
+        """Maps in each shard; the first access reads all shards."""
         from hdsp.labels.shards import read_shard
 
         return [len(read_shard(path).tasks) for path in self.paths]
 
     def __len__(self) -> int:
-        """Batches of an epoch, where one process reads them."""
+        """Batches per epoch, for a single reading process."""
         items = sum(self.maps) * (1 if self.settings.by == "map" else N_ABSTRACT_ACTIONS)
         return -(-items // self.settings.size)
 
     def set_epoch(self, epoch: int) -> None:
-        """Which epoch the next iteration is; called by Lightning before each epoch."""
+        """Sets the next iteration's epoch; Lightning calls it before each epoch."""
         self.epoch = epoch
 
     def __iter__(self) -> Iterator[Batch]:
@@ -222,7 +233,7 @@ class TaskStream(IterableDataset):
             yield rest
 
     def _parts(self) -> Iterator[tuple[TaskDataset, BatchSampler]]:
-        """The maps that are in memory together, and how they come."""
+        """Yields the maps that are in memory together, with their sampler."""
         from hdsp.labels.shards import read_shard
         from hdsp.labels.tasks import TaskSet
 
@@ -243,12 +254,12 @@ class TaskStream(IterableDataset):
 
 
 class ResumableBatches:
-    """The batches of a training, which goes on within an epoch where a checkpoint was written.
+    """Training batches that continue within an epoch from a checkpoint.
 
-    Lightning sets the epoch of `sampler`; `hdsp.learning.callbacks.EpochPosition` puts the position into checkpoints.
+    Lightning sets the epoch on `sampler`; `hdsp.learning.callbacks.EpochPosition` stores the position in checkpoints.
 
     Args:
-        batches: what `task_loader` returns, or a stream.
+        batches: `task_loader` result or a stream.
     """
 
     def __init__(self, batches: "DataLoader | TaskStream"):
@@ -267,7 +278,7 @@ class ResumableBatches:
             yield batch
 
     def state_dict(self) -> dict[str, Any]:
-        """How many batches of the epoch were given."""
+        """Returns the number of batches given in this epoch."""
         return {"given": self.given}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -275,10 +286,10 @@ class ResumableBatches:
 
 
 def mirror_heights(heights: Tensor) -> Tensor:
-    """Patches [..., nx, ny] mirrored on the x axis of the robot.
+    """Mirrors patches [..., nx, ny] on the robot's x axis.
 
-    Convention: the base stands at the centre of cell ny // 2, so cell j goes to ny - j; cell 0 has no counterpart in
-    the patch and takes the height of its neighbour.
+    Convention: the base stands at the centre of cell ny // 2, so cell j maps to ny - j. Cell 0 has no counterpart in
+    the patch and takes its neighbour's height.
     """
     flipped = heights.flip(-1).roll(1, -1)
     flipped[..., 0] = flipped[..., 1]
@@ -286,7 +297,7 @@ def mirror_heights(heights: Tensor) -> Tensor:
 
 
 def mirror_goals(goals: Tensor) -> Tensor:
-    """Goals [..., 3] mirrored on the x axis of the robot: (dx, -dy, -dtheta)."""
+    """Mirrors goals [..., 3] on the robot's x axis: (dx, -dy, -dtheta)."""
     return goals * goals.new_tensor([1.0, -1.0, -1.0])
 
 

@@ -1,4 +1,4 @@
-"""Training from labelled tasks to a saved abstraction, resumable at every epoch and every few minutes within one."""
+"""Training from labelled tasks to a saved abstraction; resumes after every epoch and every few minutes within one."""
 
 import hashlib
 import json
@@ -35,16 +35,16 @@ if TYPE_CHECKING:
     from hdsp.base.storage import Place
     from hdsp.labels.tasks import TaskSet
 
-#: Maps in a validation batch; it has no influence on results.
+#: Validation batches; their size has no influence on results.
 VALIDATION_BATCH = BatchSettings(by="map", size=64)
 
 
 @dataclass(frozen=True)
 class SelectionSettings:
-    """Which epoch's state is kept.
+    """Selection of the epoch whose state is kept.
 
     Attributes:
-        set: name of the validation set that decides.
+        set: validation set that decides.
         metric: ``combined``: lowest (1 - feasibility accuracy) + cost error; or one of the two alone.
     """
 
@@ -52,31 +52,32 @@ class SelectionSettings:
     metric: Literal["combined", "feasibility_accuracy", "cost_error"] = "combined"
 
     def score(self, metrics: Mapping[str, float]) -> float:
-        """Score of an epoch, lower is better."""
+        """Returns an epoch's score; lower is better."""
         accuracy, error = metrics[f"feasibility_accuracy/{self.set}"], metrics[f"cost_error/{self.set}"]
         if self.metric == "feasibility_accuracy":
             return 1 - accuracy
-        # Without a task that both judge feasible there is no cost error: that state must not win.
+        # Without tasks feasible for both, the cost error is NaN, and the state must not win.
         return combined_score(accuracy, error) if self.metric == "combined" else combined_score(1.0, error)
 
 
 @dataclass(frozen=True)
 class TrainerSettings:
-    """What ``conf/trainer/*.yaml`` holds: all that the trained network depends on besides model and data.
+    """Trainer settings, as in ``conf/trainer/*.yaml``: all training inputs besides model and data.
 
     Attributes:
         epochs, seed, batch, optimizer, schedule, losses, selection: see their classes.
-        mirror: whether maps are mirrored at random on the x axis of the robot. It is the only symmetry of the costs:
-            driving back is not driving ahead, and a quarter turn moves the feet.
-        gradient_clip: greatest norm of a step's gradients; None = any.
-        ema: decay of the average of the weights that is evaluated and saved; None = the last weights are.
-        early_stopping: epochs without a better score after which training ends; None = it does not.
-        checkpoint_minutes: how often the state is written within an epoch.
-        initial: folder of a saved abstraction of the same model, to begin with its weights; None = with random ones.
-        splits, val_splits: names of the labelled splits that ``pipeline.train`` passes to ``train``.
-        stream: whether it passes their folders, of which a few shards at a time are in memory.
-        share, residues: of the maps of ``splits`` it passes this share, and of these those with a heading of these
-            abstract ones modulo a quarter turn; None = all.
+        mirror: random mirroring of maps on the robot's x axis. It is the only symmetry in the costs: backward driving
+            differs from forward driving, and a quarter turn moves the feet.
+        gradient_clip: largest gradient norm per step; None = no limit.
+        ema: decay for the weight average that is evaluated and saved; None = the last weights.
+        early_stopping: epochs without a better score before training ends; None = no early stop.
+        checkpoint_minutes: time between checkpoints within an epoch.
+        initial: folder with a saved abstraction of the same model; training starts from its weights. None = random
+            weights.
+        splits, val_splits: labelled splits that ``pipeline.train`` passes to ``train``.
+        stream: whether ``pipeline.train`` passes split folders, from which a few shards at a time are in memory.
+        share, residues: ``pipeline.train`` passes this share of all maps in ``splits``, and from this share only maps
+            with these abstract headings modulo a quarter turn; None = all.
     """
 
     epochs: int = 100
@@ -88,7 +89,8 @@ class TrainerSettings:
     losses: LossSettings = field(default_factory=LossSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     gradient_clip: float | None = None
-    # Left out of what marks checkpoints (`_fingerprint`): the tasks themselves are in it, ema and stopping where set.
+    # Left out of the checkpoint fingerprint (`_fingerprint`), which holds the tasks themselves, and ema, early_stopping
+    # and initial if they are set.
     ema: float | None = field(default=None, repr=False)
     early_stopping: int | None = field(default=None, repr=False)
     checkpoint_minutes: float = field(default=10.0, repr=False)
@@ -119,7 +121,7 @@ class TrainerSettings:
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """The configuration of ``train``: model and trainer, and the hardware, on which no result depends."""
+    """Configuration for ``train``: model, trainer, and hardware, which has no influence on results."""
 
     model: ModelSettings = field(default_factory=ModelSettings)
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
@@ -128,16 +130,16 @@ class TrainingConfig:
 
 @dataclass(frozen=True)
 class TrainResult:
-    """What a training leaves.
+    """Training result.
 
     Attributes:
-        model_dir: the saved abstraction of the best epoch (``LearnedAbstraction.from_pretrained``).
+        model_dir: saved abstraction from the best epoch (``LearnedAbstraction.from_pretrained``).
         best_epoch: counted from 0.
-        metrics: flat metrics of the best epoch.
-        history: flat metrics of every epoch.
+        metrics: flat metrics for the best epoch.
+        history: flat metrics for every epoch.
         seconds: duration of this call; after a resume without the interrupted part.
-        resumed_from: number of epochs that an earlier, interrupted call had finished.
-        maps: that were learnt from.
+        resumed_from: number of epochs that an earlier, interrupted call finished.
+        maps: number of training maps.
     """
 
     model_dir: Path
@@ -160,25 +162,25 @@ def train(
     provenance: Provenance | None = None,
     quiet: bool = False,
 ) -> TrainResult:
-    """Trains a network and saves the best state on the validation set.
+    """Trains a network and saves the state with the best validation score.
 
-    If ``out_dir/checkpoints`` holds the last state of the same training (same model, trainer settings and tasks), the
-    training goes on from there, within an epoch at the next batch; the state of another training is replaced.
+    If ``out_dir/checkpoints`` holds the last state of the same training (same model, trainer settings and tasks),
+    training continues from there, within an epoch at the next batch. A state from another training is replaced.
 
     Args:
         config: keys ``model``, ``trainer``, ``hardware``, see ``TrainingConfig``.
-        train_tasks: labelled maps to learn from; or folders or URLs of shards, which are then read a few at a time.
+        train_tasks: labelled maps; or folders or URLs with shards, which are read a few at a time.
         val_sets: labelled maps by name; all are evaluated after every epoch, ``trainer.selection.set`` decides.
         out_dir: receives ``model/``, ``history.csv``, ``history.json``, ``checkpoints/``.
-        logger: Lightning logger(s), told the metrics once per epoch with the epoch as step.
+        logger: Lightning logger(s), which receive the metrics once per epoch with the epoch as step.
         callbacks: further Lightning callbacks.
         on_epoch: called with (epoch, flat metrics) after every epoch.
-        provenance: robot, cost model and data of the labels, saved with the model.
-        quiet: no line per epoch.
+        provenance: robot, cost model and data behind the labels, saved with the model.
+        quiet: whether to omit the printed line per epoch.
 
     Raises:
-        InputError: on unknown configuration keys, wrong values, an empty task set, a missing selection set, or if no
-            epoch gave a network that finds feasible tasks.
+        InputError: a configuration key is unknown or a value wrong, a task set is empty, the selection set is missing,
+            or no epoch gave a network that finds feasible tasks.
     """
     config = settings_from(TrainingConfig, config, "config")
     trainer_settings, out_dir = config.trainer, Path(out_dir)
@@ -211,7 +213,7 @@ def train(
     if trainer_settings.losses.rule != "constant":
         rule = LOSS_WEIGHT_RULES[trainer_settings.losses.rule]
         own_callbacks.append(rule(trainer_settings.losses.factor, trainer_settings.losses.patience))
-    # Loaders and layers with dropout draw from the global generator; the caller's is left as it was.
+    # Loaders and dropout layers draw from the global generator; the fork leaves the caller's state unchanged.
     with _without_lightning_chatter(), torch.random.fork_rng():
         torch.manual_seed(trainer_settings.seed)
         trainer = pl.Trainer(
@@ -255,7 +257,7 @@ def _module(config: TrainingConfig, val_sets: tuple[str, ...]) -> AbstractionMod
 
 
 def _begin_with(network: TaskNetwork, folder: str | Path, model: ModelSettings) -> None:
-    """Takes over the weights of a saved abstraction."""
+    """Copies the weights from a saved abstraction."""
     saved = LearnedAbstraction.from_pretrained(folder)
     if saved.model != model:
         raise InputError(
@@ -272,7 +274,7 @@ def _loggers(logger: Logger | Iterable[Logger] | None) -> list[Logger] | bool:
 
 
 def _training_batches(settings: TrainerSettings, tasks: "TaskSet | Sequence[Place]") -> tuple[Any, int]:
-    """The batches of an epoch, and how many maps they hold."""
+    """An epoch's batches, and their number of maps."""
     from hdsp.labels.tasks import TaskSet
 
     order = {"shuffle": True, "mirror": settings.mirror, "seed": settings.seed}
@@ -285,13 +287,13 @@ def _training_batches(settings: TrainerSettings, tasks: "TaskSet | Sequence[Plac
 
 
 def _fingerprint(config: TrainingConfig, batches: Any) -> str:
-    """Hash of all that decides whether a checkpoint belongs to this training."""
+    """Hash over everything that decides whether a checkpoint belongs to this training."""
     trainer = config.trainer
     parts = [config.model.to_dict(), repr(trainer)]
     later = {name: getattr(trainer, name) for name in ("ema", "early_stopping", "initial")}
     parts += [f"{name} {value}" for name, value in later.items() if value is not None]
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode())
-    if isinstance(batches, TaskStream):  # the name of a shard holds a hash of all its labels depend on
+    if isinstance(batches, TaskStream):  # a shard's name holds its label hash
         digest.update(json.dumps([*map(str, batches.paths), *batches.maps]).encode())
         return digest.hexdigest()
     data = batches.dataset
@@ -301,7 +303,7 @@ def _fingerprint(config: TrainingConfig, batches: Any) -> str:
 
 
 def _checkpoint_to_resume(folder: Path, fingerprint: str) -> Path | None:
-    """The last checkpoint of the same training; the checkpoints of another training are removed."""
+    """Returns the last checkpoint from the same training; removes checkpoints from another training."""
     mark, last = folder / "fingerprint.txt", folder / "last.ckpt"
     if mark.is_file() and mark.read_text() == fingerprint and last.is_file():
         return last
@@ -313,7 +315,7 @@ def _checkpoint_to_resume(folder: Path, fingerprint: str) -> Path | None:
 
 @contextmanager
 def _without_lightning_chatter() -> Iterator[None]:
-    """Keeps Lightning's notes on hardware, tips and data loaders off the one line per epoch."""
+    """Suppresses Lightning's notes on hardware, tips and data loaders."""
     names = ("lightning.pytorch", "lightning.pytorch.utilities.rank_zero", "lightning.fabric.utilities.rank_zero")
     loggers = [logging.getLogger(name) for name in names]
     levels = [logger.level for logger in loggers]

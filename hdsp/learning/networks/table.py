@@ -35,8 +35,8 @@ class Table(TaskNetwork):
     """Convolutions and poolings without padding, then a table with costs and logits for all actions.
 
     The table has 82 entries: the 20 translations in the robot frame at each of four heading residues, and two turns.
-    Any other goal is an ``InputError``. Entries learn from labels with their residue alone. After training on maps that
-    all start at residue 0, like the paper's, entries for other residues are meaningless.
+    Any other goal is an ``InputError``. Each entry learns only from labels at its own residue. After training on maps
+    that all start at residue 0, like the paper's, entries for other residues are meaningless.
     """
 
     def __init__(self, encoding: HeightEncoding, options: TableOptions):

@@ -1,8 +1,7 @@
-"""Trained abstractions that come with the package, one folder for each: ``config.json``, ``model.safetensors`` and a
-model card, ``README.md``. ``python -m pipeline.publish_model`` writes them. A folder has the name of its robot, or
-ROBOT-NAME if it is not the one that planners take by default.
+"""Shipped abstractions, one folder each: ``config.json``, ``model.safetensors`` and the model card ``README.md``.
 
-Importing this module imports no torch; loading an abstraction does.
+``python -m pipeline.publish_model`` writes them. A folder is named ROBOT for the robot's default abstraction, or
+ROBOT-NAME for another one. Importing this module does not import torch; loading an abstraction does.
 """
 
 from __future__ import annotations
@@ -19,13 +18,13 @@ if TYPE_CHECKING:
 
 
 def presets() -> list[str]:
-    """Names of the abstractions that come with the package: ROBOT, or ROBOT-NAME."""
+    """Returns the names of all shipped abstractions: ROBOT or ROBOT-NAME."""
     places = resources.files(__name__).iterdir()
     return sorted(place.name for place in places if place.joinpath("config.json").is_file())
 
 
 def robot_of(preset: str) -> str:
-    """The robot of an abstraction ROBOT or ROBOT-NAME; a robot's own name may have dashes."""
+    """Returns the robot for abstraction ROBOT or ROBOT-NAME; robot names may contain dashes."""
     fitting = [robot for robot in Robot.presets() if f"{preset}-".startswith(f"{robot}-")]
     return max(fitting, key=len, default=preset)
 
@@ -33,16 +32,17 @@ def robot_of(preset: str) -> str:
 def load_abstraction(
     source: str | Path, robot: str | Path | dict | Robot | None = None, hardware: HardwareSettings | None = None
 ) -> LearnedAbstraction:
-    """A trained abstraction: ``load_abstraction("momaro")``. Nothing is fetched, and no pickle is read.
+    """Loads a trained abstraction, e.g. ``load_abstraction("momaro")``; no download, no pickle.
 
     Args:
-        source: the name of a preset, or a folder that ``LearnedAbstraction.save_pretrained`` wrote.
-        robot: if given, the abstraction has to be one of this robot as it is now. Default: for a preset, its robot.
-        hardware: device and precision of inference.
+        source: shipped abstraction name, or a folder written by ``LearnedAbstraction.save_pretrained``.
+        robot: if given, the abstraction has to fit this robot with its current values. Default for a shipped
+            abstraction: its robot.
+        hardware: device and precision for inference.
 
     Raises:
-        InputError: there is no such preset or folder; it is damaged, or was trained for another robot, with another
-            cost model or another lattice; or torch is not installed.
+        InputError: the name or folder does not exist or is damaged; the abstraction belongs to another robot, cost
+            model or lattice; torch is not installed.
     """
     names = presets()
     is_preset = str(source) in names
@@ -62,10 +62,10 @@ def load_abstraction(
 
 
 def abstraction_of(robot: Robot, hardware: HardwareSettings | None = None) -> LearnedAbstraction:
-    """The abstraction that comes with the package for a robot.
+    """Loads the shipped abstraction for a robot.
 
     Raises:
-        InputError: there is none for this robot, or only one for a robot of this name with other values.
+        InputError: there is none for this robot, or only one for a robot with the same name and other values.
     """
     if robot.name not in presets():
         raise InputError(
