@@ -1,4 +1,4 @@
-"""Pictures, as PNG files. Importing this package loads matplotlib, which nothing else in `hdsp` does."""
+"""Figures as PNG files. Importing this package loads matplotlib; no other package in `hdsp` does."""
 
 from hdsp.viz.arena_figure import save_arena, save_courses, save_note
 from hdsp.viz.charts import (

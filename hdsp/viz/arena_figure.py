@@ -1,4 +1,4 @@
-"""Arenas: a rendering, the true height map, the scanned one; and the courses that simulated patches are cut from."""
+"""Figures of arenas: rendering, true and scanned height map; and of the courses behind the simulated patches."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def save_arena(
     tasks: Mapping[str, tuple],
     path: str | os.PathLike,
 ) -> Path:
-    """Draws an arena: the picture, the scanned map with start and goals, and where it is wrong.
+    """Draws an arena: rendering, scanned map with start and goals, and map error.
 
     Args:
-        picture: uint8 [height, width, 3]; None = there is none.
-        scanned, true: height maps of the same cells.
+        picture: uint8 [height, width, 3]; None = no rendering.
+        scanned, true: height maps with the same cells.
         tasks: (start, goal) by name; poses (x, y, theta) in m and rad.
-        path: of the PNG.
+        path: PNG path.
     """
     panels = 3 if picture is not None else 2
     made = figure(5.2 * panels, 5.0)
@@ -56,13 +56,13 @@ def save_courses(
     path: str | os.PathLike,
     columns: int = 5,
 ) -> Path:
-    """Draws scanned courses with the outlines of the patches that are cut from them.
+    """Draws scanned courses with the outlines of their patches.
 
     Args:
-        maps: one for each course.
-        starts: for each course, of each patch: its kind and the pose (x, y, theta) of its start; m, m, rad.
-        path: of the PNG.
-        columns: of pictures.
+        maps: one height map per course.
+        starts: for each course and patch: kind, and start pose (x, y, theta); m, m, rad.
+        path: PNG path.
+        columns: number of columns in the figure.
     """
     rows = max(math.ceil(len(maps) / columns), 1)
     made = figure(3.0 * columns, 3.0 * rows + 0.4)
@@ -81,7 +81,7 @@ def save_courses(
 
 
 def save_note(text: str, path: str | os.PathLike) -> Path:
-    """A picture that says why there is none."""
+    """Saves a text in place of a figure, for example the reason why there is none."""
     made = figure(6.0, 1.5)
     made.text(0.5, 0.5, text, ha="center", va="center", fontsize=9, wrap=True)
     return save(made, path)
@@ -109,7 +109,7 @@ def _draw_error(made, axes, scanned: HeightMap, true: HeightMap) -> None:
 
 
 def _draw_patch(axes, x: float, y: float, theta: float, color: str):
-    """Outline of the patch around a start, and the heading; returns the line for a legend."""
+    """Outlines the patch around a start and marks the heading; returns the line for a legend."""
     c, s = math.cos(theta), math.sin(theta)
     half = PATCH_CELLS * RESOLUTION / 2
     corners = half * np.array([(1, 1), (1, -1), (-1, -1), (-1, 1), (1, 1)])

@@ -1,4 +1,4 @@
-"""Charts of numbers: training curves, abstraction quality, planning experiment."""
+"""Charts: training curves, abstraction quality, planning experiment."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from hdsp.viz.style import (
 )
 
 _SETS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
-_SURE = 10  # tasks in a bin of a reliability diagram whose share is drawn
+_SURE = 10  # tasks; a reliability diagram shows shares only for bins with at least this many
 
 
 def save_training_beside(
     ours: Sequence[Mapping[str, Any]], theirs: Sequence[Mapping[str, Any]], path: str | os.PathLike, name: str
 ) -> Path:
-    """Feasibility accuracy and cost error over the epochs of our training and of a published one.
+    """Feasibility accuracy and cost error per epoch, for our training and a published training.
 
     Args:
         ours, theirs: one mapping per epoch with `epoch` (from 1), `feasibility_accuracy`, `cost_error`.
-        path: of the PNG.
-        name: of the published one, for the legend.
+        path: PNG path.
+        name: legend label for the published training.
 
     Raises:
-        InputError: one of them has no epoch.
+        InputError: if a training has no epoch.
     """
     if not ours or not theirs:
         raise InputError("training curves: a history has no epoch")
@@ -64,15 +64,15 @@ def save_training_beside(
 
 
 def save_training_curves(history: Sequence[Mapping[str, Any]], path: str | os.PathLike) -> Path:
-    """Feasibility accuracy, cost error, losses and loss weights over the epochs of a training.
+    """Feasibility accuracy, cost error, losses and loss weights per epoch of a training.
 
     Args:
         history: one mapping per epoch with `epoch` (from 0), `feasibility_accuracy/{set}`, `cost_error/{set}`,
-            `loss/{feasibility,cost}`, `loss_weight/{feasibility,cost}`; what is absent is left out.
-        path: of the PNG.
+            `loss/{feasibility,cost}`, `loss_weight/{feasibility,cost}`; absent entries are left out.
+        path: PNG path.
 
     Raises:
-        InputError: the history is empty.
+        InputError: if the history is empty.
     """
     if not history:
         raise InputError("training curves: the history has no epoch")
@@ -110,14 +110,14 @@ def save_training_curves(history: Sequence[Mapping[str, Any]], path: str | os.Pa
 
 
 def save_quality_bars(sets: Mapping[str, Mapping[str, Any]], path: str | os.PathLike) -> Path:
-    """Table I as bars: feasibility accuracy and cost error of each method on each set that has figures.
+    """Table I as bars: feasibility accuracy and cost error for each method and each set.
 
     Args:
-        sets: by the name of the set what `hdsp.labels.evaluation.evaluate_set` returns; without `methods` it is left out.
-        path: of the PNG.
+        sets: results of `hdsp.labels.evaluation.evaluate_set` by set name; sets without `methods` are left out.
+        path: PNG path.
 
     Raises:
-        InputError: no set has figures.
+        InputError: if no set has results.
     """
     shown = {name: figures for name, figures in sets.items() if figures.get("methods")}
     if not shown:
@@ -150,14 +150,16 @@ def save_quality_bars(sets: Mapping[str, Mapping[str, Any]], path: str | os.Path
 
 
 def save_reliability(sets: Mapping[str, Mapping[str, Any]], path: str | os.PathLike) -> Path:
-    """Reliability diagrams, one for each set: share of feasible tasks against the probability that the abstraction
-    states, with the share of tasks in each bin below. On the diagonal probabilities can be taken at their word. The
-    share is drawn for bins of ten tasks or more; fewer say little.
+    """Reliability diagrams, one for each set.
+
+    A diagram shows the share of feasible tasks against the predicted probability, and below it the share of tasks in
+    each bin. On the diagonal, predicted probabilities equal observed shares. Bins with fewer than ten tasks are not
+    drawn in the upper diagram, because their share is too uncertain.
 
     Args:
-        sets: by the name of the set figures with `calibration`: by method what
-            `hdsp.learning.calibration.calibration_figures` returns; sets and methods without are left out.
-        path: of the PNG.
+        sets: results by set name. The entry `calibration` contains, for each method, the result of
+            `hdsp.learning.calibration.calibration_figures`; sets and methods without it are left out.
+        path: PNG path.
     """
     shown = {name: figures["calibration"] for name, figures in sets.items() if figures.get("calibration")}
     made = figure(max(3.0, 2.4 * len(shown)), 3.4)
@@ -190,17 +192,17 @@ def save_reliability(sets: Mapping[str, Mapping[str, Any]], path: str | os.PathL
 
 
 def save_planning_bars(runs: Sequence[Mapping[str, Any]], path: str | os.PathLike) -> Path:
-    """Planning times (logarithmic) and path costs of each task, heuristic and weight: the paper's figure of Sec. VI-B.
+    """Planning times (logarithmic) and path costs for each task, heuristic and weight, as in the paper's Sec. VI-B.
 
-    A search without a path is marked × in place of its cost. If a limit ended it, its time is a lower bound: its bar is
-    hatched and has an arrow that points beyond it.
+    A search without a path has the mark × instead of a cost. If a limit ended the search, its time is a lower bound:
+    the bar is hatched, and an arrow points beyond it.
 
     Args:
         runs: mappings with `pair`, `heuristic`, `weight`, `status`, `seconds`, `cost` (None if unsolved).
-        path: of the PNG.
+        path: PNG path.
 
     Raises:
-        InputError: there are no runs.
+        InputError: if there are no runs.
     """
     if not runs:
         raise InputError("planning bars: there are no runs")

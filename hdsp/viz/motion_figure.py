@@ -1,4 +1,4 @@
-"""A motion from the side: the ground on its way, the robot at several moments, and how its feet step."""
+"""A motion from the side: ground profile, robot at several moments, and foot trajectories."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from hdsp.detailed.motion.motion import Motion
 from hdsp.robot.robot import FEET as FOOT_NAMES
 from hdsp.viz.style import BLACK, FEET, GREY, VERMILLION, figure, quiet, save
 
-_DEPTH = 0.12  # m; how deep the ground is drawn
-_BODY = 0.22  # m; how high the drawn base is above the hips
+_DEPTH = 0.12  # m; drawn thickness of the ground
+_BODY = 0.22  # m; drawn height of the base above the hips
 
 
 def save_motion(motion: Motion, path: str | os.PathLike, moments: int = 6, title: str | None = None) -> Path:
-    """Draws a motion as a strip: base and feet over the ground, as seen from the right of where it begins.
+    """Draws a motion as a strip: base and feet over the ground, seen from the right of the start pose.
 
-    The upper picture shows the way of each foot and, lightly, of the base; below, the robot stands at several moments,
-    the legs of its left side drawn thinner.
+    The upper panel shows the trajectories of the feet and the base. The panels below show the robot at several moments;
+    the legs on its left side are thinner.
 
     Args:
-        motion: that is drawn.
-        path: of the PNG.
-        moments: how many pictures of the robot.
-        title: above all.
+        motion: the motion.
+        path: PNG path.
+        moments: number of moments.
+        title: figure title.
     """
     along = _along(motion)
     made = figure(9.0, 1.9 + 1.7 * -(-moments // 3))
@@ -41,8 +41,7 @@ def save_motion(motion: Motion, path: str | os.PathLike, moments: int = 6, title
 
 
 def _along(motion: Motion) -> np.ndarray:
-    """The direction in which the picture is laid out, a unit vector [2]: from the start to where the base is farthest
-    from it."""
+    """Horizontal axis of the figure, a unit vector [2]: from the start to the base's farthest position."""
     way = motion.base[:, :2] - motion.base[0, :2]
     farthest = way[np.argmax(np.hypot(*way.T))]
     length = np.hypot(*farthest)
@@ -50,7 +49,7 @@ def _along(motion: Motion) -> np.ndarray:
 
 
 def _ground(axes, motion: Motion, along: np.ndarray) -> tuple[float, float]:
-    """Draws the ground under the line of the base, and returns the span of it (m along the way)."""
+    """Draws the ground under the base's straight line; returns its range (m along the horizontal axis)."""
     at = (motion.feet[..., :2] @ along).ravel()
     low, high = at.min() - 0.4, at.max() + 0.4
     s = np.linspace(low, high, int((high - low) / motion.terrain.resolution * 4))
@@ -80,7 +79,7 @@ def _ways(axes, motion: Motion, along: np.ndarray, chosen: np.ndarray) -> None:
 
 
 def _moments(motion: Motion, count: int) -> np.ndarray:
-    """Rows of the configurations to draw: start, goal, and between them the middles of steps, evenly spread."""
+    """Rows of the drawn configurations: start, goal, and evenly spread step middles."""
     swinging = np.flatnonzero((~motion.carries).any(axis=1) & (motion.phase == 3))
     if not len(swinging):
         return np.linspace(0, len(motion) - 1, count).astype(int)
@@ -95,7 +94,7 @@ def _moment(axes, motion: Motion, along: np.ndarray, row: int, number: int) -> N
     base, feet = motion.base[row], motion.feet[row]
     turned = motion.rotations()[row]
     hips = base[:3] + motion.robot.hips() @ turned.T
-    for foot in (0, 1, 3, 2):  # the right side is nearer
+    for foot in (0, 1, 3, 2):  # the right side is nearer to the viewer
         s, z = [hips[foot, :2] @ along, feet[foot, :2] @ along], [hips[foot, 2], feet[foot, 2]]
         right = foot in (2, 3)
         lifted = not motion.carries[row, foot]

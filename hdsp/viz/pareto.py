@@ -1,4 +1,4 @@
-"""What accuracy costs: errors of models over the time they take."""
+"""Model errors over computation time."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from hdsp.viz.style import BLUE, GREY, figure, quiet, save
 
 
 def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Indices of the points than which no other is better in one coordinate and at least as good in the other.
+    """Indices of the Pareto-optimal points.
+
+    A point is Pareto-optimal if no other point is better in one coordinate and at least as good in the other.
 
     Args:
         points: (x, y), lower is better in both.
 
     Returns:
-        indices, by rising x. Of equal points all are among them.
+        indices in ascending x; all of several equal points are included.
     """
     front: list[int] = []
     for index in sorted(range(len(points)), key=lambda i: points[i]):
@@ -30,15 +32,15 @@ def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
 def save_pareto(
     seconds: Mapping[str, float], panels: Mapping[str, Mapping[str, float]], path: str | os.PathLike
 ) -> Path:
-    """Errors of models over their times on a logarithmic axis, one panel for each kind of error; the front is joined.
+    """Draws model errors over times on a logarithmic axis, one panel per error; a line joins the Pareto front.
 
     Args:
-        seconds: time of each model.
-        panels: by the label of the axis the error of each model, lower is better.
-        path: of the PNG.
+        seconds: time by model.
+        panels: errors by axis label, then by model; lower is better.
+        path: PNG path.
 
     Raises:
-        InputError: there is no model.
+        InputError: if there is no model.
     """
     if not seconds:
         raise InputError("Pareto picture: there is no model")

@@ -1,4 +1,4 @@
-"""Example patches with the labels of their tasks and what an abstraction says of them."""
+"""Example patches with task labels and predictions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hdsp.terrain.height_map import HeightMap
 from hdsp.viz.robot_drawing import draw_pose, draw_robot
 from hdsp.viz.style import GOAL, GREY, SKY, START, UNKNOWN, VERMILLION, YELLOW, draw_terrain, figure, save
 
-#: Colour and meaning of a task by (feasible according to the label, according to the abstraction).
+#: Colour and meaning of a task by (feasible by label, feasible by prediction).
 JUDGEMENTS = {
     (True, True): (SKY, "both feasible"),
     (False, False): ("#DDDDDD", "both infeasible"),
@@ -32,20 +32,20 @@ def save_example_patches(
     count: int = 6,
     robot: Robot | str = "momaro",
 ) -> Path:
-    """Draws patches with their 22 tasks: labels and predictions.
+    """Draws patches with labels and predictions for their 22 tasks.
 
-    Each example is a pair of pictures: the patch with the robot at its start and dots at the goals, then one field per
-    task at the place of its goal, with the cost of the label above that of the prediction.
+    Each example has two panels. The first panel shows the patch, the robot at its start, and dots at the goals. The
+    second panel has one field per task at its goal position, with the label's cost above the predicted cost.
 
     Args:
         tasks: labelled tasks.
-        judged: feasible bool [n, 22] and cost [n, 22] of an abstraction, as `hdsp.labels.evaluation.predict` gives them.
-        path: of the PNG.
-        count: number of examples; spread over the set.
-        robot: whose outline is drawn, or what `Robot.load` takes.
+        judged: predictions, feasible bool [n, 22] and cost [n, 22], as from `hdsp.labels.evaluation.predict`.
+        path: PNG path.
+        count: number of examples, spread over the set.
+        robot: the robot to draw, or an argument for `Robot.load`.
 
     Raises:
-        InputError: there are no tasks, or count is not positive.
+        InputError: if there are no tasks, or count is not positive.
     """
     if len(tasks) == 0 or count < 1:
         raise InputError(f"example patches: {count} of {len(tasks)} maps asked for, need at least 1 of 1")
@@ -75,18 +75,21 @@ def save_example_patches(
 
 
 def spread(tasks: TaskSet, count: int) -> np.ndarray:
-    """Indices of `count` maps (all if there are fewer), ascending: of as many categories as possible, and in each first
-    those that have feasible and infeasible tasks, because these show most."""
+    """Selects `count` maps (or all maps if there are fewer); returns ascending indices.
+
+    The maps come from as many categories as possible. Within a category, maps with both feasible and infeasible tasks
+    come first, because they are the most informative.
+    """
     share = tasks.feasible.mean(axis=1)
     one_sided = (share < 0.15) | (share > 0.85)
-    # Ranks within each category; then all first ones, all second ones, and so on.
+    # Maps are ranked within their category. The order has all first ranks, then all second ranks, and so on.
     ranks, categories = np.empty(len(tasks), int), np.unique(tasks.category, return_inverse=True)[1]
     for category in np.unique(categories):
         members = np.flatnonzero(categories == category)
         ranks[members[np.argsort(one_sided[members], kind="stable")]] = np.arange(len(members))
     order = np.lexsort((categories, ranks))
     firsts = min(len(np.unique(categories)), len(order))
-    if firsts > count:  # not only the first categories of the alphabet
+    if firsts > count:  # spread over the alphabet instead of its first categories
         order = order[np.linspace(0, firsts - 1, count).round().astype(int)]
     return np.sort(order[:count])
 
@@ -109,7 +112,7 @@ def _draw_tasks(axes, tasks: TaskSet, judged: tuple[np.ndarray, np.ndarray], ind
     for goal, feasible, cost, judged_feasible, judged_cost in zip(
         tasks.goals[index], tasks.feasible[index], tasks.cost[index], said, costs, strict=True
     ):
-        # Turns have no place of their own: they stand above and below the field of moves, the left turn above.
+        # Turns have no goal position: the left turn is drawn above the moves, the right turn below them.
         x, y = goal[:2] if goal[2] == 0 else (0.0, 3.15 * np.sign(goal[2]))
         color, _ = JUDGEMENTS[bool(feasible), bool(judged_feasible)]
         axes.add_patch(Rectangle((x - side / 2, y - side / 2), side, side, facecolor=color))

@@ -1,4 +1,4 @@
-"""The robot from above: base, heading and feet at a detailed state."""
+"""The robot from above: base, heading and feet for a detailed state."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from hdsp.viz.style import BLACK, FEET
 
 
 def draw_robot(axes, state, robot: Robot, color: str = BLACK, alpha: float = 1.0, feet: bool = True) -> None:
-    """Draws the base as an outline with a notch at its front, and the feet in their colours.
+    """Draws the base as an outline with a pointed front, and the feet in their colours.
 
     Args:
         axes: matplotlib axes in world metres.
         state: detailed state [7].
-        robot: whose geometry is drawn.
-        color: of the base.
-        alpha: opacity of all.
-        feet: whether to draw them.
+        robot: the robot.
+        color: colour of the base.
+        alpha: opacity.
+        feet: whether to draw the feet.
     """
     state = np.asarray(state, float)
     box = robot.body.boxes[0]
     x_min, x_max, half = box.x_min, box.x_max, 0.7 * robot.feet.neutral_y
     outline = np.array(
         [(x_min, -half), (x_max * 0.75, -half), (x_max, 0), (x_max * 0.75, half), (x_min, half)]
-    )  # the front is pointed
+    )  # pointed front
     turned = outline @ rotation(float(state[2])).T + state[:2]
     axes.add_patch(Polygon(turned, closed=True, fill=False, edgecolor=color, linewidth=1.2, alpha=alpha, zorder=5))
     if feet:
@@ -36,7 +36,7 @@ def draw_robot(axes, state, robot: Robot, color: str = BLACK, alpha: float = 1.0
 
 
 def draw_pose(axes, pose, color: str, length: float = 0.45, label: str | None = None) -> None:
-    """Draws a pose (x, y, theta) as an arrow that begins at the base."""
+    """Draws a pose (x, y, theta) as an arrow from its position."""
     x, y, theta = (float(value) for value in pose[:3])
     tip = (x + length * np.cos(theta), y + length * np.sin(theta))
     arrow = {"arrowstyle": "-|>", "color": color, "linewidth": 2.2, "mutation_scale": 14, "shrinkA": 0, "shrinkB": 0}

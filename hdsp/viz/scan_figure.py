@@ -1,4 +1,4 @@
-"""Maps of scanned places with the patches that were cut from them."""
+"""Height maps of scanned places, with the patches cut from them."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from hdsp.terrain.height_map import HeightMap
 from hdsp.viz.robot_drawing import draw_pose, draw_robot
 from hdsp.viz.style import BLUE, GREY, SKY, START, VERMILLION, draw_terrain, figure, save
 
-_COLUMNS = 6  # of patches beside a map
+_COLUMNS = 6  # columns of patches beside a map
 _LOWEST, _HIGHEST = -0.2, 1.2
 
 
 class ScanPicture(NamedTuple):
-    """A scan, its map, the base states [n, 3] that patches were cut at, and their labelled tasks."""
+    """A scan, its height map, the base states [n, 3] of its patches, and their labelled tasks."""
 
     name: str
     place: str
@@ -34,8 +34,10 @@ class ScanPicture(NamedTuple):
 
 
 def save_scan_sheet(scans: Sequence[ScanPicture], path: str | os.PathLike, robot: Robot | str = "momaro") -> Path:
-    """Draws, for each scan, its map with the outlines of the patches, and beside it the patches in the robot frame with
-    dots at the goals: blue where the task is feasible, red where it is not."""
+    """Draws each scan: its map with patch outlines, and beside it the patches in the robot frame.
+
+    Dots mark the goals: blue for feasible tasks, red for infeasible tasks.
+    """
     robot = Robot.load(robot)
     if not scans:
         made = figure(6, 1)

@@ -1,6 +1,6 @@
-"""What all figures share: colours, size of type, how they are made and saved.
+"""Common style of all figures: colours, font sizes, creation and saving.
 
-Figures are made without pyplot, so that they need no display, share no state and never open a window.
+Figures do not use pyplot. They therefore need no display, share no state and never open a window.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from hdsp.base.files import replacing
 from hdsp.terrain.height_map import HeightMap
 
-# Okabe and Ito's colours, which people with any of the usual colour deficiencies tell apart.
+# Okabe and Ito's colours: people with the common colour vision deficiencies can tell them apart.
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
 GREY = "#8A8A8A"
@@ -51,21 +51,25 @@ _TYPE = 9
 
 
 def figure(width: float, height: float) -> Figure:
-    """An empty figure of a size in inches."""
+    """Makes an empty figure; width and height in inches."""
     made = Figure(figsize=(width, height), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(made)
     return made
 
 
 def save(made: Figure, path: str | os.PathLike) -> Path:
-    """Writes the figure as PNG, whole or not at all; raises InputError where the place cannot be written to."""
+    """Writes the figure as PNG, whole or not at all.
+
+    Raises:
+        InputError: if the path is not writable.
+    """
     with replacing(path) as temporary:
         made.savefig(temporary, format="png", facecolor="white")
     return Path(path)
 
 
 def quiet(axes, grid: str | None = "y") -> None:
-    """Takes away what does not inform: upper and right frame, strong grid lines, large type."""
+    """Removes visual noise: upper and right frame, strong grid lines, large font."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=_TYPE - 1)
     axes.xaxis.label.set_size(_TYPE)
@@ -77,7 +81,7 @@ def quiet(axes, grid: str | None = "y") -> None:
 
 
 def draw_terrain(axes, terrain: HeightMap, lowest: float | None = None, highest: float | None = None):
-    """Draws heights in metres, with edges darkened; returns what a colour bar needs.
+    """Draws heights in metres with darkened edges; returns the image for a colour bar.
 
     Convention: x to the right, y up, equal scales, world coordinates of the map. Unknown cells are pink.
     """
@@ -87,7 +91,7 @@ def draw_terrain(axes, terrain: HeightMap, lowest: float | None = None, highest:
     highest = max(float(known.max(initial=0.0)) if highest is None else highest, lowest + 0.1)
     placed = {"origin": "lower", "extent": (x, x + length, y, y + width), "interpolation": "nearest"}
     image = axes.imshow(terrain.heights.T, cmap=HEIGHTS, vmin=lowest, vmax=highest, **placed)
-    # Edges are darkened whichever way they face: low ones matter to the robot and would not show by their height.
+    # All edges are darkened, in every direction. Low edges matter to the robot, but their height alone is not visible.
     rise = np.hypot(*np.gradient(np.nan_to_num(terrain.heights.T))) if min(terrain.shape) > 1 else np.zeros((1, 1))
     darker = np.zeros((*rise.shape, 4))
     darker[..., 3] = 0.5 * (1 - np.exp(-rise / 0.03))
