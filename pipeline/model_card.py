@@ -1,4 +1,4 @@
-"""The model card of an abstraction that comes with the package. Every number in it is measured or configured."""
+"""The model card of a shipped abstraction. Every number in it is measured or configured."""
 
 from __future__ import annotations
 
@@ -56,10 +56,11 @@ def model_card(
 
 def _head(robot: Robot, name: str) -> str:
     source = "learned" if name == robot.name else f"learned:{name}"
-    return f"""# The learned abstraction {name}
+    return f"""# Shipped abstraction {name}
 
-Written by `python -m pipeline.publish_model`; do not edit. Judges the 22 abstract actions of a hybrid
-driving-stepping robot from a height map around it: can it be done, and what does it cost? (Klamt & Behnke, ICRA 2019)
+`python -m pipeline.publish_model` writes this card; do not edit it. The network reads a height map around a hybrid
+driving-stepping robot. It judges the 22 abstract actions: is the action feasible, and how much does it cost?
+(Klamt & Behnke, ICRA 2019)
 
 ```python
 import hdsp
@@ -85,9 +86,9 @@ def _model(abstraction: LearnedAbstraction, precision: str) -> str:
             f"{360 / lattice.ABSTRACT_HEADINGS:g} degrees",
         ),
         ("output", "probability of feasibility, and cost (unitless) where feasible"),
-        ("heights beyond", f"{encoding.clip[0]:g} and {encoding.clip[1]:g} m look like these to it"),
+        ("height limits", f"{encoding.clip[0]:g} and {encoding.clip[1]:g} m; heights beyond are clipped to them"),
     ]
-    return "## Model\n\n" + markdown(("what", "value"), rows)
+    return "## Model\n\n" + markdown(("property", "value"), rows)
 
 
 def _data(abstraction: LearnedAbstraction, robot: Robot, config: DictConfig) -> str:
@@ -107,12 +108,13 @@ def _data(abstraction: LearnedAbstraction, robot: Robot, config: DictConfig) -> 
     ]
     rows.append(("contents of a map", _inline(data["terrain"])))
     if _sensed(data):
-        rows.append(("maps as sensors see them", _inline(data["sensing"])))
+        rows.append(("sensor model", _inline(data["sensing"])))
     return (
-        "## Training data\n\nRandom height maps (`hdsp/terrain/scenes.py`, `hdsp/terrain/sensor_model.py`), and patches of simulated scans "
-        "where listed (`hdsp/labels/course_patches.py`), labelled by the optimal detailed planner. Maps where the robot "
-        "cannot stand are dropped; where `standable` is False they are what is kept, as infeasible.\n\n"
-        + markdown(("what", "value"), rows)
+        "## Training data\n\nThe training maps are random height maps (`hdsp/terrain/scenes.py`, "
+        "`hdsp/terrain/sensor_model.py`) and, where listed, patches of simulated scans "
+        "(`hdsp/labels/course_patches.py`). The optimal detailed planner labels them. Maps without a valid start state "
+        "are dropped. A split with `standable` False keeps only these maps; all their tasks are infeasible.\n\n"
+        + markdown(("property", "value"), rows)
     )
 
 
@@ -126,7 +128,7 @@ def _data_notes(abstraction: LearnedAbstraction, config: DictConfig) -> dict[str
 
 
 def _sensed(data: Mapping[str, Any]) -> list[str]:
-    """The splits whose maps are such as sensors see them."""
+    """The splits whose maps pass through the sensor model."""
     return [name for name, split in data["splits"].items() if split.get("sensing")]
 
 
@@ -138,7 +140,7 @@ def _scanned(data: Mapping[str, Any]) -> list[str]:
 def _recipe(abstraction: LearnedAbstraction, config: DictConfig) -> str:
     notes = abstraction.provenance.notes
     recorded = notes.get("trainer")
-    source = "as recorded with the model" if recorded else "as configured when it was published"
+    source = "as recorded with the model" if recorded else "as configured at publication"
     rows = _settings(recorded or config.trainer)
     if "profile" in notes:
         rows.insert(0, ("`profile`", str(notes["profile"])))
@@ -147,8 +149,8 @@ def _recipe(abstraction: LearnedAbstraction, config: DictConfig) -> str:
     table = markdown(("setting", "value"), rows)
     if initial := notes.get("initial"):
         first = [("`maps`", f"{initial['maps']:,}"), *_settings(initial["trainer"])]
-        table += "\n\nIt began with the weights of a training before:\n\n" + markdown(("setting", "value"), first)
-    return f"## Training recipe\n\nThe section `trainer` of the configuration, {source}.\n\n{table}"
+        table += "\n\nIt started from the weights of an earlier training:\n\n" + markdown(("setting", "value"), first)
+    return f"## Training recipe\n\nThe recipe is the section `trainer` of the configuration, {source}.\n\n{table}"
 
 
 def _settings(values: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -170,9 +172,10 @@ def _metrics(figures: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str
         "wrongly feasible", "wrongly infeasible",
     )  # fmt: skip
     text = (
-        "## Metrics\n\nAgreement with the detailed planner; the epoch was chosen by `val`, no other set took part. "
-        "Cost errors are mean absolute differences over tasks that both judge feasible. The paper's figures are of its "
-        "own sets, `published` stands beside its simulated set.\n\n" + markdown(header, rows)
+        "## Metrics\n\nThe metrics compare the network with the detailed planner. The set `val` chose the epoch; no "
+        "other set took part. The cost error is the mean absolute difference over tasks that both judge feasible. The "
+        "paper's figures belong to the paper's own sets; `published` stands beside its simulated set.\n\n"
+        + markdown(header, rows)
     )
     if missing:
         text += "\n\nWithout data: " + "; ".join(f"{name} ({reason})" for name, reason in missing.items()) + "."
@@ -199,11 +202,11 @@ def _calibration(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[
     ]  # fmt: skip
     header = ("set", "ECE", "ECE, adaptive", "Brier score", *(f"cost <= q {level}" for level in levels))
     return (
-        f"## Calibration\n\nFitted to {calibration.tasks:,} tasks of `val`: temperature {calibration.temperature:.3f}, "
-        f"and quantiles of the relative cost error in {len(calibration.excess) + 1} groups of tasks (split conformal). "
-        "ECE: expected calibration error of the probability of feasibility, 15 bins. `cost <= q a`: share of tasks "
-        "whose cost is at most the quantile that the model states for level a; on exchangeable tasks it is a.\n\n"
-        + markdown(header, rows)
+        f"## Calibration\n\nThe calibration is fitted to {calibration.tasks:,} tasks from `val`. It consists of a "
+        f"temperature, {calibration.temperature:.3f}, and quantiles of the relative cost error in "
+        f"{len(calibration.excess) + 1} groups of tasks (split conformal). ECE is the expected calibration error of "
+        "the feasibility probability in 15 bins. `cost <= q a` is the share of tasks with a cost up to the model's "
+        "quantile for level a; on exchangeable tasks this share is a.\n\n" + markdown(header, rows)
     )
 
 
@@ -216,7 +219,7 @@ def _limits(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, 
         worst = min(values["categories"].items(), key=lambda item: item[1]["feasibility_accuracy"])
         if name != "val" and len(values["categories"]) > 1:
             accuracy = percent(worst[1]["feasibility_accuracy"])
-            lines.append(f"- Least right in set `{name}`: {worst[0]}, {accuracy} of {worst[1]['maps']} maps' tasks.")
+            lines.append(f"- Lowest accuracy in set `{name}`: {worst[0]}, {accuracy} on {worst[1]['maps']} maps.")
     data = _data_notes(abstraction, config)
     terrain = data["terrain"]
     highest = max(_largest(value) for key, value in terrain.items() if key.endswith(("height", "rise")))
@@ -224,21 +227,20 @@ def _limits(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, 
     random_maps = [split for name, split in data["splits"].items() if name not in scanned]
     kinds = dict.fromkeys(kind for split in random_maps for kind in split.get("categories", CATEGORIES))
     lines += [
-        f"- Trained on these kinds of random terrain{'' if scanned else ' alone'}: {', '.join(kinds)}. It never "
-        f"saw round or soft things, stairs of more than {_largest(terrain['staircase_steps']):g} steps, "
-        f"or anything higher than {highest:g} m.",
-        f"- Noise, unknown cells and rounded edges, as sensors make them, it saw in the maps of {', '.join(sensed)}, "
-        "by a model of them and not by a sensor."
+        f"- Training used these kinds of random terrain{'' if scanned else ' only'}: {', '.join(kinds)}. The network "
+        f"never saw round or soft objects, staircases with more than {_largest(terrain['staircase_steps']):g} steps, "
+        f"or objects higher than {highest:g} m.",
+        f"- Sensor noise, unknown cells and rounded edges were in the splits {', '.join(sensed)}. They came from a "
+        "model, not from a sensor."
         if sensed
-        else "- It never saw what sensors do to maps: noise, unknown cells, rounded edges.",
-        "- It saw simulated scans of courses such as those of the set `simulated`, of other seeds "
-        f"({', '.join(scanned)}): only the figures of `real` show what it makes of scans of another kind."
+        else "- The network never saw sensor effects: noise, unknown cells, rounded edges.",
+        f"- Training used simulated scans ({', '.join(scanned)}) like the set `simulated`, with other seeds. Only the "
+        "figures for `real` show the accuracy on scans from elsewhere."
         if scanned
-        else "- The figures of `simulated` and `real` show what it makes of scans.",
-        f"- Holds for this robot with these constants and cost model version {COST_MODEL_VERSION}; loading it for "
-        "another one is an error. The labels are the planner's, which no robot has driven.",
-        "- A heuristic may be wrong without harm to validity: every plan is made of actions that the detailed planner "
-        "has checked.",
+        else "- The figures for `simulated` and `real` show the accuracy on scans.",
+        f"- The network holds for this robot with these constants and cost model version {COST_MODEL_VERSION}; loading "
+        "it for another robot is an error. The labels come from the planner; no robot has driven them.",
+        "- A wrong heuristic leaves plans valid: the detailed planner checks every action of a plan.",
     ]
     return "## Limits\n\n" + markdown(header, rows) + "\n\n" + "\n".join(lines)
 
@@ -253,12 +255,12 @@ def _again(abstraction: LearnedAbstraction, config: DictConfig) -> str:
         then = f"""
 mv models/abstraction {initial}
 python -m pipeline.train experiment=finish trainer.initial={initial} runtime.inputs=. runtime.outputs=."""
-    return f"""## Make it again
+    return f"""## Reproduce
 
-With the model and the recipe above:
+These commands use the model and the recipe above.
 
 ```sh
-dvc exp run -S {chosen} -S model={abstraction.model.architecture}      # makes the labels too: hours{then}
+dvc exp run -S {chosen} -S model={abstraction.model.architecture}      # includes the labels: hours{then}
 python -m pipeline.publish_model models/abstraction {chosen} runtime.outputs=.{variant}
 ```"""
 

@@ -100,8 +100,8 @@ def section(robot: Robot, profile: str, reports: dict[str, Any]) -> str:
         for run in reports["planning"]["runs"]
     ]  # fmt: skip
     return (
-        f"`{robot.name}`, profile `{profile}`: {training['maps']:,} maps to learn from, {training['epochs']} epochs of "
-        f"`{training['model']}` ({training['parameters']:,} parameters) in {training['seconds']:.0f} s; judged on "
+        f"Robot `{robot.name}`, profile `{profile}`. Training: {training['maps']:,} maps, {training['epochs']} epochs, "
+        f"network `{training['model']}` ({training['parameters']:,} parameters), {training['seconds']:.0f} s. Test: "
         f"{random['maps']} random maps ({random['tasks']:,} tasks, {100 * random['feasible'] / random['tasks']:.0f} % "
         "feasible).\n\n"
         + markdown(("abstraction", "feasibility correct", "cost error"), quality)

@@ -55,15 +55,13 @@ def abstraction_quality_table(quality: Mapping[str, Any], training: Mapping[str,
             _row(f"mean abstract cost, {label}", columns, (method, "abstract_cost_mean"), _cost),
             _row(f"mean cost error, {label}", columns, (method, "cost_error"), _cost),
         ]
-    network = f" Network: {training['model']}, {training['maps']:,} training maps." if training else ""
+    network = f" Trained network: {training['model']}, {training['maps']:,} training maps." if training else ""
     notes = [f"Table I, abstraction quality: ours / the paper's.{network}"]
     if {"pretrained", "pretrained-klamt2019"} & set(methods):
-        notes.append(
-            "The cards of the shipped models (hdsp/learning/shipped) judge them on more random maps than these."
-        )
+        notes.append("The model cards (hdsp/learning/shipped) judge the shipped networks on more random maps.")
     missing = [name for name, values in sets.items() if not values["available"]]
     if missing:
-        notes.append(f"No data for {', '.join(missing)}: why is in reports/abstraction_quality.json.")
+        notes.append(f"No data for {', '.join(missing)}: reports/abstraction_quality.json gives the reason.")
     return markdown(header, rows) + "\n\n" + " ".join(notes)
 
 
@@ -97,21 +95,22 @@ def heuristic_table(planning: Mapping[str, Any]) -> str:
     seconds = ", ".join(f"{HEURISTIC_NAMES.get(name, name)} {value:.1f} s" for name, value in once.items())
     note = (
         f"Table II, heuristic performance: {arena['pairs']} start/goal pairs, {arena['source']}, "
-        f"{arena['size']:g} x {arena['size']:g} m (the paper: seven goals, 10 x 10 m), against the geometric heuristic "
-        "at W = 1; means of the pairs' ratios, of cost where both are solved. Above best known: against the least cost "
-        "that any of the searches found. Memory: the most that a search took. Times include one Dijkstra search per "
-        f"goal, not the costs of all abstract actions, needed once per map ({seconds}; the paper: 239 s). "
-        f"≥: searches ended by a limit, here {_limits(planning['limits'])}, would have taken longer."
+        f"{arena['size']:g} x {arena['size']:g} m (the paper: seven goals, 10 x 10 m). Speed-up and cost compare with "
+        "the geometric heuristic at W = 1. The speed-up is a mean over the pairs that the search solved, the cost a "
+        "mean over the pairs that both searches solved. Above best known compares with the least cost found by any "
+        "search. Memory is the largest over all pairs. Times include one Dijkstra search per goal. They exclude the "
+        f"costs of all abstract actions, which each map needs once ({seconds}; the paper: 239 s). ≥ marks a lower "
+        f"bound: a search ended at a limit, here {_limits(planning['limits'])}."
     )
     if checked["checked"]:
         note += (
-            f" Checked against the true geometry of the arena: {checked['free']} of {checked['checked']} paths are "
-            f"free of collisions{_clearance(checked['least_body_clearance'])}."
+            f" In the true geometry of the arena, {checked['free']} of {checked['checked']} paths are free of "
+            f"collisions{_clearance(checked['least_body_clearance'])}."
         )
     return "\n\n".join([markdown(header, rows), note, markdown(*_tasks(planning)), _TASKS_NOTE])
 
 
-_TASKS_NOTE = "Time (s) and cost of each task; ≥: ended by a limit, ×: no path."
+_TASKS_NOTE = "Time (s) and cost of each task. ≥ marks a search that ended at a limit, × a task without a path."
 
 
 def _tasks(planning: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -143,7 +142,7 @@ def _limits(limits: Mapping[str, float]) -> str:
 
 
 def _clearance(least: float | None) -> str:
-    return "" if least is None else f"; least distance of the body from anything, {1000 * least:.0f} mm"
+    return "" if least is None else f"; the least distance between body and obstacle is {1000 * least:.0f} mm"
 
 
 def _bound(is_lower: bool) -> str:
