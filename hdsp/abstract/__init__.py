@@ -1,4 +1,4 @@
-"""The abstract representation: costs of abstract actions, their search, and the way from and to detailed states."""
+"""Abstract planning: costs of abstract actions, their search, and the step to detailed states."""
 
 from hdsp.abstract.abstract_costs import AbstractCosts, FlatCosts, LocalCosts, TaskPredictor
 from hdsp.abstract.dijkstra import PreparedGraph, cost_to_go

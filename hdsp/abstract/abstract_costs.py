@@ -1,8 +1,8 @@
-"""The contract of abstract costs, and its simplest fulfilment.
+"""Contract for abstract costs, and its simplest implementation.
 
-An abstraction says of each of the 22 abstract actions from each abstract state whether it can be done and what it
-costs, as the detailed planner would. There are two ways to ask. Whole maps (`AbstractCosts`) serve planning: Dijkstra
-and the heuristics know nothing else about an abstraction. Single tasks (`TaskPredictor`) serve evaluation.
+For each of the 22 abstract actions from each abstract state, an abstraction predicts feasibility and cost, as the
+detailed planner would find them. `AbstractCosts` covers whole maps and serves planning: Dijkstra and the heuristics use
+no other interface. `TaskPredictor` covers single tasks and serves evaluation.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from hdsp.robot.lattice import (
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
-#: A rectangle of abstract cells: (first ix, first iy, end ix, end iy), the ends excluded.
+#: Rectangle of abstract cells: (first ix, first iy, end ix, end iy), ends excluded.
 Region = tuple[int, int, int, int]
 
 
@@ -37,44 +37,43 @@ Region = tuple[int, int, int, int]
 class AbstractCosts(Protocol):
     """Costs of all abstract actions on a map.
 
-    Learned, manual, flat-ground and oracle (detailed planner) costs implement it; Dijkstra, heuristics and evaluation
-    know only this. An implementation is bound to one robot and keeps no state of any map.
+    Learned, manual, flat-ground and oracle (detailed planner) costs implement this contract; Dijkstra, heuristics and
+    evaluation use nothing else. An implementation belongs to one robot and keeps no map state.
     """
 
     def edges(self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None) -> np.ndarray:
-        """Costs of the 22 abstract actions from every abstract state.
+        """Returns costs for the 22 abstract actions from every abstract state.
 
-        Convention: the result is indexed `[heading, ix, iy, action]`, states and actions in the frame of the map (not
-        of the robot). `edges[k, a, b, m]` is the cost of `hdsp.robot.lattice.ABSTRACT_ACTIONS[m] = (dx, dy, dtheta)` from
-        abstract state (a, b, k), which leads to (a + dx, b + dy, (k + dtheta) % 16).
+        Convention: the result is indexed `[heading, ix, iy, action]`; states and actions are in the map frame, not in
+        the robot frame. `edges[k, a, b, m]` is the cost of `hdsp.robot.lattice.ABSTRACT_ACTIONS[m] = (dx, dy, dtheta)`
+        from abstract state (a, b, k) to (a + dx, b + dy, (k + dtheta) % 16).
 
         Args:
-            height_map: the terrain; NaN = unknown. Its abstract cells are blocks of 4 x 4 cells, what is left over at
-                the upper borders belongs to none.
-            region: compute only the states in this rectangle of abstract cells; None = the whole map. Actions may lead
-                out of the region.
-            mask: bool, shape of the result without actions: the states worth evaluating, for instance those at which
-                the robot can stand. From all others every action is infeasible. None = all.
+            height_map: terrain; NaN = unknown. Abstract cells are blocks of 4 x 4 map cells; remaining cells at the
+                upper borders belong to none.
+            region: rectangle of abstract cells to compute; None = the whole map. Actions may lead out of the region.
+            mask: bool, result shape without actions: states to evaluate, for instance states in which the robot can
+                stand. All actions from other states are infeasible. None = all states.
 
         Returns:
-            float32 [16, nx, ny, 22], `(nx, ny) = abstract_shape(height_map.shape)` or the size of the region. Costs are
-            >= 0 and never NaN; inf = infeasible. Actions that lead off the map are infeasible.
+            float32 [16, nx, ny, 22], `(nx, ny) = abstract_shape(height_map.shape)` or the region's size. Costs are >= 0
+            and never NaN; inf = infeasible. Actions off the map are infeasible.
 
         Raises:
-            InputError: the region is empty or not within the map, or the mask has another shape.
+            InputError: the region is empty or leaves the map, or the mask has another shape.
         """
         ...
 
 
 @runtime_checkable
 class LocalCosts(AbstractCosts, Protocol):
-    """Costs that say which states a change of the map can touch, so that the others need not be computed again."""
+    """Costs that know which states a map change affects; all other states keep their costs."""
 
     def affected(self, changed: np.ndarray) -> np.ndarray:
-        """The states with an action whose cost may change.
+        """Returns the states with an action whose cost may change.
 
         Args:
-            changed: bool [nx, ny], the cells of a height map whose heights change.
+            changed: bool [nx, ny], height map cells with changed heights.
 
         Returns:
             bool [16, nx // 4, ny // 4].
@@ -84,20 +83,20 @@ class LocalCosts(AbstractCosts, Protocol):
 
 @runtime_checkable
 class TaskPredictor(Protocol):
-    """Judges single tasks: patches with goals."""
+    """Predicts single tasks: patches with goals."""
 
     def predict(self, patches: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Feasibility and cost of the 22 tasks of each patch.
+        """Predicts feasibility and cost for each patch's 22 tasks.
 
-        Convention: patches and goals are in the frame of the robot, which stands at the centre of patch cell (36, 36)
-        and looks along axis 0; see `hdsp.terrain.height_map`.
+        Convention: patches and goals are in the robot frame; the robot stands at the centre of patch cell (36, 36) and
+        faces along axis 0; see `hdsp.terrain.height_map`.
 
         Args:
             patches: float32 [n, 72, 72], heights in metres, NaN = unknown.
             goals: float32 [n, 22, 3], (dx, dy, dtheta) in abstract steps of 10 cm and 22.5 degrees.
 
         Returns:
-            feasible bool [n, 22]; cost float32 [n, 22], finite where feasible, without meaning elsewhere.
+            feasible bool [n, 22]; cost float32 [n, 22], finite where feasible, meaningless elsewhere.
 
         Raises:
             InputError: shapes do not fit.
@@ -106,9 +105,9 @@ class TaskPredictor(Protocol):
 
 
 class FlatCosts:
-    """The flat-ground baseline: every action is feasible and costs what it costs on flat ground, whatever the terrain.
+    """Flat-ground baseline: every action is feasible at its flat-ground cost, on any terrain.
 
-    What an abstraction adds to this is what it knows about terrain. Implements `LocalCosts` and `TaskPredictor`.
+    An abstraction differs from this baseline by its terrain knowledge. Implements `LocalCosts` and `TaskPredictor`.
     """
 
     def __init__(self, robot: Robot | str):
@@ -136,8 +135,8 @@ class FlatCosts:
         return np.ones(goals.shape[:-1], bool), self.costs(goals)
 
     def costs(self, goals: np.ndarray) -> np.ndarray:
-        """Flat cost, float32 [...], of goals [..., 3] in the robot frame: that of the nearest known task."""
-        # Turned into the frame of the robot, the actions of all headings are the tasks whose flat cost is known.
+        """Returns flat-ground costs, float32 [...], for robot-frame goals [..., 3], from the nearest known task."""
+        # The known tasks are the actions at all headings, rotated into the robot frame.
         known = np.concatenate([robot_frame_goals(heading) for heading in range(ABSTRACT_HEADINGS)])
         distinct, which = np.unique(np.reshape(goals, (-1, 3)), axis=0, return_inverse=True)
         nearest = np.linalg.norm(distinct[:, None] - known, axis=-1).argmin(axis=1)
@@ -146,9 +145,12 @@ class FlatCosts:
 
 @functools.lru_cache(maxsize=16)
 def flat_table(robot: Robot) -> np.ndarray:
-    """Costs on flat ground, float32 [16, 22] by heading and action: labels of a flat map, as any map is labelled.
+    """Returns flat-ground costs, float32 [16, 22] by heading and action: labels for a flat map.
 
-    A turn of the robot by 90 degrees only permutes the actions, so that four headings are searched.
+    A robot turn by 90 degrees only permutes the actions, so four headings are searched.
+
+    Raises:
+        InputError: an action is infeasible on flat ground.
     """
     world = build_world(HeightMap.flat((PATCH_CELLS, PATCH_CELLS)), robot)
     table = np.empty((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), np.float32)
@@ -161,7 +163,7 @@ def flat_table(robot: Robot) -> np.ndarray:
         table[heading] = costs
     index = {tuple(action): m for m, action in enumerate(ABSTRACT_ACTIONS.tolist())}
     for heading in range(quarter, ABSTRACT_HEADINGS):
-        # What this action is to this heading, the action turned back by 90 degrees is to the heading before.
+        # An action costs the same as its copy, rotated back by 90 degrees, at the heading one quarter earlier.
         turned_back = [index[dy, -dx, turn] for dx, dy, turn in ABSTRACT_ACTIONS.tolist()]
         table[heading] = table[heading - quarter, turned_back]
     table.flags.writeable = False
@@ -169,7 +171,7 @@ def flat_table(robot: Robot) -> np.ndarray:
 
 
 def checked_region(height_map: HeightMap, region: Region | None) -> Region:
-    """The region, or that of the whole map; raises InputError where it is empty or leaves the map."""
+    """Returns the region (None: the whole map); raises InputError if it is empty or leaves the map."""
     nx, ny = abstract_shape(height_map.shape)
     if region is None:
         region = (0, 0, nx, ny)
@@ -183,7 +185,7 @@ def checked_region(height_map: HeightMap, region: Region | None) -> Region:
 
 
 def close_exits(edges: np.ndarray, height_map: HeightMap, region: Region | None = None) -> None:
-    """Makes the actions infeasible that lead off the map. `edges` is [16, nx, ny, 22] of the region, and changed."""
+    """Makes actions off the map infeasible; modifies `edges` [16, nx, ny, 22] for the region in place."""
     nx, ny = abstract_shape(height_map.shape)
     first_x, first_y, end_x, end_y = checked_region(height_map, region)
     to_x = np.arange(first_x, end_x)[:, None] + ABSTRACT_ACTIONS[:, 0]
@@ -192,17 +194,17 @@ def close_exits(edges: np.ndarray, height_map: HeightMap, region: Region | None 
 
 
 def close_states(edges: np.ndarray, mask: np.ndarray | None) -> None:
-    """Makes all actions infeasible that start where ``mask`` is false. ``edges`` is changed.
+    """Makes all actions from masked-out states infeasible; modifies ``edges`` in place.
 
     Raises:
-        InputError: the mask does not have the shape of the states.
+        InputError: the mask has another shape than the states.
     """
     if mask is not None:
         edges[~checked_mask(mask, edges.shape[:3])] = np.inf
 
 
 def checked_mask(mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """The mask as bool array; raises InputError where its shape is not that of the abstract states."""
+    """Returns the mask as bool array; raises InputError if its shape is not ``shape``."""
     mask = np.asarray(mask, bool)
     if mask.shape != tuple(shape):
         raise InputError(f"mask: shape {mask.shape} is not that of the abstract states, {tuple(shape)}")
@@ -210,7 +212,7 @@ def checked_mask(mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def checked_tasks(patches: np.ndarray, goals: np.ndarray) -> np.ndarray:
-    """The goals as float array; raises InputError where the shapes of the two do not fit the contract."""
+    """Returns the goals as float array; raises InputError if shapes violate the contract."""
     patches, goals = np.asarray(patches), np.asarray(goals, dtype=float)
     cells = (PATCH_CELLS, PATCH_CELLS)
     if patches.ndim != 3 or patches.shape[1:] != cells or goals.shape != (len(patches), N_ABSTRACT_ACTIONS, 3):

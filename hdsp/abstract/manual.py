@@ -1,26 +1,26 @@
-"""The manually tuned abstraction: what a person makes of coarse terrain features. The baseline of the paper's Table I.
+"""Manual abstraction: hand-tuned costs from coarse terrain features; the baseline in the paper's Table I.
 
-In spirit it is level 3 of Klamt & Behnke, ICRA 2018: a 3D robot state, 10 cm cells, a few features per cell and a
-handful of constants set by hand. It is not that code, and its constants are not theirs.
+It follows level 3 in Klamt & Behnke, ICRA 2018: a 3D robot state, 10 cm cells, a few features per cell and a few
+constants set by hand. It shares neither code nor constants with that work.
 
-Features of a cell: its height range (largest minus smallest height, over the cell and a rim of one height map cell),
-the mean and the largest height, and its class
+Cell features: height range (largest minus smallest height, over the cell and a rim of one height map cell), mean
+height, largest height, and class:
 
-- *drivable*: no edge that a wheel could not pass;
-- *step*: an edge that a foot could step over;
-- *wall*: a higher edge, or unknown ground.
+- *drivable*: no edge blocks a wheel;
+- *step*: a foot can step over the edge;
+- *wall*: the edge is higher, or the ground is unknown.
 
-What is made of them, for a robot with its feet in neutral position:
+Rules for a robot with neutral feet:
 
-- a state is *blocked* if ground rises into the body, or if a foot finds no drivable cell within a small reach ahead
-  and behind;
-- an action is feasible if no state on its way is blocked and each foot runs over drivable cells; a foot may run over a
-  step cell if the action goes (nearly) straight ahead or back;
-- its cost is its cost on flat ground, raised in proportion to the mean height range of the ground below and around the
-  robot, plus a constant for each foot that has to step.
+- A state is *blocked* if ground rises into the body, or if a foot finds no drivable cell within a small reach ahead and
+  behind.
+- An action is feasible if no state on its way is blocked and each foot crosses drivable cells. On an action (nearly)
+  straight ahead or back, a foot may also cross step cells.
+- The action costs its flat-ground cost, raised in proportion to the mean height range below and around the robot, plus
+  a constant for each stepping foot.
 
-What it cannot know: where inside a cell an edge lies, other foot configurations, anything the classes do not tell. The
-constants were set by thought and a look at a few maps of our own, not fitted, and never to a test set.
+Unknown to this abstraction: an edge's place inside a cell, other foot configurations, and all details beyond the
+classes. The constants come from reasoning and a few maps; they were not fitted, and no test set was used.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ from hdsp.terrain.height_map import HeightMap
 
 @dataclass(frozen=True)
 class ManualSettings:
-    """The hand-set constants; conf/abstraction/manual.yaml says how they came about.
+    """Hand-set constants; conf/abstraction/manual.yaml explains their values.
 
     Attributes:
-        unevenness_cost: rise of the cost factor per metre of mean height range.
-        margin: how far (m) around the feet's rectangle ground still counts as uneven for the robot.
-        step_cost: cost of one foot stepping over an edge.
-        step_deviation: most (rad) a stepping action may deviate from straight ahead or straight back.
-        foot_reach: how far (m) ahead of and behind its neutral position a foot may look for a drivable cell.
+        unevenness_cost: rise in the cost factor per metre of mean height range.
+        margin: width (m) of the border around the feet's rectangle in which ground counts as uneven for the robot.
+        step_cost: cost of one foot's step over an edge.
+        step_deviation: largest deviation (rad) from straight ahead or straight back for a stepping action.
+        foot_reach: distance (m) ahead of and behind the neutral position within which a foot may find a drivable cell.
     """
 
     unevenness_cost: float = 12.0
@@ -76,7 +76,7 @@ class ManualSettings:
 
 
 class Features(NamedTuple):
-    """Coarse terrain, each [..., nx, ny] over cells of 10 cm; NaN where nothing is known."""
+    """Coarse terrain, each [..., nx, ny] over 10 cm cells; NaN = unknown."""
 
     height_range: np.ndarray
     ground: np.ndarray
@@ -84,7 +84,7 @@ class Features(NamedTuple):
 
 
 class _Poses(NamedTuple):
-    """What the robot meets at poses, each [...]; one row per foot where said."""
+    """Terrain at poses, each [...]; one row per foot where noted."""
 
     blocked: np.ndarray
     on_step: np.ndarray  # [4, ...]
@@ -93,7 +93,7 @@ class _Poses(NamedTuple):
 
 
 class ManualCosts:
-    """The manually tuned abstraction for one robot. Implements `LocalCosts` and `TaskPredictor`."""
+    """Manual abstraction for one robot. Implements `LocalCosts` and `TaskPredictor`."""
 
     def __init__(self, robot: Robot | str, settings: ManualSettings | None = None):
         """`robot` is a robot, or what `Robot.load` takes."""
@@ -105,7 +105,7 @@ class ManualCosts:
         """See `AbstractCosts.edges`."""
         first_x, first_y, end_x, end_y = checked_region(height_map, region)
         reach = self._reach()
-        # Around the region all that its states see.
+        # The region is enlarged by the reach of its states.
         low_x, low_y = max(first_x - reach, 0), max(first_y - reach, 0)
         features = coarse_features(height_map.heights)
         features = Features(*(values[low_x : end_x + reach, low_y : end_y + reach] for values in features))
@@ -114,8 +114,8 @@ class ManualCosts:
         for heading in range(ABSTRACT_HEADINGS):
             for action, goal in enumerate(robot_frame_goals(heading)):
                 dx, dy, turn = ABSTRACT_ACTIONS[action].tolist()
-                # What is rolled in from the other side belongs to actions that lead off the map, closed below, or to
-                # states outside the region.
+                # Values rolled in from the other side belong to actions off the map, closed below, or to states outside
+                # the region.
                 met = [_take(poses[heading], np.roll, (-x, -y), (-2, -1)) for x, y in _cells_on_the_way(dx, dy)]
                 if turn:
                     met.append(poses[(heading + turn) % ABSTRACT_HEADINGS])
@@ -126,23 +126,23 @@ class ManualCosts:
         return edges
 
     def affected(self, changed: np.ndarray) -> np.ndarray:
-        """See `LocalCosts.affected`: a square around what has changed, whatever the heading."""
+        """See `LocalCosts.affected`: a square around the changed cells, for all headings."""
         from scipy.ndimage import maximum_filter  # half a second to import
 
         size = CELLS_PER_ABSTRACT
         nx, ny = abstract_shape(np.shape(changed))
-        # A cell's range of heights looks one height map cell beyond it.
+        # A cell's height range covers one height map cell beyond it.
         near = maximum_filter(np.asarray(changed, bool), 3, mode="constant", cval=False)
         touched = near[: nx * size, : ny * size].reshape(nx, size, ny, size).any(axis=(1, 3))
         seen = maximum_filter(touched, 2 * self._reach() + 1, mode="constant", cval=False)
         return np.repeat(seen[None], ABSTRACT_HEADINGS, axis=0)
 
     def _reach(self) -> int:
-        """Cells of 10 cm beyond which nothing matters to the actions of a state."""
+        """Largest distance, in 10 cm cells, between a state and a cell that affects its actions."""
         return _margin_cells(self._pose_reach()) + int(np.abs(ABSTRACT_ACTIONS[:, :2]).max())
 
     def _pose_reach(self) -> float:
-        """Distance (m) from the base beyond which nothing matters to a pose."""
+        """Largest distance (m) between the base and ground that affects a pose."""
         feet = np.abs(self.robot.neutral_feet()).max(axis=0)
         corners = [(max(abs(box.x_min), abs(box.x_max)), box.half_width) for box in self.robot.body.boxes]
         corners += [feet + self.settings.margin, feet + (self.settings.foot_reach, 0.0)]
@@ -151,10 +151,10 @@ class ManualCosts:
     def predict(self, patches: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `TaskPredictor.predict`.
 
-        For a patch cut at heading 0 these are the values of `edges`; at others the coarse cells lie differently.
+        For a patch cut at heading 0 the result equals `edges`; at other headings the coarse cells lie differently.
         """
         goals = checked_tasks(patches, goals)
-        # The robot stands in a block of the patch as it does on a map in the block of its abstract cell.
+        # The robot's place in its patch block equals its place in its abstract cell on a map.
         center, first = divmod(PATCH_CENTER - ABSTRACT_ANCHOR, CELLS_PER_ABSTRACT)
         features = coarse_features(np.asarray(patches, np.float32)[:, first:, first:])
         distinct, which = np.unique(goals.reshape(-1, 3), axis=0, return_inverse=True)
@@ -170,7 +170,7 @@ class ManualCosts:
         return np.isfinite(cost), cost.astype(np.float32)
 
     def _cost(self, goal: np.ndarray, met: list[_Poses]) -> np.ndarray:
-        """Cost [...] of going to `goal` (robot frame, abstract steps) through poses [...]; inf where infeasible."""
+        """Costs [...] for `goal` (robot frame, abstract steps) through poses [...]; inf = infeasible."""
         settings = self.settings
         dx, dy, turn = goal
         deviation = abs(np.arctan2(dy, dx))
@@ -185,7 +185,7 @@ class ManualCosts:
         return np.where(infeasible, np.inf, cost + settings.step_cost * stepping.sum(axis=0))
 
     def _poses(self, features: Features, heading: int) -> _Poses:
-        """What the robot meets with its base in each cell, at one heading (index of 16)."""
+        """Terrain under the robot with its base in each cell, at one heading (index of 16)."""
         robot, settings = self.robot, self.settings
         turned = rotation(float(heading_angle(heading, ABSTRACT_HEADINGS)))
         margin = _Margin(features, self._pose_reach())
@@ -214,10 +214,10 @@ class ManualCosts:
 
 
 def coarse_features(heights: np.ndarray) -> Features:
-    """Features of the whole 10 cm cells of height maps.
+    """Features for all whole 10 cm cells in height maps.
 
     Args:
-        heights: float32 [..., nx, ny], metres, NaN = unknown; the coarse cells are blocks of 4 x 4 from cell (0, 0).
+        heights: float32 [..., nx, ny], metres, NaN = unknown; coarse cells are blocks of 4 x 4 from cell (0, 0) on.
     """
     size = CELLS_PER_ABSTRACT
     nx, ny = heights.shape[-2] // size, heights.shape[-1] // size
@@ -226,7 +226,7 @@ def coarse_features(heights: np.ndarray) -> Features:
     windows = sliding_window_view(rimmed, (size + 2, size + 2), axis=(-2, -1))
     windows = windows[..., : nx * size : size, : ny * size : size, :, :]
     blocks = windows[..., 1:-1, 1:-1]
-    # A block with an unknown cell is unknown ground: its mean is NaN, while fmax and fmin pass over the NaN.
+    # A block with an unknown cell is unknown ground: its mean is NaN. fmax and fmin ignore NaN.
     ground = blocks.mean(axis=(-2, -1))
     largest, least = np.fmax.reduce(windows, axis=(-2, -1)), np.fmin.reduce(windows, axis=(-2, -1))
     return Features(largest - least, ground, np.fmax.reduce(blocks, axis=(-2, -1)))
@@ -237,18 +237,18 @@ def _is_wall(features: Features, robot: Robot) -> np.ndarray:
 
 
 def _cells_on_the_way(dx: float, dy: float) -> list[tuple[int, int]]:
-    """Distinct cells, relative to the start, of start, middle and end of a move by (dx, dy) cells."""
+    """Distinct start, middle and end cells, relative to the start, for a move by (dx, dy) cells."""
     middle = {(x, y) for x in _nearest_to(dx / 2) for y in _nearest_to(dy / 2)}
     return list(dict.fromkeys([(0, 0), *sorted(middle), (round(dx), round(dy))]))
 
 
 def _nearest_to(value: float) -> set[int]:
-    """The nearest integer, or both when halfway between two: left and right then count alike."""
+    """Nearest integer, or both integers at a tie, so that left and right are equivalent."""
     return {int(np.ceil(value - 0.5)), int(np.floor(value + 0.5))}
 
 
 def _cells_in(x_min: float, x_max: float, half_width: float, turned: np.ndarray) -> list[tuple[int, int]]:
-    """Cells (relative) whose centres lie in a rectangle (m) of the robot frame that is turned by a rotation."""
+    """Relative cells with their centres in a robot-frame rectangle (m), rotated by the matrix ``turned``."""
     reach = math.ceil(_in_cells(math.hypot(max(abs(x_min), abs(x_max)), half_width)))
     cells = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
     x, y = (cells @ turned).T
@@ -258,7 +258,7 @@ def _cells_in(x_min: float, x_max: float, half_width: float, turned: np.ndarray)
 
 
 def _cell(position: np.ndarray) -> tuple[int, int]:
-    """Cell (relative) of a position in metres relative to the centre of the base's cell; ties go outward."""
+    """Relative cell at a position in metres from the base cell's centre; ties go outward."""
     scaled = abstract_steps([*position, 0.0])[:2]
     x, y = np.copysign(np.floor(np.abs(scaled) + 0.5 + 1e-9), scaled).astype(int).tolist()
     return x, y
@@ -281,7 +281,7 @@ def _take(poses: _Poses, take, *arguments) -> _Poses:
 
 
 class _Margin:
-    """Reads maps at an offset from each cell, with a margin for what lies outside."""
+    """Reads maps at an offset from each cell; a margin supplies values outside the map."""
 
     def __init__(self, features: Features, reach: float):
         self.cells = _margin_cells(reach)
@@ -292,6 +292,6 @@ class _Margin:
         return np.pad(values, [*around, (self.cells,) * 2, (self.cells,) * 2], constant_values=outside)
 
     def shifted(self, values: np.ndarray, cell: tuple[int, int]) -> np.ndarray:
-        """For each cell the value at the cell that lies `cell` away from it."""
+        """Returns, for each cell, the value at offset `cell`."""
         x, y = (self.cells + step for step in cell)
         return values[..., x : x + self.shape[0], y : y + self.shape[1]]

@@ -1,8 +1,8 @@
-"""The oracle: what the 22 abstract actions from one state cost the detailed planner itself.
+"""Oracle: costs of the 22 abstract actions from one state, as the detailed planner finds them.
 
-Source: paper, Sec. V-C. Start and goals go through T_a->d; each feasible task gets the cost of its optimal plan. In the
-published labels a translation never turns far from its heading, and turning there costs more (docs/cost-model.md); that
-rule belongs to labels, not to planning.
+Source: paper, Sec. V-C. T_a->d converts start and goals; each feasible task gets its optimal plan's cost. In the
+published labels, the robot never turns far from its heading during a translation, and turning there costs more
+(docs/cost-model.md). This rule belongs to labels, not to planning.
 """
 
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ from hdsp.robot.lattice import ABSTRACT_ACTIONS, CELLS_PER_ABSTRACT, HEADINGS, H
 
 @dataclass(frozen=True)
 class LabelSettings:
-    """How tasks are labelled.
+    """Labelling rules.
 
     Attributes:
-        heading_window: in a translation task, the most heading steps (5.625 degrees) away from its heading.
-        turn_cost_factor: in a translation task, what turning costs relative to its normal cost.
-        cost_limit: tasks that cost more count as infeasible; the published labels end at 1.48.
-        max_expansions: a safety net for memory, far above what searches take. One that takes more ends undecided; its
-            tasks count as infeasible and say so.
+        heading_window: largest distance from the task's heading during a translation, in heading steps (5.625 degrees).
+        turn_cost_factor: turn cost during a translation, relative to its normal value.
+        cost_limit: more expensive tasks count as infeasible; the published labels end at 1.48.
+        max_expansions: memory safeguard, far above usual searches. A search beyond it ends undecided; its tasks count
+            as infeasible and keep this status.
     """
 
     heading_window: int = 3
@@ -50,12 +50,12 @@ def task_costs(
     Args:
         world: terrain and robot.
         start: int64 [7], lattice units; its heading is an abstract one.
-        settings: the rules of labelling.
-        actions: int64 [n, 3], some of the 22, in the frame of the lattice.
+        settings: labelling rules.
+        actions: int64 [n, 3], a selection of the 22 actions, in the lattice frame.
 
     Returns:
-        Goal states int64 [n, 7] (neutral feet where none are valid), costs float64 [n] (inf where not solved) and
-        the ``Status`` of each task, int64 [n].
+        Goal states int64 [n, 7] (neutral feet if none are valid), costs float64 [n] (inf if not solved) and the
+        ``Status`` of each task, int64 [n].
     """
     bases = start[:3] + actions * np.array([CELLS_PER_ABSTRACT, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT])
     bases[:, 2] %= HEADINGS
@@ -76,11 +76,11 @@ def task_costs(
 
 
 def _search(world: World, start: np.ndarray, goals: np.ndarray, rules: Rules, settings: LabelSettings, poses: Poses):
-    """Costs and statuses of goals under the same rules.
+    """Costs and statuses for goals with the same rules.
 
-    What the relaxed problem cannot reach is infeasible, and what it reaches beyond the limit is over it. On the way it
-    tells what driving alone costs. Only for goals that might be reached for less is there a search of all actions,
-    again one for all of them.
+    Goals out of reach in the relaxed problem are infeasible; goals within its reach, but beyond the limit, are over the
+    limit. The relaxed problem also gives the cost of driving alone. A search with all actions runs only for goals with
+    a possibly lower cost, once for all of them.
     """
     relaxed = explore(world, rules, start, settings.cost_limit, goals, poses)
     least, cost = least_costs(world, relaxed, start, goals), relaxed.driven.copy()
@@ -91,7 +91,7 @@ def _search(world: World, start: np.ndarray, goals: np.ndarray, rules: Rules, se
     chosen = np.flatnonzero(least < limit)
     if not len(chosen):
         return cost, status
-    # Goals that may cost less start later: f then has one limit for all.
+    # A goal with a lower limit gets an initial cost, so that one limit on f serves all goals.
     highest = limit[chosen].max()
     to_go, cut = costs_to_go(world, rules, relaxed, start, goals[chosen], highest - limit[chosen], highest)
     footing = find_footing(world, rules, least_foot_cost(world))
@@ -100,7 +100,7 @@ def _search(world: World, start: np.ndarray, goals: np.ndarray, rules: Rules, se
     limits = Limits(cost=highest, expansions=settings.max_expansions)
     result = solve(world, start, goals[chosen], view, rules=rules, limits=limits, paths=False)
     ended = np.array(result.status)
-    if cut:  # the estimate keeps out what is over the limit, which the search takes for what leads nowhere
+    if cut:  # the estimate excludes states over the limit, and the search then reports no way
         ended[ended == Status.INFEASIBLE] = Status.COST_LIMIT
     better = result.cost < cost[chosen]
     undriven = np.isinf(cost[chosen]) | better

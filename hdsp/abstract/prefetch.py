@@ -1,4 +1,4 @@
-"""A hint to the processor, for kernels that wait for memory: fetch an array element into the cache, do not wait."""
+"""Processor hint for memory-bound kernels: fetches an array element into the cache without waiting."""
 
 from llvmlite import ir
 from numba import config, types
@@ -25,7 +25,7 @@ def _prefetch(context, array, index):
 
 
 def _no_prefetch(array, index):
-    """Without the JIT there is nothing to prefetch into."""
+    """Does nothing; for runs without the JIT."""
 
 
 #: `prefetch(array, index)` for a contiguous 1-D array, inside `@njit` functions only; the index must be in bounds.

@@ -37,15 +37,15 @@ def to_detailed(world: World, abstract, whole_cell: bool = False) -> np.ndarray 
 
 
 def feet_at(world: World, base) -> np.ndarray | None:
-    """The detailed state int64 [7] with the best feet at a base state (ix, iy, heading), or None if none is valid."""
+    """Returns the detailed state, int64 [7], with the best feet at a base state (ix, iy, heading), or None."""
     cost, offsets = best_feet(world, *base)
     return np.array([*base, *offsets], dtype=np.int64) if np.isfinite(cost) else None
 
 
 def feet_at_all(world: World, bases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """``feet_at`` of several base states int64 [n, 3]: states int64 [n, 7] and which of them are valid, bool [n].
+    """Applies ``feet_at`` to base states int64 [n, 3]; returns states int64 [n, 7] and their validity, bool [n].
 
-    Where none is valid, the feet are neutral.
+    Invalid states have neutral feet.
     """
     states, valid = np.zeros((len(bases), 7), dtype=np.int64), np.zeros(len(bases), dtype=np.bool_)
     states[:, :3] = bases
@@ -68,10 +68,10 @@ def _matching_bases(anchor: np.ndarray) -> np.ndarray:
 
 @njit()
 def best_feet(world, ix, iy, heading):
-    """Offsets (steps) of the four feet that minimise ``max S + sum S + neutral_penalty * sum |offset|`` and that value.
+    """Least value of ``max S + sum S + neutral_penalty * sum |offset|``, and its four foot offsets (steps).
 
-    Feet of one side keep their distance, so each side is chosen as a pair; the largest S is bounded in turn by every
-    value it can take, which makes the sides independent.
+    Feet on one side keep a minimum separation, so they are chosen as pairs. The largest S is bounded by each of its
+    possible values in turn, which makes both sides independent. The value is inf if no feet are valid.
     """
     t = world.tables
     n = t.n_offsets

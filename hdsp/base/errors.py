@@ -1,18 +1,18 @@
-"""Errors for people: one line that names the value that was wrong and what is allowed."""
+"""User errors: one line that names the wrong value and the allowed values."""
 
 
 class InputError(ValueError):
     """Raised for bad input: a missing or damaged file, a wrong shape, a value out of range.
 
-    The message is a single line, ready to be printed to a user; entry points print it without a traceback.
+    The message is a single line for the user; entry points print it without a traceback.
     """
 
 
 class RefinementError(Exception):
-    """Raised when a plan cannot be carried out as a motion.
+    """Raised if a plan cannot be executed as a motion.
 
     Attributes:
-        action: number of the first action of the plan that cannot be carried out; -1 for its start.
+        action: index of the plan's first action that cannot be executed; -1 for its start.
     """
 
     def __init__(self, action: int, words: str):

@@ -1,4 +1,4 @@
-"""Files that are whole or absent."""
+"""Atomic file replacement: a file is whole or absent."""
 
 import os
 import secrets
@@ -11,12 +11,12 @@ from hdsp.base.errors import InputError
 
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
-    """Yields a temporary path beside ``path``; what is written there becomes ``path`` when the block ends well.
+    """Yields a temporary path beside ``path``, which replaces ``path`` after a successful block.
 
-    The folder is created if missing. A process that dies in between leaves ``path`` as it was.
+    A missing folder is created. If the process dies in between, ``path`` stays unchanged.
 
     Raises:
-        InputError: if the folder cannot be made or written to, or the disk is full.
+        InputError: the folder cannot be created or written to, or the disk is full.
     """
     path = Path(path)
     # The suffix stays last because writers choose their format by it; the leading dot hides leftovers from globs.
@@ -28,16 +28,16 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}".splitlines()[0]) from error
     finally:
-        # Only the writer's own leftover; after a success it no longer exists.
+        # Leftover after a failure; after a success it no longer exists.
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
 
 
 def existing_file(path: str | os.PathLike, what: str) -> Path:
-    """``path`` as a Path.
+    """Returns ``path`` as a Path.
 
     Raises:
-        InputError: if there is no such file; the message calls it ``what``.
+        InputError: there is no such file; the message calls it ``what``.
     """
     path = Path(path)
     if not path.is_file():

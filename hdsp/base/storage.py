@@ -1,6 +1,6 @@
-"""Folders of files that are whole or absent: on a disk, or in an object store by its URL (fsspec).
+"""Folders whose files are whole or absent: on disk, or in an object store by URL (fsspec).
 
-A local file is written beside its place and renamed. An object store shows an object when all of it has arrived.
+A local file is written beside its final path and then renamed. An object store shows only complete objects.
 """
 
 import os
@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 
-#: A local path, or a URL that fsspec knows (``s3://bucket/labels``, ``gs://...``, ``memory://...``, ``file:///...``).
+#: Local path, or fsspec URL (``s3://bucket/labels``, ``gs://...``, ``memory://...``, ``file:///...``).
 Place = str | os.PathLike
 
 
@@ -21,42 +21,42 @@ class Folder(Protocol):
     """Files by name.
 
     Attributes:
-        place: names the folder in any process, on any machine that sees it.
-        of_one_process: no other process sees what is written here.
+        place: path or URL, valid in any process on any machine with access to the folder.
+        of_one_process: whether the contents are invisible to other processes.
     """
 
     place: str
     of_one_process: bool
 
     def prepare(self) -> None:
-        """Makes the folder; raises `InputError` if it cannot be written to."""
+        """Creates the folder; raises `InputError` if it is not writable."""
 
     def names(self) -> list[str]:
-        """Names of its files in their order; empty if there is no such folder."""
+        """Returns the sorted file names; empty if the folder does not exist."""
 
     def read(self, name: str) -> bytes:
-        """Contents of a file; raises `InputError` if it cannot be read."""
+        """Returns a file's contents; raises `InputError` if it cannot be read."""
 
     def write(self, name: str, content: bytes) -> None:
-        """Makes or replaces a file; raises `InputError` on a failure."""
+        """Creates or replaces a file; raises `InputError` on a failure."""
 
     def remove(self, name: str) -> None:
-        """Removes a file if it is there."""
+        """Removes a file if it exists."""
 
     def set_aside(self, name: str) -> str:
-        """Moves a file into the folder of the same name with ``.foreign`` behind it; returns its new place."""
+        """Moves a file into the sibling folder with suffix ``.foreign``; returns its new place."""
 
 
 def is_url(place: Place) -> bool:
-    """Whether a place is a URL, and not a path."""
+    """Returns whether a place is a URL instead of a path."""
     return "://" in str(place)
 
 
 def open_folder(place: Place) -> Folder:
-    """The folder at a path or URL; it need not exist.
+    """Returns the folder at a path or URL; it need not exist.
 
     Raises:
-        InputError: for a URL that fsspec does not know, or whose package is not installed.
+        InputError: fsspec does not know the URL, or the package for it is not installed.
     """
     if is_url(place) and not str(place).startswith("file://"):
         return _RemoteFolder(str(place))
@@ -64,7 +64,7 @@ def open_folder(place: Place) -> Folder:
 
 
 def split_place(place: Place) -> tuple[Folder, str]:
-    """The folder of a file, and the name of the file."""
+    """Splits a file's place into its folder and its name."""
     if is_url(place):
         parent, _, name = str(place).rstrip("/").rpartition("/")
         return open_folder(parent if not parent.endswith("/") else f"{parent}/"), name
@@ -72,7 +72,7 @@ def split_place(place: Place) -> tuple[Folder, str]:
 
 
 def is_folder(place: Place) -> bool:
-    """Whether there is a folder at a path or URL."""
+    """Returns whether a folder exists at a path or URL."""
     folder = open_folder(place)
     if isinstance(folder, _LocalFolder):
         return folder.path.is_dir()
@@ -88,7 +88,7 @@ class _LocalFolder:
 
     @property
     def place(self) -> str:
-        return str(self.path.resolve())  # a worker may stand in another folder
+        return str(self.path.resolve())  # a worker may have another working directory
 
     def prepare(self) -> None:
         try:
@@ -148,7 +148,7 @@ class _RemoteFolder:
         probe = ".can-be-written"
 
         def write_and_remove() -> None:
-            self._files.makedirs(self._root, exist_ok=True)  # means something to file systems, nothing to object stores
+            self._files.makedirs(self._root, exist_ok=True)  # needed by file systems, not by object stores
             self._files.pipe_file(self._path(probe), b"")
             self._files.rm_file(self._path(probe))
 
@@ -194,7 +194,7 @@ class _RemoteFolder:
     def _try(self, action: Callable[[], Any], failure: str) -> Any:
         try:
             return action()
-        except Exception as error:  # each store has errors of its own: no network, no rights, no such bucket
+        except Exception as error:  # each store has its own errors: no network, no rights, no such bucket
             raise InputError(f"{failure}: {_one_line(error)}") from error
 
 

@@ -1,6 +1,6 @@
-"""Worker processes, by way of Dask: on this machine, at a scheduler that runs already, or as jobs of SLURM.
+"""Dask worker processes: on this machine, at a running scheduler, or as SLURM jobs.
 
-Dask is imported when it is needed: a run in one process does without.
+A run in a single process does not import Dask.
 """
 
 import logging
@@ -18,27 +18,27 @@ from hdsp.base.errors import InputError
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster
 
-#: Schemes of the addresses of Dask schedulers.
+#: Address schemes for Dask schedulers.
 SCHEMES = ("tcp://", "tls://", "ucx://", "ws://", "wss://", "inproc://")
 
-#: How often a local cluster is started that loses a worker while it starts.
+#: Start attempts for a local cluster that loses a worker during its start.
 START_ATTEMPTS = 5
 
 
 @dataclass(frozen=True)
 class ClusterSettings:
-    """Which processes do the work; no result depends on it.
+    """Worker processes; no result depends on these settings.
 
     Attributes:
-        workers: processes of a local cluster; None = one for each core; 1 = no process but this one.
+        workers: processes in a local cluster; None = one per core; 1 = this process only.
         scheduler: None = a local cluster; the address of a running Dask scheduler; ``slurm``.
-        slurm: for ``slurm``: ``jobs``, how many to submit, and the options of ``dask_jobqueue.SLURMCluster`` (cores,
-            memory, walltime, queue, account, ...). Each core gets a worker process unless ``processes`` says otherwise.
-        dashboard: address at which the scheduler of a local cluster serves Dask's dashboard; None = nowhere.
-        memory: limit of a worker of a local cluster, ``2GB``; one that exceeds it is started anew. None = none.
+        slurm: for ``slurm``: ``jobs`` (number of jobs to submit) and options for ``dask_jobqueue.SLURMCluster`` (cores,
+            memory, walltime, queue, account, ...). Each core gets a worker process unless ``processes`` is set.
+        dashboard: address for a local scheduler's Dask dashboard; None = no dashboard.
+        memory: memory limit per local worker, e.g. ``2GB``; a worker above it is restarted. None = no limit.
 
     Raises:
-        InputError: for a number of workers below 1, or a scheduler of no known kind.
+        InputError: the number of workers is below 1, or the scheduler kind is unknown.
     """
 
     workers: int | None = None
@@ -56,26 +56,27 @@ class ClusterSettings:
             )
 
     def processes(self, jobs: int) -> int:
-        """Local worker processes for a number of jobs; 1 = none but this one."""
+        """Returns the number of local worker processes for a number of jobs; 1 = this process only."""
         return max(1, min(self.workers or default_workers(), jobs))
 
 
 def default_workers() -> int:
-    """Number of cores this process may use."""
+    """Returns the number of cores available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager
 def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
-    """A client of the cluster; what was started for it ends with the block. Local workers also end with this process,
-    however it ends.
+    """Yields a cluster client; the block's end also ends everything started for it.
+
+    Local workers end with this process in any case.
 
     Args:
-        settings: which cluster.
-        jobs: how many there are to do; a local cluster has no more workers than that.
+        settings: cluster settings.
+        jobs: number of jobs, which limits the workers in a local cluster.
 
     Raises:
-        InputError: if a package is missing, or no scheduler answers.
+        InputError: a package is missing, or no scheduler answers.
     """
     try:
         from distributed import Client
@@ -98,12 +99,12 @@ def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
         with Client(cluster) as client:
             yield client
     finally:
-        with suppress(TimeoutError):  # on a busy machine workers are slow to end; they end with this process
+        with suppress(TimeoutError):  # on a busy machine, workers end slowly; they end with this process
             cluster.close()
 
 
 def dead_workers(cluster: "LocalCluster") -> set[Any]:
-    """Names of the workers of a local cluster that have no process."""
+    """Returns the names of local cluster workers without a process."""
     from distributed.core import Status
 
     ended = (Status.stopped, Status.failed, Status.closed)
@@ -115,7 +116,10 @@ def dead_workers(cluster: "LocalCluster") -> set[Any]:
 
 
 def replace_workers(cluster: "LocalCluster", names: set[Any]) -> None:
-    """Starts others in the place of workers of a local cluster. Dask does so itself, unless one ended as it began."""
+    """Replaces workers in a local cluster.
+
+    Dask itself replaces workers, except a worker that ends during its start.
+    """
     if names:
         wanted = len(cluster.worker_spec)
         for name in names:
@@ -124,7 +128,7 @@ def replace_workers(cluster: "LocalCluster", names: set[Any]) -> None:
 
 
 def peak_memory() -> int:
-    """Most bytes that this process has held at a time."""
+    """Returns this process's peak memory in bytes."""
     status = Path("/proc/self/status")
     if status.exists():
         lines = dict(line.split(":", 1) for line in status.read_text().splitlines() if ":" in line)
@@ -144,9 +148,9 @@ def _local_cluster(settings: ClusterSettings, jobs: int) -> "LocalCluster":
                 host="127.0.0.1",
                 dashboard_address=settings.dashboard,
                 memory_limit=settings.memory or 0,
-                silence_logs=logging.CRITICAL,  # a lost worker is started anew: no news
+                silence_logs=logging.CRITICAL,  # a lost worker is restarted; no message is needed
             )
-        except RuntimeError as error:  # Dask starts workers anew, but not one that is killed while it first starts
+        except RuntimeError as error:  # Dask restarts workers, except a worker killed during its first start
             if attempt == START_ATTEMPTS - 1:
                 raise InputError(f"worker processes end while they start: {error}") from error
     raise AssertionError("unreachable")
