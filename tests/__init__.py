@@ -1,6 +1,6 @@
-"""Tests, in the folders of the packages that they test."""
+"""Tests, in folders named like the packages under test."""
 
 from pathlib import Path
 
-#: The checkout.
+#: Root folder of the checkout.
 ROOT = Path(__file__).resolve().parents[1]

@@ -1,4 +1,4 @@
-"""Hypothesis: new examples at every run by hand, the same ones at every run of continuous integration."""
+"""Hypothesis profiles: new examples in manual runs, fixed examples in continuous integration."""
 
 import os
 

@@ -4,7 +4,7 @@ import sys
 
 HEAVY = ["torch", "lightning", "mlflow", "mujoco", "matplotlib", "h5py"]
 
-#: Prints which of the heavy packages an import brings along, and the CPU seconds it takes.
+#: Prints the heavy packages that an import loads, and its CPU seconds.
 PROBE = f"""
 import json, sys, time
 before = time.process_time()
@@ -22,7 +22,7 @@ def probe():
 def test_importing_the_package_is_quick_and_brings_nothing_heavy():
     runs = [probe() for _ in range(4)]
     assert [loaded for loaded, _ in runs] == [[]] * 4
-    assert min(seconds for _, seconds in runs) < 1.0  # of CPU time, whatever else the machine does
+    assert min(seconds for _, seconds in runs) < 1.0  # CPU time does not depend on other processes
 
 
 def test_the_public_names_are_there():

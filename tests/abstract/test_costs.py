@@ -12,7 +12,7 @@ AHEAD, BACK, LEFT, RIGHT, TURN_LEFT, TURN_RIGHT = (
     for action in ([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1])
 )
 
-#: Costs of the authors' published labels on flat ground, in the order of the actions.
+#: Costs on flat ground in the authors' published labels, in action order.
 PUBLISHED_FLAT = [
     0.1, 0.38541, 0.3, 0.424264, 0.25, 0.424264, 0.3, 0.38541, 0.2, 0.406809, 0.670821, 0.6, 0.670821, 0.625018, 0.5,
     0.625018, 0.670821, 0.6, 0.670821, 0.406809, 0.036613, 0.036613,
@@ -34,7 +34,7 @@ def goals_of(headings):
 
 
 def inside(shape):
-    """Bool [nx, ny, 22]: whether each action stays on a map of so many abstract cells."""
+    """Whether each action stays on a map of ``shape`` abstract cells, bool [nx, ny, 22]."""
     to = np.moveaxis(np.indices(shape), 0, -1)[:, :, None, :] + ABSTRACT_ACTIONS[:, :2]
     return ((to >= 0) & (to < shape)).all(axis=-1)
 
@@ -62,7 +62,7 @@ def test_on_flat_ground_every_action_within_the_map_has_its_flat_cost(costs, fla
     costs = request.getfixturevalue(costs)
     edges = costs.edges(HeightMap.flat((4 * 30 + 3, 4 * 28)))
     assert edges.shape == (16, 30, 28, 22) and edges.dtype == np.float32 and edges.flags.c_contiguous
-    clear = 12  # cells from the border, beyond which ground is unknown
+    clear = 12  # cells; beyond the map's border, ground is unknown
     assert np.isinf(edges[:, ~inside((30, 28))]).all()
     middle = edges[:, clear:-clear, clear:-clear]
     np.testing.assert_allclose(middle, np.broadcast_to(flat.table[:, None, None], middle.shape), rtol=1e-6)
@@ -125,7 +125,7 @@ def test_map_and_patch_agree_at_heading_zero(manual):
 
 def test_a_wall_ahead_stops_the_robot_and_raises_what_stays_possible(manual, flat):
     patch = np.zeros((1, 72, 72), np.float32)
-    patch[0, 56:] = 1.0  # 0.5 m ahead of the base: just before its nose
+    patch[0, 56:] = 1.0  # 0.5 m ahead of the base centre, just before the front of the base
     feasible, cost = (answer[0] for answer in manual.predict(patch, goals_of([0])))
     assert not feasible[AHEAD]
     assert feasible[[BACK, LEFT, RIGHT]].all()
@@ -162,7 +162,7 @@ def test_a_bar_under_the_body_blocks_all(manual):
 
 def test_mirrored_ground_has_mirrored_costs(manual):
     rng = np.random.default_rng(4)
-    # Heights by coarse cell, mirrored about the row of cells in which the robot stands.
+    # Coarse cells of 4 x 4, mirrored about the robot's row of cells.
     coarse = rng.choice([0.0, 0.02, 0.1], (17, 17), p=[0.7, 0.2, 0.1]).astype(np.float32)
     patch = np.full((2, 72, 72), np.nan, np.float32)
     patch[0, 2:70, 2:70] = np.kron(coarse, np.ones((4, 4)))

@@ -11,7 +11,7 @@ from tests import naive_abstract
 
 
 def random_edges(seed, nx, ny, blocked=0.3, spread=1.0, free=0.0):
-    """Edges with a share of infeasible and of free ones; a large `spread` sets cheap and dear ones apart."""
+    """Random edges with shares of infeasible and free ones; a large `spread` makes costs differ more."""
     rng = np.random.default_rng(seed)
     edges = (rng.uniform(0.01, 1.0, (16, nx, ny, 22)) ** spread).astype(np.float32)
     edges[rng.random(edges.shape) < free] = 0.0
@@ -129,7 +129,7 @@ def test_a_search_that_outgrows_its_queue_goes_on(monkeypatch):
     more_room = dijkstra._Queue.with_more_room
     monkeypatch.setattr(dijkstra._Queue, "with_more_room", lambda queue: grown.append(1) or more_room(queue))
     edges = np.full((16, 40, 9, 22), 0.5, np.float32)  # equal costs: whole wave fronts share a bucket
-    edges[0, 0, 0, 0] = 120.0  # one dear edge: many buckets, each with little room
+    edges[0, 0, 0, 0] = 120.0  # one expensive edge: many buckets, each with little space
     expected = naive_abstract.cost_to_go(edges, (20, 4, 2)).astype(np.float32)
     np.testing.assert_array_equal(cost_to_go(edges, (20, 4, 2)), expected)
     assert grown
@@ -142,12 +142,12 @@ def test_a_search_that_outgrows_its_queue_goes_on(monkeypatch):
     blocked=st.sampled_from([0.0, 0.3, 0.8, 0.95]),
     free=st.sampled_from([0.0, 0.1]),
     share=st.sampled_from([0.0, 0.02, 0.3, 1.0]),
-    fewest=st.sampled_from([1, 4, 16]),  # how many states there are for each that may be repaired
+    fewest=st.sampled_from([1, 4, 16]),  # number of states per state that may be repaired
     data=st.data(),
 )
 def test_repaired_distances_are_those_of_the_changed_graph(seed, shape, blocked, free, share, fewest, data):
     edges = random_edges(seed, *shape, blocked=blocked, free=free)
-    # Few distinct costs: many ties, so that states have several ways to account for their cost.
+    # Few distinct costs give many ties: a state's cost then has several possible paths.
     edges = (np.ceil(edges * data.draw(st.sampled_from([4, 1000]))) / 8).astype(np.float32)
     rng = np.random.default_rng(seed + 1)
     changed = edges.copy()

@@ -6,7 +6,7 @@ from hdsp.base.provenance import code_fingerprint
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A package of this project's name in which modules can be written."""
+    """A package with this project's name, to which tests add modules."""
     monkeypatch.setattr(fingerprint, "_ROOT", tmp_path)
 
     def write(name, text):

@@ -1,4 +1,4 @@
-"""The benchmark of a network on the published labels' format."""
+"""The network benchmark on the format of the published labels."""
 
 import json
 
@@ -14,7 +14,7 @@ from tests.learning.synthetic import synthetic_tasks
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
-    """Maps 22 (flat), 30 (driving), 44 (stairs) by their numbers, whatever is on them."""
+    """A file with maps numbered 22 (flat), 30 (driving), 44 (stairs), with arbitrary contents."""
     from dataclasses import replace
 
     tasks = synthetic_tasks(3)

@@ -1,4 +1,4 @@
-"""The cost model against the authors' labels, by the benchmark that everybody can run, and what the docs say of it."""
+"""The cost model against the authors' labels: benchmark results, and the documentation's statements about them."""
 
 import json
 import re

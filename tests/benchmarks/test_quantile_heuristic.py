@@ -1,4 +1,4 @@
-"""The benchmark of lower quantiles of cost: what its figures mean, and that the page has a place for them."""
+"""The benchmark of lower cost quantiles: meaning of its results, and their place in the documentation."""
 
 import shutil
 from pathlib import Path

@@ -1,10 +1,10 @@
-"""The climbing example: what the page says is so."""
+"""The climbing example produces the results on its documentation page."""
 
 import pytest
 
 from examples import climbing
 
-pytestmark = pytest.mark.xdist_group("climbing")  # planned once, for all tests here
+pytestmark = pytest.mark.xdist_group("climbing")  # all tests here share one run of the planner
 
 
 @pytest.fixture(scope="module")

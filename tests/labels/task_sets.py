@@ -1,4 +1,4 @@
-"""Made-up labels for tests that need some, and a stand-in for the label function."""
+"""Synthetic labels, and stand-ins for the label function."""
 
 import os
 import time
@@ -13,7 +13,7 @@ from hdsp.terrain.scenes import CATEGORIES
 
 
 def random_tasks(maps: int, seed: int = 0) -> TaskSet:
-    """Random arrays of the right kind, with the goals of heading 0."""
+    """Random arrays with valid shapes and dtypes, and the goals for heading 0."""
     random = np.random.default_rng(seed)
     arrays = {name: random.random((maps, *shape)).astype(dtype) for name, (dtype, shape) in FIELDS.items()}
     arrays["heights"][random.random(arrays["heights"].shape) < 0.1] = np.nan
@@ -33,7 +33,7 @@ def random_tasks(maps: int, seed: int = 0) -> TaskSet:
 
 
 def assert_same_tasks(one: TaskSet, other: TaskSet) -> None:
-    """Equal to the bit, dtypes included."""
+    """Asserts equality to the bit, including dtypes."""
     for name, array in one.arrays().items():
         np.testing.assert_array_equal(array, other.arrays()[name], err_msg=name)
         if name != "category":
@@ -51,7 +51,7 @@ class FakeLabels(NamedTuple):
 
 
 def fake_label(terrain, robot, settings, start_heading) -> FakeLabels | None:
-    """Labels that depend on the terrain and are quick to make; None where the start is not on the ground."""
+    """Labels a map quickly from its terrain; None if the start is not on the ground."""
     cell = terrain.shape[0] // 2
     heights = terrain.crop_cells(cell, cell, start_heading).heights
     if heights[36, 36] > 0:
@@ -76,7 +76,7 @@ def suicidal_label(*arguments) -> None:
 
 
 def unlucky_label(terrain, robot, settings, start_heading) -> FakeLabels | None:
-    """Ends its process at the first calls, until there are four files in ``settings.folder``: Dask then gives up."""
+    """Ends its process in the first calls, until ``settings.folder`` has four files: Dask then gives up."""
     if len(list(Path(settings.folder).iterdir())) < 4:
         Path(settings.folder, str(os.getpid())).touch()
         os._exit(9)
@@ -84,7 +84,7 @@ def unlucky_label(terrain, robot, settings, start_heading) -> FakeLabels | None:
 
 
 def modules_label(terrain, robot, settings, start_heading) -> FakeLabels | None:
-    """Leaves a file that says which modules the worker has imported; ``settings.folder`` is the place for it."""
+    """Writes the modules that the worker has imported to a file in ``settings.folder``."""
     import sys
 
     Path(settings.folder, f"{os.getpid()}.modules").write_text("\n".join(sys.modules))

@@ -1,4 +1,4 @@
-"""Random courses and the patches that are cut from their scans."""
+"""Random courses, and patches cut from their scans."""
 
 from dataclasses import replace
 

@@ -10,7 +10,7 @@ from hdsp.robot.lattice import robot_frame_goals
 
 
 class Answers:
-    """A predictor that has its answers ready."""
+    """A predictor with fixed predictions."""
 
     def __init__(self, feasible, cost):
         self.feasible, self.cost = feasible, cost

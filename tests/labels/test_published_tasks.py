@@ -13,7 +13,7 @@ from tests.labels.task_sets import random_tasks
 
 
 def published_tasks(maps, seed=0):
-    """Random tasks without unknown cells, as a simulated height map has none."""
+    """Random tasks without unknown cells, as in a simulated height map."""
     tasks = random_tasks(maps, seed)
     return TaskSet(**{**tasks.arrays(), "heights": np.nan_to_num(tasks.heights)})
 
@@ -81,7 +81,7 @@ def test_goals_at_other_headings_cannot_be_written(tmp_path):
 
 
 def test_shards_go_to_text_and_back(tmp_path, capsys):
-    """Through the command line, from a folder of shards and into a store."""
+    """Uses the command line, from a shard folder and to a store."""
     write_shard(tmp_path / "labels/00000-a.h5", published_tasks(2, 1), {"labels_hash": "a"})
     write_shard(tmp_path / "labels/00001-a.h5", published_tasks(3, 2), {"labels_hash": "a"})
     published.main(["export", str(tmp_path / "labels"), str(tmp_path / "tasks.txt")])
@@ -127,7 +127,7 @@ def test_the_authors_file_is_what_the_facts_say():
     assert (flat.heights == 0).all() and flat.feasible.all()
     np.testing.assert_allclose(flat.cost[0, [0, 2, 4]], [0.1, 0.3, 0.25], atol=1e-6)
     np.testing.assert_array_equal(tasks.goals[0], ABSTRACT_ACTIONS)
-    # Map 0 has a wall behind, map 64 one to the left, and only there it costs more: the axes are the right ones.
+    # Map 0 has a wall behind, map 64 a wall to the left. Costs rise only in this direction, so the axes are correct.
     behind, left = tasks[tasks.index == 0], tasks[tasks.index == 64]
     assert behind.heights[0, :20].max() > 1 and behind.heights[0, 20:].max() == 0
     assert behind.feasible[0, 0] and not behind.feasible[0, 4]

@@ -17,7 +17,7 @@ from tests.naive import Naive
 
 MOMARO = Robot.load("momaro")
 
-#: Costs of the published labels on flat ground, in the order of the actions (map 22 and others).
+#: Costs on flat ground in the published labels, in action order (map 22 and others).
 FLAT = [
     0.1, 0.38541, 0.3, 0.424264, 0.25, 0.424264, 0.3, 0.38541, 0.2, 0.406809, 0.670821, 0.6, 0.670821, 0.625018, 0.5,
     0.625018, 0.670821, 0.6, 0.670821, 0.406809, 0.036613, 0.036613,
@@ -81,7 +81,7 @@ def assert_labels_are_complete(labels):
 
 def test_a_goal_in_a_wall_is_invalid_and_a_way_around_costs_more():
     heights = np.zeros((72, 72), np.float32)
-    heights[58:] = 1.0  # feet 13 cells ahead of the base get stuck 9 cells on
+    heights[58:] = 1.0  # the front feet, 13 cells ahead of the base, are blocked after 9 cells
     labels = label_map(HeightMap(heights), MOMARO)
     actions = ABSTRACT_ACTIONS.tolist()
     assert labels.reason[actions.index([2, 0, 0])] == Status.INVALID_GOAL
@@ -91,7 +91,7 @@ def test_a_goal_in_a_wall_is_invalid_and_a_way_around_costs_more():
 
 def test_a_start_in_a_wall_has_no_labels():
     heights = np.zeros((72, 72), np.float32)
-    heights[40:, :] = 1.0  # the body, above all
+    heights[40:, :] = 1.0  # mainly the body collides
     assert label_map(HeightMap(heights), MOMARO) is None
     rubble = np.random.default_rng(0).uniform(0, 0.25, (72, 72))
     assert label_map(HeightMap(rubble), MOMARO) is None

@@ -17,7 +17,7 @@ ABOUT = {"place": "yard", "licence": "MIT", "scan": "one"}
 
 
 def yard():
-    """A floor of 5 x 4 m with a wall, low blocks and a part that nobody saw."""
+    """A floor of 5 x 4 m with a wall, low blocks and an unknown part."""
     heights = np.zeros((200, 160), np.float32)
     heights[:, 150:] = 1.0
     for x in range(10, 200, 40):

@@ -1,4 +1,4 @@
-"""Folders of scans that somebody has: descriptions, shards, bare maps and clouds."""
+"""User folders with scans: descriptions, shards, height maps and clouds."""
 
 import hashlib
 import os
@@ -48,7 +48,7 @@ def test_everything_in_a_folder_is_judged_and_the_rest_named(folder, tmp_path):
     assert len(shards) == 2
     before = [os.stat(path).st_mtime_ns for path in shards]
     read(folder, tmp_path)
-    assert [os.stat(path).st_mtime_ns for path in shards] == before  # labels that hold are kept
+    assert [os.stat(path).st_mtime_ns for path in shards] == before  # valid labels are kept
 
 
 def test_a_scan_that_is_not_to_be_had_does_not_keep_the_others_from_being_judged(folder, tmp_path):

@@ -1,4 +1,4 @@
-"""The real entry points with tiny limits, each in its own process as users start them."""
+"""The real entry points with tiny limits, each in its own process, as users start them."""
 
 import os
 import shutil
@@ -12,13 +12,13 @@ import yaml
 from tests import ROOT
 
 SPLITS = ("train", "val", "random")
-#: Options of `compact`: for tests the costs of a whole map have to be there in seconds.
+#: Options of `compact` for which the costs of a whole map take only seconds.
 SMALL_NETWORK = {"widths": [4, 4], "blocks": [1, 1], "map_features": 4, "hidden": 16}
 STAGES = ("published", "train", "evaluate", "plan", "report")
 
 
 def run_python(*arguments: str, cwd: Path = ROOT, tracking: Path | None = None) -> subprocess.CompletedProcess:
-    """`python -m ...`; fails the test with the process's own words."""
+    """Runs `python -m ...`; a failure reports the process's output."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "MLFLOW_DISABLE_TELEMETRY": "true"}
     if tracking:
         environment["DVC_ROOT"] = str(tracking)  # the tracking database of the project stays untouched
@@ -29,7 +29,7 @@ def run_python(*arguments: str, cwd: Path = ROOT, tracking: Path | None = None) 
 
 @pytest.fixture(scope="session")
 def labelled(tmp_path_factory) -> Path:
-    """A folder with the labels of the tiny profile."""
+    """A folder with labels for the tiny profile."""
     folder = tmp_path_factory.mktemp("chain")
     for split in SPLITS:
         run_python("pipeline.label", split, *tiny(folder))
@@ -52,14 +52,14 @@ def tiny(folder: Path) -> list[str]:
 
 
 def dvc_environment() -> dict[str, str]:
-    """Stages use this interpreter, and nothing of a surrounding DVC or tracking server."""
+    """Environment in which stages use this interpreter, but no surrounding DVC or tracking server."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("DVC_", "MLFLOW_", "GIT_"))}
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     return environment | {"PATH": path, "OMP_NUM_THREADS": "1", "MLFLOW_DISABLE_TELEMETRY": "true"}
 
 
 def run_dvc(*arguments: str, cwd: Path) -> str:
-    """A DVC command; returns what it printed."""
+    """Runs a DVC command and returns its output."""
     command = [sys.executable, "-m", "dvc", *arguments]
     done = subprocess.run(command, cwd=cwd, env=dvc_environment(), capture_output=True, text=True)
     assert done.returncode == 0, f"dvc {' '.join(arguments)}\n{done.stdout}\n{done.stderr}"
@@ -67,7 +67,7 @@ def run_dvc(*arguments: str, cwd: Path) -> str:
 
 
 def clone_project(clone: Path) -> Path:
-    """A clone of the project as it is on disk, with one commit, set to the tiny profile."""
+    """Clones the project's working tree with one commit, set to the tiny profile."""
     files = git("ls-files", "--cached", "--others", "--exclude-standard", cwd=ROOT).splitlines()
     for name in files:
         source, target = ROOT / name, clone / name

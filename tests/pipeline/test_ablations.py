@@ -1,4 +1,4 @@
-"""The experiments of conf/experiment/ablation: each differs from the base in what its file says, and nowhere else."""
+"""The experiments in conf/experiment/ablation: each differs from the base exactly as its file says."""
 
 from pathlib import Path
 
@@ -37,7 +37,7 @@ def test_an_ablation_differs_from_the_base_in_what_its_file_says(name, base):
 
 
 def told(name):
-    """What the file of an ablation says that it changes; another model goes by its architecture."""
+    """Changes listed in an ablation's file; another model counts by its architecture."""
     file = yaml.safe_load((CONF / f"experiment/ablation/{name}.yaml").read_text())
     groups = {key for entry in file.pop("defaults") if isinstance(entry, dict) for key in entry}
     keys = set(flatten({section: file[section] for section in SECTIONS if section in file}))

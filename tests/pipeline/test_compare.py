@@ -1,4 +1,4 @@
-"""Comparisons of trainings, from made-up reports of runs."""
+"""Comparison of trainings, with synthetic reports."""
 
 import json
 
@@ -37,7 +37,7 @@ def takes(name: str) -> dict:
 
 @pytest.fixture
 def project(tmp_path, monkeypatch):
-    """A folder with a page; the time of a model is the number that its folder is named by."""
+    """A folder with a page; a model's time is the number in its folder's name."""
     (tmp_path / "docs").mkdir()
     blocks = "\n".join("\n".join(markers(kind)) for kind in ("zoo", "ablations"))
     (tmp_path / "docs" / PAGE).write_text(f"before\n{blocks}\nafter\n")
@@ -63,7 +63,7 @@ def test_runs_become_a_table_and_a_picture_that_need_no_runs_afterwards(project)
     assert "95.00 % / 0.0280" in rows[2]
     assert "12,345" in rows[1]
     assert rows[4].count("–") == 2  # no run of that model
-    assert "No runs yet." in page  # of ablations
+    assert "No runs yet." in page  # there are no ablations
     assert (project / "docs/figures/pareto.png").read_bytes().startswith(b"\x89PNG")
     (project / "outputs").rename(project / "elsewhere")
     assert run_compare(project) == page

@@ -1,4 +1,4 @@
-"""conf/ is the truth: params.yaml is its composition, and faults in what a user typed end in one line."""
+"""conf/ is the single source: params.yaml is its composition, and user errors give one-line messages."""
 
 import subprocess
 import sys

@@ -60,7 +60,7 @@ def test_metrics_plots_and_graph_show_the_results(reproduced, tmp_path):
 
 
 def test_an_experiment_beside_the_working_tree_is_tracked_in_the_project(reproduced):
-    """`--temp` runs in a copy that is removed; the tracking database must not be in it."""
+    """`--temp` runs in a copy that DVC removes afterwards; the tracking database must not be in it."""
     git("add", "--all", cwd=reproduced)
     identity = ["-c", "user.name=test", "-c", "user.email=test@example.org"]
     git(*identity, "commit", "--quiet", "--allow-empty", "-m", "results", cwd=reproduced)

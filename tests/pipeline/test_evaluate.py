@@ -1,4 +1,4 @@
-"""Evaluation and the planning experiment on the tiny profile: what the reports hold."""
+"""Evaluation and the planning experiment on the tiny profile: contents of the reports."""
 
 import csv
 import json
@@ -78,7 +78,7 @@ def test_each_pair_is_planned_with_each_heuristic_and_weight(chain):
         assert run["status"] in STATUSES
         assert (run["cost"] is not None) == (run["status"] == "solved")
         assert run["seconds"] > 0
-        assert run["collision_free"] is None  # of a generated arena only the heights are known
+        assert run["collision_free"] is None  # a generated arena has heights only
     assert any(run["status"] == "solved" for run in runs)
     assert planning["arena"]["source"] == "a generated arena"
     assert planning["best_known"]["near"]["cost"] == min(run["cost"] for run in runs if run["cost"] is not None)

@@ -1,4 +1,4 @@
-"""Entries of `evaluation.sets`: what they may say, and whose labels they are; where labels are read."""
+"""Entries in `evaluation.sets`: allowed values, source of the labels, and folders to read from."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Stage `import_scans` on a scan made here, and on one that is not to be had."""
+"""Stage `import_scans` with a synthetic scan and an unavailable scan."""
 
 import hashlib
 import json
@@ -19,7 +19,7 @@ REAL = [path.stem for path in (ROOT / "conf/scans").glob("*.yaml") if path.stem 
 
 
 def import_scans(folder, sources):
-    """Runs the stage on these sources instead of the real ones."""
+    """Runs the stage with these sources instead of the real ones."""
     overrides = [f"~scans.sources.{name}" for name in REAL]
     for name, values in sources.items():
         text = yaml.safe_dump(values, default_flow_style=True, width=10_000).strip()
@@ -29,7 +29,7 @@ def import_scans(folder, sources):
 
 
 def missing(name):
-    """A scan whose address refuses at once."""
+    """A scan with an address that refuses connections."""
     files = [{"path": "a.xyz", "sha256": "0" * 64}]
     return {**ABOUT, "place": name, "address": "http://127.0.0.1:9/", "files": files}
 
@@ -53,7 +53,7 @@ def test_scans_become_maps_labels_and_a_report_by_place_and_the_missing_one_is_n
     assert list(report["missing"]) == ["nowhere"]
     assert (tmp_path / "reports/figures/real_scans.png").read_bytes().startswith(b"\x89PNG")
 
-    said = import_scans(tmp_path, {"nowhere": missing("nowhere")})  # its shard goes with the scan
+    said = import_scans(tmp_path, {"nowhere": missing("nowhere")})  # the stage removes the shard of a removed scan
     assert "0 patches from 0 places" in said
     tasks, reason = read_set(tmp_path / "data/real")
     assert tasks is None

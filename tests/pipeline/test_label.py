@@ -1,4 +1,4 @@
-"""Labels as the stage writes them."""
+"""Labels written by the stage."""
 
 import json
 

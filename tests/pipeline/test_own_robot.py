@@ -1,4 +1,4 @@
-"""Another robot: what its page says of the reports, and that its preset is one that labels can be made for."""
+"""Another robot: its documentation page, and labels with its preset."""
 
 import json
 import sys

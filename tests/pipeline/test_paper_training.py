@@ -1,4 +1,4 @@
-"""The page of the paper's network and recipe."""
+"""The page about the paper's network and recipe."""
 
 import json
 

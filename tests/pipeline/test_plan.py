@@ -1,4 +1,4 @@
-"""The ground of the planning experiment, and what it says of each search."""
+"""The planning experiment: its terrain, and the record for each search."""
 
 import json
 from types import SimpleNamespace

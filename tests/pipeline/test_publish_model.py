@@ -1,4 +1,4 @@
-"""Putting a trained abstraction into the package: the folder, and what its card says."""
+"""Publishing a trained abstraction in the package: the folder and its model card."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""The stage of simulated scans on the tiny profile, and where MuJoCo is missing."""
+"""The stage for simulated scans on the tiny profile, with and without MuJoCo."""
 
 import importlib.util
 import json

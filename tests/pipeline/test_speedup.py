@@ -1,11 +1,11 @@
-"""Speed-ups and cost increases as the paper's Table II computes them."""
+"""Speed-ups and cost increases as in the paper's Table II."""
 
 import pytest
 
 from pipeline.paper import HEURISTIC_PERFORMANCE
 from pipeline.speedup import best_known, is_bound, summarise
 
-# Seconds and costs that the paper plots for its goals I to VII, geometric W = 1 and learned W = 1.25.
+# Seconds and costs in the paper's plots for goals I to VII, geometric W = 1 and learned W = 1.25.
 GEOMETRIC = [(6.63, 4.54), (3.42, 5.77), (794, 9.61), (5.18, 7.22), (130.9, 8.42), (5932, 10.81), (4.73, 3.79)]
 LEARNED = [(0.10, 5.06), (0.23, 6.37), (23.88, 10.12), (0.12, 7.86), (4.25, 9.15), (1.25, 12.75), (0.19, 4.20)]
 

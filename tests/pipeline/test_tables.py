@@ -1,4 +1,4 @@
-"""The tables put our numbers beside the paper's, and leave empty what is not there."""
+"""The tables show our numbers beside the paper's; missing numbers stay empty."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Training as a user starts it: what is tracked, what is written, and sweeps."""
+"""Training as a user starts it: tracking, output files and sweeps."""
 
 import json
 import math

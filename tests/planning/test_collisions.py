@@ -1,4 +1,4 @@
-"""The independent check: plans against blocks."""
+"""The independent collision check: plans against blocks."""
 
 import math
 from types import SimpleNamespace
@@ -14,7 +14,7 @@ from hdsp.terrain.arenas import Arena
 from hdsp.terrain.scenes import Block, Ramp, Scene, Staircase
 
 ROBOT = Robot.load("momaro")
-FOOT_OUT = ROBOT.feet.neutral_y + FOOT_RADIUS  # how far a foot reaches to the side
+FOOT_OUT = ROBOT.feet.neutral_y + FOOT_RADIUS  # lateral distance from the base to the outside of a foot
 
 
 def drive(*poses, feet=(0.0, 0.0, 0.0, 0.0)):

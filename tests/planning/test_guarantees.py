@@ -1,4 +1,4 @@
-"""The benchmarks behind docs/guarantees.md: what they measure holds, and the page has a place for it."""
+"""The benchmarks behind docs/guarantees.md: their measurements hold, and the page has a place for them."""
 
 import re
 import shutil

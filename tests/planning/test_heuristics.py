@@ -38,7 +38,7 @@ def heuristics(terrain, world):
 
 
 def least_steps(heuristic, states, goal=None):
-    """What the steps of the feet cost at least from each state to the goal (default: the first state)."""
+    """Least cost of foot steps from each state to the goal (default: the first state)."""
     goal = states[0] if goal is None else goal
     efforts = efforts_to(heuristic.footing, heuristic.world, goal[None])
     twin = Naive(heuristic.terrain.heights, MOMARO)
@@ -59,7 +59,7 @@ def test_calling_a_heuristic_gives_what_the_kernel_sees(scene):
         expected = [estimate(parameters, key) for key in pack_states(states, world.tables.lowest)]
         assert values.tolist() == expected
         assert (values >= 0).all()
-        # Only a proof makes an estimate infinite: a foot that no steps bring to its goal.
+        # An estimate is infinite only with a proof: no steps bring some foot to its goal.
         steps = least_steps(heuristic, states) if isinstance(heuristic, AbstractHeuristic) else np.zeros(len(states))
         np.testing.assert_array_equal(np.isinf(values), np.isinf(steps))
 
@@ -146,7 +146,7 @@ def test_standing_states_are_those_with_some_valid_feet():
 
 
 class Local(FlatCosts):
-    """Flat costs that grow with the ground under the base, and count the states they are asked for."""
+    """Flat costs that grow with the ground height under the base; counts the evaluated states."""
 
     asked = 0
 

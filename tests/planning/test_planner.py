@@ -25,7 +25,7 @@ def with_wall(wall=slice(30, 34)):
 
 
 class CutsEverythingOff(FlatCosts):
-    """Abstract costs that call every action infeasible."""
+    """Abstract costs in which every action is infeasible."""
 
     def edges(self, height_map, region=None, mask=None):
         return np.full_like(super().edges(height_map, region, mask), np.inf)
@@ -197,7 +197,7 @@ def test_a_planner_refuses_what_it_cannot_plan_on_or_with(flat):
 
 
 class Counting(ManualCosts):
-    """Manual costs that count the states they are asked for."""
+    """Manual costs that count the evaluated states."""
 
     asked = 0
 
@@ -216,7 +216,7 @@ def with_doors(*doors):
 
 
 def test_a_door_closed_in_the_map(monkeypatch):
-    """With another door the planner goes there, without one it says why not; all without beginning anew."""
+    """An updated planner uses another door, or explains why there is no path, without being built again."""
     start, goal = (3.2, 1.4, 0.0), (4.8, 1.4, 0.0)
     near, far = (32, 80), (160, 208)
     costs, compiled = Counting("momaro"), []
@@ -241,7 +241,7 @@ def test_a_door_closed_in_the_map(monkeypatch):
     assert costs.asked - asked < asked
     assert len(compiled) == 2 and max(part.heights.size for part in compiled) < planner.terrain.heights.size / 2
 
-    # A map opened again is the map of before.
+    # With the door open again, the plan is the first plan.
     again = planner.update(with_doors(near, far)).plan(start, goal, 1.5)
     np.testing.assert_array_equal(again.states, before.states)
 
@@ -277,7 +277,7 @@ def test_feet_that_stand_on_each_other_are_no_valid_state(flat):
 
 def test_a_margin_keeps_the_base_off_walls_but_not_off_the_ground():
     wall = HeightMap(np.where(np.arange(100)[:, None] >= 60, 1.0, 0.0).astype(np.float32) * np.ones((1, 100)))
-    near = (60 * RESOLUTION - 0.4625 - 0.025, 1.25, 0.0)  # the nose, 0.5 m to the centre of the first cell of the wall
+    near = (60 * RESOLUTION - 0.4625 - 0.025, 1.25, 0.0)  # 0.5 m from the centre of the first wall cell
     assert Planner(wall).valid(near) and Planner(wall, margin=0.03).valid(near)
     assert not Planner(wall, margin=0.06).valid(near)
     low = HeightMap(np.where(np.arange(100)[:, None] >= 60, 0.5, 0.0).astype(np.float32) * np.ones((1, 100)))

@@ -11,7 +11,7 @@ from tests.detailed.instances import TOY
 
 
 def changed(path, value):
-    """The toy robot as a mapping, with one (nested) value changed; ``...`` removes it."""
+    """The toy robot as a mapping with one (nested) value changed; ``...`` removes the value."""
     values = copy.deepcopy(TOY)
     *parents, last = path.split(".")
     place = values
@@ -57,7 +57,7 @@ def test_hashes_tell_robots_apart():
 
 
 def test_labels_do_not_depend_on_how_plans_become_motions():
-    """Longer legs make no trained abstraction unusable."""
+    """A trained abstraction stays valid for longer legs."""
     assert Robot.load(changed("legs.max_length", 0.4)).hash() == Robot.load(TOY).hash()
     assert Robot.load(changed("stance.margin", 0.01)).hash() == Robot.load(TOY).hash()
 

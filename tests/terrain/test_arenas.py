@@ -20,7 +20,7 @@ def test_it_has_the_asked_size_and_walls_all_around(arena):
 
 
 def test_a_robot_reaches_both_rooms_on_the_ground(arena):
-    # A disc of 0.42 m around the base holds the robot at every heading.
+    # A disc of 0.42 m around the base contains the robot at every heading.
     steep = ndimage.generic_filter(arena.heights, np.ptp, 3) > 0.05
     free = (ndimage.distance_transform_edt(~steep) >= 0.42 / 0.025) & (arena.heights < 0.1)
     pieces, _ = ndimage.label(free)

@@ -19,7 +19,7 @@ heights_with_gaps = hnp.arrays(
 
 
 def numbered(nx, ny, **placement):
-    """A map whose heights are all different."""
+    """A map with all heights different."""
     return HeightMap(np.arange(nx * ny, dtype=np.float32).reshape(nx, ny), **placement)
 
 
@@ -157,7 +157,7 @@ def test_a_patch_at_any_pose_equals_its_definition(x, y, theta):
     terrain = HeightMap(np.random.default_rng(1).random((40, 28)), origin=(0.011, -0.003))
     patch = terrain.crop((x, y, theta), 12).heights
     expected = naive_terrain.crop(terrain.heights, terrain.origin, RESOLUTION, (x, y, theta), 12)
-    # The definition leaves open which cell a sample on the border between two belongs to.
+    # The definition does not assign a sample on the border between two cells to one of them.
     assert (np.isclose(patch, expected, atol=0, equal_nan=True)).mean() > 0.98
 
 
@@ -210,7 +210,7 @@ def test_four_quarter_turns_bring_a_map_back(nx, ny, quarters):
 
 def test_a_quarter_turn_goes_from_x_to_y():
     turned = numbered(3, 2).rotate(math.pi / 2)
-    # What lay ahead of the centre, at +x, now lies to the left of it, at +y.
+    # Cells ahead of the centre, at +x, are now to its left, at +y.
     np.testing.assert_array_equal(turned.heights[:, -1], numbered(3, 2).heights[-1, ::-1])
 
 

@@ -36,7 +36,7 @@ def described(**values):
 
 
 def stored(folder, name, points):
-    """Writes a cloud where a data folder has it; returns its entry in a description."""
+    """Writes a cloud to its place in a data folder; returns its entry in a description."""
     path = folder / "real" / "room" / name
     path.parent.mkdir(parents=True, exist_ok=True)
     np.savetxt(path, points)
@@ -123,7 +123,7 @@ def test_every_scan_is_listed_and_names_its_source_and_licence():
         assert scan.source.startswith("https://") and scan.address.endswith("/") and scan.licence and scan.sensor
 
 
-#: Heights (m) of the treads that are known to be there.
+#: Known heights (m) of the treads.
 STEPS = {"plane_seg_ori_stairs": [0.16, 0.32, 0.48, 0.64]}
 
 

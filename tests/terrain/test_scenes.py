@@ -12,7 +12,7 @@ from hdsp.terrain.scenes import CATEGORIES, Block, Scene, Staircase, TerrainSett
 from tests import naive_terrain
 
 CELL = 0.025
-WIDE = 480  # cells: holds every obstacle whole
+WIDE = 480  # cells; a map of this size contains every obstacle completely
 seeds, indices, categories = st.integers(0, 2**63), st.integers(0, 10_000), st.sampled_from(CATEGORIES)
 
 
@@ -70,8 +70,8 @@ def test_a_rasterised_block_has_the_measured_size_of_the_block(seed, category, i
     assert abs(len(cells) * CELL**2 - block.length * block.width) <= border
     if len(cells) > 30:
         middle = (cells - WIDE // 2).mean(axis=0) * CELL
-        # A thin wall slightly off the axis may be n cells thick along one half and n + 1 along the other, which moves
-        # the mean of its cells toward the thicker half by a 4 (2 n + 1)th of its length.
+        # A thin wall slightly off the axis may have n cells of thickness in one half and n + 1 in the other. This moves
+        # the mean of its cells toward the thicker half by length / (4 (2 n + 1)).
         thin = min(block.length, block.width)
         moved = max(block.length, block.width) / (4 * (2 * math.floor(thin / CELL) + 1))
         assert math.dist(middle, (block.x, block.y)) <= 0.03 + moved
@@ -172,7 +172,7 @@ def test_seed_category_and_index_each_give_another_map():
 
 
 def test_a_map_stays_the_same_from_version_to_version():
-    # Labels name their maps by (seed, category, index); other numbers here make all of them wrong.
+    # Labels identify maps by (seed, category, index); with other numbers here all labels would be wrong.
     stairs = random_scene(1, "staircase_focused", 7).obstacles[0]
     assert (stairs.steps, round(stairs.x, 9), round(stairs.rise, 9)) == (2, 0.468219536, 0.285411001)
 

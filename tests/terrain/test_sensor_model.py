@@ -83,7 +83,7 @@ def test_a_sensed_map_depends_on_its_own_numbers_alone(first, second):
 
 def test_labels_are_those_of_the_planner_on_the_map_that_the_network_sees():
     run = run_of(sensing=True)
-    for number in range(0, run.split.maps, 9):  # those with one cuboid
+    for number in range(0, run.split.maps, 9):  # maps with one cuboid
         terrain = run.terrain_of(number)
         tasks = label_map(terrain, run.robot, run.settings, 0)
         if tasks is not None:

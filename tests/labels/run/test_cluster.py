@@ -1,4 +1,4 @@
-"""Label runs on many processes, some of which are killed."""
+"""Label runs on many processes, with killed processes among them."""
 
 import json
 import os
@@ -37,7 +37,7 @@ LONG = SplitSettings(seed=1, maps_per_category=60, maps_per_shard=20)  # 540 map
 
 @pytest.fixture(scope="module")
 def scheduler(tmp_path_factory):
-    """The address of a scheduler with two workers, each started by hand."""
+    """Address of a scheduler with two workers, all started by hand."""
     file = tmp_path_factory.mktemp("dask") / "scheduler.json"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
 
@@ -78,7 +78,7 @@ def test_workers_started_by_hand_give_what_one_process_gives(scheduler, tmp_path
 
 
 def test_a_worker_that_dies_for_good_leaves_its_work_to_the_others(scheduler, tmp_path):
-    """Last of the tests of this scheduler but those that need one worker only."""
+    """Runs late, because afterwards the scheduler has only one worker."""
     label(tmp_path / "here")
     worker = next(p for p in psutil.process_iter(["cmdline"]) if is_worker_of(p, scheduler))
     run = subprocess.Popen(
@@ -250,7 +250,7 @@ before = peak_memory()
 block = bytearray(200_000_000)
 print(before, peak_memory())
 """
-    # In a process of its own: what this one has held before may be more than it holds now.
+    # A new process: the peak memory of this process may be higher from earlier tests.
     before, after = map(int, subprocess.check_output([sys.executable, "-c", script], cwd=ROOT).split())
     assert before + 150_000_000 < after < before + 400_000_000
 
@@ -260,7 +260,7 @@ def call(folder: Path, address: str) -> str:
 
 
 def workers_of(pid: int) -> list[psutil.Process]:
-    """Worker processes of a run, those that are only starting included."""
+    """Worker processes of a run, including workers that are still starting."""
     try:
         return [p for p in psutil.Process(pid).children() if "spawn_main" in " ".join(p.cmdline())]
     except psutil.NoSuchProcess:

@@ -39,20 +39,23 @@ SPLIT = SplitSettings(seed=1, maps_per_category=4, heading_residues=(0, 1), maps
 
 @dataclass(frozen=True)
 class FakeSettings:
-    """What a label function may be told."""
+    """Settings for the fake label functions."""
 
     folder: str = ""
 
 
 def label(folder, split=SPLIT, workers=1, function=fake_label, settings=None):
-    """`label_split` with all but the interesting arguments given."""
+    """Calls `label_split` with defaults for arguments that do not matter."""
     run = LabelRun(split, ROBOT, TerrainSettings(), settings or FakeSettings())
     cluster = ClusterSettings(workers, dashboard=None)
     return label_split(run, folder, cluster, progress=False, label=function).summary
 
 
 def contents(folder):
-    """The bytes of every dataset of every shard, and its attributes. LZF may pack the same bytes in several ways."""
+    """Bytes of every dataset in every shard, and the attributes.
+
+    The files themselves are not compared, because LZF may compress equal bytes differently.
+    """
     found = {}
     for path in folder.iterdir():
         shard = read_shard(path)
@@ -206,7 +209,7 @@ def test_a_run_killed_in_the_middle_leaves_whole_shards_and_is_continued(tmp_pat
 
 @linux
 def test_an_interrupt_ends_a_run_and_its_workers(tmp_path):
-    # A shell starts what runs in the background with interrupts ignored, and that is handed down.
+    # A shell starts background processes with interrupts ignored, and child processes inherit this.
     script = (
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
         "from tests.labels.run.test_split_run import *; from pathlib import Path; "
@@ -215,7 +218,7 @@ def test_an_interrupt_ends_a_run_and_its_workers(tmp_path):
     run = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, start_new_session=True, stderr=subprocess.PIPE)
     assert wait_for(lambda: shard_paths(tmp_path))
     workers = children(run.pid)
-    os.killpg(run.pid, signal.SIGINT)  # as Ctrl-C does: to all processes
+    os.killpg(run.pid, signal.SIGINT)  # like Ctrl-C: all processes receive it
     _, said = run.communicate(timeout=20)
     assert run.returncode != 0
     assert b"KeyboardInterrupt" in said and b"Process Spawn" not in said, "one process reports, not all"

@@ -1,4 +1,4 @@
-"""Synthetic clouds: what a sensor would see of a few boxes on a floor."""
+"""Synthetic clouds: a sensor's view of boxes on a floor."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,19 +11,19 @@ def rectangle(x, y, z, spacing=0.02):
 
 
 def wall(x, y, z, spacing=0.02):
-    """Points on a vertical rectangle that runs along y at one x."""
+    """Points on a vertical rectangle along y at one x."""
     grid = np.meshgrid(np.arange(*y, spacing), np.arange(*z, spacing), indexing="ij")
     return np.stack([np.full_like(grid[0], x), *grid], axis=-1).reshape(-1, 3)
 
 
 def box(x, y, height, spacing=0.02):
-    """Top and the two sides across x of a box on the floor."""
+    """Points on a box on the floor: its top and its two sides across x."""
     sides = [wall(value, y, (0, height), spacing) for value in x]
     return np.concatenate([rectangle(x, y, height, spacing), *sides])
 
 
 def room(noise=0.005, seed=0, ceiling=None):
-    """A floor of 4 x 3 m with a box of 0.5 x 0.4 x 0.3 m and, if asked for, a ceiling at that height."""
+    """A floor of 4 x 3 m with a box of 0.5 x 0.4 x 0.3 m and optionally a ceiling at ``ceiling`` m."""
     floor = rectangle((-2, 2), (-1.5, 1.5), 0.0)
     under = (np.abs(floor[:, 0] - 0.25) < 0.25) & (np.abs(floor[:, 1] - 0.2) < 0.2)
     parts = [floor[~under], box((0.0, 0.5), (0.0, 0.4), 0.3)]
@@ -34,5 +34,5 @@ def room(noise=0.005, seed=0, ceiling=None):
 
 
 def moved(points, roll=0.0, pitch=0.0, yaw=0.0, shift=(0.0, 0.0, 0.0)):
-    """The cloud turned by angles in degrees and then shifted."""
+    """The cloud after a rotation by angles in degrees and a translation."""
     return Rotation.from_euler("xyz", [roll, pitch, yaw], degrees=True).apply(points) + shift

@@ -37,7 +37,7 @@ def test_a_few_reflections_below_the_floor_are_not_the_floor():
 
 
 def test_dense_ground_near_the_sensor_weighs_no_more_than_the_rest():
-    dense = rectangle((0, 0.4), (0, 0.4), 0.04, spacing=0.002)  # a plate with more points than all of the floor
+    dense = rectangle((0, 0.4), (0, 0.4), 0.04, spacing=0.002)  # a plate with more points than the whole floor
     assert fit_floor(np.concatenate([room(), dense])).offset == pytest.approx(0.0, abs=0.005)
 
 

@@ -154,11 +154,11 @@ def test_importing_the_package_brings_no_reader_along():
     assert done.stdout.strip() == "[]"
 
 
-# An octree is written here as the format says: two bits a child, depth first.
+# The format of an octree: two bits per child, depth first.
 
 
 def octree_bytes(cells, free=(), resolution=0.1):
-    """A .bt file whose occupied and free smallest cells are these (x, y, z in [0, 65536))."""
+    """A .bt file with the given occupied and free smallest cells (x, y, z in [0, 65536))."""
     nodes = bytearray()
 
     def write(occupied, empty, size):
@@ -194,7 +194,7 @@ def test_the_occupied_cells_of_an_octree_are_read_and_the_free_ones_are_not(occu
 
 
 def test_an_octree_of_one_cell_byte_by_byte():
-    # Cell (32768, 32768, 32768) is the upper eighth of the root, then fifteen times the lowest one; occupied is 2.
+    # Cell (32768, 32768, 32768) is the root's highest octant, then fifteen times the lowest octant; 2 means occupied.
     nodes = struct.pack("<H", 3 << 14) + struct.pack("<H", 3) * 14 + struct.pack("<H", 2)
     content = b"# Octomap OcTree binary file\nid OcTree\nsize 17\nres 0.1\ndata\n" + nodes
     np.testing.assert_allclose(read_octree(content), [[0.05, 0.05, 0.05]])

@@ -31,8 +31,8 @@ def test_cells_lie_on_multiples_of_the_resolution_and_cover_the_points():
 
 
 def test_a_wall_is_as_high_as_its_points_and_a_lintel_is_dropped():
-    door = rectangle((0, 1), (0.4, 0.8), 1.5)  # something to walk under, with headroom
-    shelf = rectangle((0, 1), (1.0, 1.4), 0.7)  # and something without
+    door = rectangle((0, 1), (0.4, 0.8), 1.5)  # enough headroom
+    shelf = rectangle((0, 1), (1.0, 1.4), 0.7)  # too little headroom
     points = np.concatenate([rectangle((0, 1), (0, 2), 0.0), wall(0.5, (0, 0.3), (0, 1.6)), door, shelf])
     terrain = height_map(points, AS_IT_IS)
     assert terrain.height_at(0.51, 0.1) == pytest.approx(1.58, abs=0.05)
@@ -61,7 +61,7 @@ def test_filling_does_not_grow_the_map_beyond_what_was_seen():
 
 def test_scan_lines_apart_make_closed_ground():
     lines = np.concatenate([rectangle((x, x + 0.001), (0, 2), 0.0, 0.01) for x in np.arange(0, 2, 0.08)])
-    assert np.isfinite(height_map(lines, AS_IT_IS).heights[:, 2:-2]).all()  # at the ends of the lines the disc is open
+    assert np.isfinite(height_map(lines, AS_IT_IS).heights[:, 2:-2]).all()  # no closing at the ends of the lines
 
 
 def test_smoothing_takes_noise_away_and_leaves_edges():

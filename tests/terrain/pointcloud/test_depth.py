@@ -35,8 +35,8 @@ def test_a_stride_takes_every_nth_pixel():
 
 def test_a_picture_of_heights_becomes_a_map_with_its_steps():
     image = np.full((40, 60), 102, np.uint8)
-    image[:20] = 204  # the upper half of the picture is ahead
-    image[:, :10] = 0  # and its left side is left
+    image[:20] = 204  # the upper half of the image is ahead
+    image[:, :10] = 0  # the left part of the image is to the left
     terrain = height_map(elevation_points(image, highest=1.25, pixel=0.04))
     assert terrain.size == pytest.approx((1.575, 1.975), abs=0.05)
     assert terrain.height_at(terrain.origin[0] + 0.3, terrain.origin[1] + 1) == pytest.approx(0.0, abs=0.01)

@@ -1,4 +1,4 @@
-"""Descriptions of arenas: blocks from plain values, true height maps, errors. No MuJoCo."""
+"""Arena descriptions: blocks from plain values, true height maps, errors. No MuJoCo."""
 
 import math
 

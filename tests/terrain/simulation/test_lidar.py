@@ -1,4 +1,4 @@
-"""Rays, the lidar and the cloud it gives, against analytic distances."""
+"""Rays, the lidar and its cloud, against analytic distances."""
 
 import math
 
@@ -24,7 +24,7 @@ def world():
 
 
 def toward(origin, points):
-    """Unit vectors to points, and how far these are."""
+    """Unit vectors to points, and distances to these points."""
     ways = np.asarray(points) - origin
     return ways / np.linalg.norm(ways, axis=1, keepdims=True), np.linalg.norm(ways, axis=1)
 
@@ -42,7 +42,7 @@ def test_rays_meet_plane_box_and_ramp_where_they_are(world):
 
 
 def test_rays_meet_the_side_of_a_box(world):
-    # Along the axis of the box, onto the middle of its end.
+    # The ray follows the axis of the box and hits the middle of its end face.
     c, s = math.cos(BOX.yaw), math.sin(BOX.yaw)
     origin = np.array([BOX.x - 1.2 * c, BOX.y - 1.2 * s, 0.25])
     assert world.ranges(origin, np.array([[c, s, 0.0]]), 30.0) == pytest.approx([0.9], abs=1e-6)
@@ -113,7 +113,7 @@ def test_wrong_input_is_named(world):
 
 
 def distance_to_scene(world, points):
-    """Distance of points to the nearest surface, by the shape of each obstacle."""
+    """Distance from points to the nearest surface, from each obstacle's shape."""
     found = [np.abs(points[:, 2])]
     for block in (BOX, RAMP):
         c, s = math.cos(block.yaw), math.sin(block.yaw)

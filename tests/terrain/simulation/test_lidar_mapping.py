@@ -1,4 +1,4 @@
-"""From rays to height maps: fusion, smoothing, tours, and how true a scanned map is."""
+"""From rays to height maps: fusion, smoothing, tours, and accuracy of a scanned map."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ ARENA = read_arena(
 
 
 def rays(origin, ends, noise, random):
-    """Points and origins of measurements of ``ends`` with noise along the rays."""
+    """Points and origins for measurements of ``ends`` with noise along the rays."""
     ways = ends - origin
     length = np.linalg.norm(ways, axis=1, keepdims=True)
     points = origin + ways * (1 + random.normal(0, noise, (len(ends), 1)) / length)
@@ -34,7 +34,7 @@ def rays(origin, ends, noise, random):
 
 def test_noise_in_front_of_a_wall_does_not_widen_it():
     random = np.random.default_rng(0)
-    # Ground up to x = 1, where a wall of 1 m begins; most rays meet the wall.
+    # The ground ends at x = 1, where a wall of 1 m begins; most rays hit the wall.
     ground = np.column_stack([random.uniform(0, 1, 20000), random.uniform(0, 1, 20000), np.zeros(20000)])
     face = np.column_stack([np.ones(200000), random.uniform(0, 1, 200000), random.uniform(0, 1, 200000)])
     points, origins = rays(np.array([-1.0, 0.5, 1.6]), np.concatenate([ground, face]), 0.03, random)
@@ -42,7 +42,7 @@ def test_noise_in_front_of_a_wall_does_not_widen_it():
     assert not high[:39].any(), "at most one cell before the wall"
     assert high[39].mean() < 0.3
     assert high[40].mean() > 0.9
-    # The highest point of each cell, the textbook way, would put the wall there too early.
+    # The textbook method, the highest point in each cell, would place the wall too near.
     highest = np.zeros((48, 40))
     inside = ((points[:, :2] >= 0) & (points[:, :2] < (1.2, 1.0))).all(axis=1)
     np.maximum.at(highest, tuple((points[inside, :2] / 0.025).astype(int).T), points[inside, 2])
@@ -54,7 +54,7 @@ def test_ground_is_flat_at_any_angle_of_the_rays():
     ends = np.column_stack([random.uniform(0, 0.5, (40000, 2)), np.full(40000, 0.1)])
     for origin in ([-1.3, 0.25, 1.6], [-3.0, 0.25, 0.6], [-6.0, -6.0, 0.4]):
         surface = fuse(*rays(np.array(origin), ends, 0.03, random), (20, 20))
-        inner = np.s_[4:-4, 4:-4]  # no rays cross the border on the way to points beyond it
+        inner = np.s_[4:-4, 4:-4]  # no points lie beyond the border, so no rays cross it
         assert np.abs(surface.heights - 0.1)[inner].max() < 0.03
         assert np.abs(smooth(surface, 0.03) - 0.1)[inner].max() < 0.006
 
@@ -106,7 +106,7 @@ def test_a_scanned_map_is_true_enough_for_a_planner():
     assert found["unknown_share"] < 0.02
     assert found["wrong_share"] < 0.04
     assert found["rms_flat"] < 0.002
-    assert found["false_edges"] < 4.0  # of a coarse sensor, beside walls
+    assert found["false_edges"] < 4.0  # beside walls, because the sensor is coarse
     assert found["missed_edges"] < 0.01
     assert found["standable_lost"] < 0.02
     np.testing.assert_array_equal(scanned_map(ARENA, (1.0, 1.0), lidar, seed=3).heights, scanned.heights)
@@ -119,7 +119,7 @@ def test_accuracy_counts_what_it_says():
     robot = Robot.load("momaro")
     assert set(accuracy(true, true, robot).values()) == {0.0}
     heights = true.heights.copy()
-    heights[20, 20] = 0.1  # alone: nine cells look like an edge
+    heights[20, 20] = 0.1  # one high cell makes nine edge cells
     heights[60, 20] = np.nan
     found = accuracy(HeightMap(heights), true, robot)
     assert found["false_edges"] == pytest.approx(9 / 4.0)
