@@ -1,9 +1,9 @@
-"""Climbing: up and down a staircase, over a bar, through a door, and none through a door that is too narrow.
+"""Climbing: up and down a staircase, over a bar, through a door, and no path through a narrow door.
 
     python -m examples.climbing
 
-Plans each task, makes it a motion, writes the pictures of docs/figures and the figures of docs/climbing.md, and prints
-one line of JSON.
+The example plans each task and refines the plan to a motion. It writes the figures in docs/figures and the table in
+docs/climbing.md, and prints one line of JSON.
 """
 
 import argparse
@@ -27,7 +27,7 @@ BEGIN, END = "<!-- written by examples.climbing: begin -->", "<!-- written by ex
 
 @dataclass(frozen=True)
 class Task:
-    """What is planned; poses are x, y (m) and heading (rad), blocks stand on flat ground of a size (m)."""
+    """A planning task; poses are x, y (m) and heading (rad), blocks stand on flat ground with a given size (m)."""
 
     title: str
     size: tuple[float, float]
@@ -42,7 +42,7 @@ class Task:
 
 
 def platform(x: float, y: float, steps: int, rise: float, tread: float, top: float, width: float) -> tuple[Block, ...]:
-    """A platform of length ``top`` with stairs up to it from x on, and stairs down on the other side."""
+    """A platform of length ``top``, with stairs up to it from x on and stairs down on its other side."""
     length = 2 * (steps - 1) * tread + top
     return tuple(
         Block(x + length / 2, y, 0.0, length - 2 * k * tread, width, rise * (k + 1)) for k in range(steps)
@@ -74,7 +74,10 @@ TASKS = {
 
 
 def solve(task: Task) -> tuple[list[Plan], float]:
-    """The plans of a task (by way of the platform, where it comes back to where it began) and the seconds they took."""
+    """Plans a task; returns its plans and the time in seconds.
+
+    If the goal position is the start position, the robot first drives to the platform and turns there.
+    """
     planner = Planner(task.terrain(), heuristic="manual").prepare()
     began = time.perf_counter()
     legs = [task.start, task.goal]
@@ -85,7 +88,7 @@ def solve(task: Task) -> tuple[list[Plan], float]:
 
 
 def facts(plans: list[Plan], seconds: float) -> dict:
-    """What the page and the tests want to know of a task."""
+    """Results for the documentation page and the tests."""
     result = {
         "solved": all(plan.solved for plan in plans),
         "status": [str(plan.status) for plan in plans],
@@ -110,7 +113,7 @@ def facts(plans: list[Plan], seconds: float) -> dict:
 
 
 def run(folder: Path) -> dict[str, dict]:
-    """Plan all tasks, and write their pictures to a folder."""
+    """Plans all tasks and writes their figures to a folder."""
     from hdsp.viz import save_motion, save_planned_path
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -132,7 +135,7 @@ def run(folder: Path) -> dict[str, dict]:
 
 
 def page(found: dict[str, dict]) -> str:
-    """The figures of docs/climbing.md."""
+    """The table and the explanations in docs/climbing.md."""
     rows = [
         "| task | planned in (s) | steps | configurations | least margin (m) | legs (m) | problems |",
         "|---|---|---|---|---|---|---|",

@@ -1,8 +1,8 @@
-"""Textbook twin of the detailed planner: plain Python from the documented rules, slow and obvious.
+"""Textbook twin of the detailed planner: plain Python from the documented rules, slow and simple.
 
-Convention: lengths in cells unless a name says metres; a state is a tuple (ix, iy, heading, f0, f1, f2, f3) in lattice
-units with signed foot offsets; an action is ("drive", dx, dy), ("turn", +-1), ("foot", i, +-1), ("shift", +-1) or
-("step", i, length).
+Convention: lengths are in cells unless a name says metres. A state is a tuple (ix, iy, heading, f0, f1, f2, f3) in
+lattice units with signed foot offsets. An action is ("drive", dx, dy), ("turn", +-1), ("foot", i, +-1), ("shift", +-1)
+or ("step", i, length).
 """
 
 import heapq
@@ -26,7 +26,7 @@ def angle(heading):
 
 
 def rotated(heading, x, y):
-    """(x, y) turned from the robot's frame into the world's."""
+    """Rotates (x, y) from the robot frame to the world frame."""
     c, s = math.cos(angle(heading)), math.sin(angle(heading))
     return c * x - s * y, s * x + c * y
 
@@ -38,7 +38,7 @@ def deviation_angle(heading, dx, dy):
 
 
 def nearest(value, direction):
-    """The integer nearest to a value; halfway between two, the one that lies in the direction."""
+    """Nearest integer to a value; halfway between two integers, the one in the given direction."""
     below = math.floor(value)
     if abs(value - below - 0.5) < 1e-9:
         return below + 1 if direction > 0 else below
@@ -47,7 +47,7 @@ def nearest(value, direction):
 
 @cache
 def disc(radius):
-    """Offsets (dx, dy) of the cells whose centres lie within a radius, with their distances."""
+    """Cells with centres within a radius, as offsets with distances: (dx, dy, distance)."""
     reach = math.floor(radius + 1e-9)
     cells = itertools.product(range(-reach, reach + 1), repeat=2)
     return [(dx, dy, math.hypot(dx, dy)) for dx, dy in cells if math.hypot(dx, dy) <= radius + 1e-9]
@@ -55,7 +55,7 @@ def disc(radius):
 
 @cache
 def rectangle_offsets(rectangle, heading):
-    """Offsets (dx, dy) of the cells whose centres lie in a rectangle of a robot that is turned to a heading."""
+    """Offsets (dx, dy) to all cells with centres in a rectangle of a robot with this heading."""
     reach = math.ceil(math.hypot(max(abs(rectangle.x_min), abs(rectangle.x_max)), rectangle.half_width) / CELL)
     found = []
     for dx, dy in itertools.product(range(-reach, reach + 1), repeat=2):
@@ -66,18 +66,18 @@ def rectangle_offsets(rectangle, heading):
 
 
 def turned(heading, other):
-    """Heading steps between two headings, the short way round."""
+    """Heading steps between two headings, along the shorter direction."""
     off = abs(heading - other) % HEADINGS
     return min(off, HEADINGS - off)
 
 
 class Naive:
-    """A terrain and a robot. Nothing is prepared; answers are only remembered.
+    """A terrain and a robot. Nothing is computed in advance; results are only cached.
 
     Args:
         heights: float32 [nx, ny], m, NaN = unknown.
         robot: an `hdsp.Robot`.
-        center, window, turn_factor, drive_only: the rules of labelling (`hdsp.detailed.actions.successors.Rules`).
+        center, window, turn_factor, drive_only: labelling rules (`hdsp.detailed.actions.successors.Rules`).
     """
 
     def __init__(self, heights, robot, center=0, window=HEADINGS, turn_factor=1.0, drive_only=False):
@@ -100,21 +100,21 @@ class Naive:
         return self.inside(cell) and not math.isnan(self.height(cell))
 
     def around(self, cell, radius):
-        """Cells of the map whose centres lie within a radius, with their distances."""
+        """Map cells with centres within a radius, with their distances."""
         for dx, dy, distance in disc(radius):
             other = cell[0] + dx, cell[1] + dy
             if self.inside(other):
                 yield other, distance
 
     def difference(self, cell):
-        """Height difference dH: the largest to the known among eight neighbours, m."""
+        """Height difference dH: the largest one to a known cell among eight neighbours, m."""
         if not self.known(cell):
             return 0.0
         neighbours = [other for other, _ in self.around(cell, 1.5) if self.known(other)]
         return max(float(abs(self.height(other) - self.height(cell))) for other in neighbours)
 
     def edge(self, cell):
-        """Whether no wheel passes a cell of the map."""
+        """Whether no wheel passes a map cell."""
         return not self.known(cell) or self.difference(cell) > np.float32(self.robot.drive.max_height_difference)
 
     def unevenness(self, cell):
@@ -130,10 +130,10 @@ class Naive:
     # --- robot on the terrain ---------------------------------------------------------------------------------------
 
     def foot_cell(self, heading, foot, offset, dx=0.0, dy=0.0):
-        """Cell of a foot relative to the cell in which the base was (dx, dy) ago; ties go forward and to the body."""
+        """Foot cell relative to the base cell before a move by (dx, dy); ties go forward and to the body."""
         x, y = self.neutral(foot)
         at = rotated(heading, x + offset, y)
-        tie = rotated(heading, 2.0, -math.copysign(1.0, y))  # where the two pull apart, forward wins
+        tie = rotated(heading, 2.0, -math.copysign(1.0, y))  # forward has priority over the body
         return nearest(at[0] + dx, tie[0]), nearest(at[1] + dy, tie[1])
 
     def neutral(self, foot):
@@ -146,11 +146,11 @@ class Naive:
         return state[0] + dx, state[1] + dy
 
     def in_rectangle(self, base, heading, rectangle):
-        """Cells whose centres lie in a rectangle of the robot, on the map or not."""
+        """Cells with centres in a rectangle of the robot, on the map or not."""
         return [(base[0] + dx, base[1] + dy) for dx, dy in rectangle_offsets(rectangle, heading)]
 
     def contact_cell(self, heading, foot, offset, dx=0.0, dy=0.0):
-        """Cell of the middle of a foot's contact, as `foot_cell`; a move is rounded for itself."""
+        """Middle cell of a foot's contact, like `foot_cell`, but with the move rounded separately."""
         inward = self.robot.feet.contact_inward / CELL
         x, y = (v - math.copysign(inward, v) for v in self.neutral(foot))
         at = rotated(heading, x + offset, y)
@@ -158,7 +158,7 @@ class Naive:
         return tuple(nearest(at[i], tie[i]) + nearest((dx, dy)[i], tie[i]) for i in range(2))
 
     def uneven_under(self, cell):
-        """S that a foot pays, m: the largest in the square about the middle of its contact."""
+        """S paid by a foot, m: the largest one in the square around the middle of its contact."""
         half = math.floor(self.robot.feet.contact_half_width / CELL + 1e-9)
         square = itertools.product(range(-half, half + 1), repeat=2)
         cells = [(cell[0] + i, cell[1] + j) for i, j in square]
@@ -169,10 +169,10 @@ class Naive:
         return self.uneven_under((state[0] + dx, state[1] + dy))
 
     def collides(self, base, heading):
-        """Whether the body hits what rises from the ground, or the ground under its centre is not known."""
+        """Whether the body collides with the ground, or the ground under its centre is unknown."""
         if not self.known(base):
             return True
-        # A robot that straddles a thin wall stands on the ground beside it, not on the wall.
+        # For a robot above a thin wall, the ground beside the wall counts, not the wall.
         feet = [self.foothold((*base, heading, 0, 0, 0, 0), i) for i in range(4)]
         heights = [float(self.height(cell)) for cell in feet if self.known(cell)]
         ground = min(self.height(base), np.float32(sum(heights) / len(heights)) if heights else np.float32(np.inf))
@@ -183,7 +183,7 @@ class Naive:
         return False
 
     def cost_at(self, base, heading, footholds, contacts):
-        """State cost C with the base in a cell, the feet in four and their contacts in four; inf if not valid."""
+        """State cost C for a base cell, four foot cells and four contact cells; inf if the state is invalid."""
         if self.collides(base, heading) or not all(self.standable(cell) for cell in footholds):
             return INF
         uneven = [self.uneven_under(cell) for cell in contacts]
@@ -193,7 +193,7 @@ class Naive:
         return self.cost_on_the_way(state, 0.0, 0.0)
 
     def cost_on_the_way(self, state, dx, dy):
-        """State cost where the robot has moved by so many cells from a state."""
+        """State cost after a move by (dx, dy) cells from a state."""
         ix, iy, heading, *feet = state
         base = ix + nearest(dx, dx), iy + nearest(dy, dy)
         cells = [
@@ -207,7 +207,7 @@ class Naive:
         return all(low <= offset <= high for offset in state[3:]) and self.state_cost(state) < INF
 
     def separated(self, state):
-        """Whether front and rear foot of each side keep their distance."""
+        """Whether front and rear foot on each side keep their distance."""
         apart = 2 * self.robot.feet.neutral_x / CELL
         least = self.robot.feet.min_separation / CELL - 1e-9
         return apart + state[3] - state[4] >= least and apart + state[6] - state[5] >= least
@@ -226,7 +226,7 @@ class Naive:
             yield from self.steps(state)
 
     def free(self, state):
-        """Whether the robot may turn and drive anywhere: on neutral feet at about the same height."""
+        """Whether the robot may turn and drive in any direction: all feet are neutral and at about the same height."""
         heights = [float(self.height(self.foothold(state, i))) for i in range(4)]
         return not any(state[3:]) and max(heights) - min(heights) <= self.robot.drive.level
 
@@ -242,12 +242,12 @@ class Naive:
                 yield ("drive", dx, dy), (ix + dx, iy + dy, *state[2:]), cost
 
     def straight(self, heading, dx, dy):
-        """Whether a move leads ahead or back, which is all that a robot can drive whose feet are not level."""
+        """Whether a move goes forward or backward; a robot with feet at different heights can only drive such moves."""
         deviation = deviation_angle(heading, dx, dy)
         return min(deviation, math.pi - deviation) <= self.robot.drive.straight_deviation + 1e-9
 
     def deviation(self, heading, dx, dy):
-        """Factor on driving toward (dx, dy)."""
+        """Cost factor for driving toward (dx, dy)."""
         f = self.robot.drive.deviation_cost
         deviation = deviation_angle(heading, dx, dy)
         if deviation <= f.side_from:
@@ -288,7 +288,7 @@ class Naive:
                 yield ("shift", way), reached, price * (self.state_cost(state) + self.state_cost(reached)) / 2
 
     def shift(self, heading):
-        """Steps and cells of a base shift: of one to four steps ahead the one that ends nearest to a cell."""
+        """Steps and cells of a base shift: among one to four steps ahead, the number with the end nearest to a cell."""
         ways = []
         for n in range(1, 5):
             x, y = rotated(heading, n, 0)
@@ -299,12 +299,12 @@ class Naive:
     # --- steps ------------------------------------------------------------------------------------------------------
 
     def line(self, cell, heading, way, length):
-        """The cell so many steps ahead of (or behind) another."""
+        """The cell ``length`` steps ahead of another cell, or behind it."""
         x, y = rotated(heading, way * length, 0)
         return cell[0] + nearest(x, x), cell[1] + nearest(y, y)
 
     def lifted_over(self, cell):
-        """Highest ground a foot passes over when it swings over a cell; inf next to unknown ground."""
+        """Highest ground under a foot that swings over a cell; inf beside unknown ground."""
         if not self.inside(cell):
             return INF
         cells = [other for other, _ in self.around(cell, self.robot.feet.clearance / CELL)]
@@ -314,11 +314,11 @@ class Naive:
         return math.floor(self.robot.step.max_length / CELL + 1e-9)
 
     def step_fits(self, foothold, landing, heading, way, length):
-        """Whether a foot gets from its cell over an edge that stops it to another cell ``length`` steps on."""
+        """Whether a foot can step over an edge to the cell ``length`` steps away."""
         if not (self.standable(foothold) and self.standable(landing)):
             return False
         if self.standable(self.line(foothold, heading, way, 1)):
-            return False  # it can roll on
+            return False  # the foot can roll further
         passed = [self.line(foothold, heading, way, n) for n in range(1, length + 1)]
         if not any(self.inside(cell) and self.edge(cell) for cell in passed):
             return False
@@ -328,7 +328,7 @@ class Naive:
         return abs(after - before) <= limits.max_height and highest - min(before, after) <= limits.max_clearance
 
     def can_step(self, cell, heading, way):
-        """Whether a foot in a cell has some foothold in line behind an edge."""
+        """Whether a foot in a cell has a foothold in line behind an edge."""
         lengths = range(1, self.longest_step() + 1)
         return any(self.step_fits(cell, self.line(cell, heading, way, n), heading, way, n) for n in lengths)
 
@@ -340,7 +340,7 @@ class Naive:
         return (1, -1) if self.robot.step.backward else (1,)
 
     def supported(self, state, lifted):
-        """Whether the base centre lies in the triangle of the other feet, by the margin."""
+        """Whether the base centre lies in the triangle of the other feet, with the margin."""
         feet = [(x + state[3 + i], y) for i, (x, y) in enumerate(map(self.neutral, range(4))) if i != lifted]
         for (ax, ay), (bx, by) in ((feet[0], feet[1]), (feet[1], feet[2]), (feet[2], feet[0])):
             # Feet are numbered counter-clockwise: inside is to the left of every side.
@@ -365,7 +365,7 @@ class Naive:
                     effort = limits.cost + limits.cost_per_metre * length * CELL + limits.cost_per_height * rise
                     cost = effort * (self.state_cost(state) + self.state_cost(reached)) / 2
                     yield ("step", i, way * length), reached, cost
-                    break  # the nearest foothold beyond; from there the foot can roll
+                    break  # the nearest foothold behind the edge is enough, because the foot can roll from there
 
     # --- what is built on it ----------------------------------------------------------------------------------------
 
@@ -373,7 +373,7 @@ class Naive:
         return min(self.deviation(heading, dx, dy) for heading in range(HEADINGS) for dx, dy in MOVES)
 
     def geometric(self, state, goal):
-        """Distance, difference of headings and of foot configurations, each at the least it can cost."""
+        """Distance, heading difference and foot configuration difference, each with its least possible cost."""
         robot = self.robot
         factor = self.least_deviation()
         longest = self.longest_step()
@@ -389,12 +389,12 @@ class Naive:
         )
 
     def feet_value(self, state):
-        """What T_a->d minimises over the feet: the state cost, and how far the feet are off their neutral positions."""
+        """Objective of T_a->d over the feet: the state cost, plus a cost for the distance from neutral positions."""
         preference = self.robot.feet.neutral_preference * CELL
         return self.state_cost(state) + preference * sum(abs(offset) for offset in state[3:])
 
     def best_feet(self, ix, iy, heading):
-        """Least value over all foot configurations of a base state and the one that has it; (inf, None) if none."""
+        """Least value over all foot configurations for a base state, and its state; (inf, None) if there is none."""
         low, high = self.robot.offset_range()
         states = ((ix, iy, heading, *feet) for feet in itertools.product(range(low, high + 1), repeat=4))
         found = [(self.feet_value(state), state) for state in states if self.separated(state) and self.valid(state)]
@@ -406,7 +406,7 @@ def with_offset(state, foot, offset):
 
 
 class Gone(NamedTuple):
-    """What Dijkstra found: least costs of the settled states, and whether nothing was left to reach."""
+    """Result of Dijkstra: least costs to settled states, and whether all reachable states are settled."""
 
     cost: dict
     exhausted: bool
@@ -414,7 +414,7 @@ class Gone(NamedTuple):
 
 
 def dijkstra(twin, start, goals=(), most=INF):
-    """Least costs from a state, until all goals are settled, or so many states are."""
+    """Least costs from a state, until all goals or ``most`` states are settled."""
     best, before, settled, queue = {start: 0.0}, {}, {}, [(0.0, start)]
     missing = set(goals)
     while queue:
@@ -434,7 +434,7 @@ def dijkstra(twin, start, goals=(), most=INF):
 
 
 def way_back(gone, state):
-    """Actions that lead to a settled state from the start."""
+    """Actions from the start to a settled state."""
     actions = []
     while state in gone.before:
         state, action = gone.before[state]

@@ -1,4 +1,4 @@
-"""Textbook twins of the abstract graph search: plain Python, slow, obvious."""
+"""Textbook twins of the abstract graph search: plain Python, slow and simple."""
 
 import heapq
 import math
@@ -9,7 +9,7 @@ from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
 
 
 def successors(edges, state):
-    """(state, cost) pairs that the feasible actions lead to from `state` = (ix, iy, heading)."""
+    """Yields (state, cost) for each feasible action from `state` = (ix, iy, heading)."""
     _, nx, ny, _ = edges.shape
     ix, iy, heading = state
     for action, (dx, dy, dtheta) in enumerate(ABSTRACT_ACTIONS.tolist()):
@@ -41,7 +41,10 @@ def cost_to_go(edges, goal):
 
 
 def bridged(edges, distances):
-    """Costs-to-go which also say what remains, half of it, of actions that pass over states without a way."""
+    """Costs-to-go that also cover states without a path, if an action passes over them.
+
+    Such a state gets the cost-to-go at the action's end plus half the action's cost.
+    """
     _, nx, ny = distances.shape
     result = distances.copy()
     for (k, a, b, m), cost in np.ndenumerate(edges):

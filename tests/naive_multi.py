@@ -1,4 +1,4 @@
-"""Textbook twin of the multi-heuristic search: shared MHA* as printed, on any graph, slow and obvious.
+"""Textbook twin of the multi-heuristic search: shared MHA* as printed, on any graph, slow and simple.
 
 Source: Aine, Swaminathan, Narayanan, Hwang & Likhachev, IJRR 2016, algorithm SMHA*.
 """
@@ -9,12 +9,12 @@ INF = math.inf
 
 
 def shared_mha(successors, start, goal, anchor, guides, w1, w2):
-    """Cost of a way from start to goal and how often which list was expanded from: (cost, [anchor, guides together]).
+    """Cost of a path from start to goal, and number of expansions: (cost, [from the anchor, from all guides together]).
 
     Args:
-        successors: gives [(action, state reached, cost)] of a state.
+        successors: function from a state to [(action, reached state, cost)].
         start, goal: states.
-        anchor: consistent heuristic, of a state.
+        anchor: consistent heuristic, a function of a state.
         guides: other heuristics.
         w1, w2: weights >= 1.
     """
@@ -46,7 +46,7 @@ def shared_mha(successors, start, goal, anchor, guides, w1, w2):
                     if key(reached, j) <= w2 * key(reached, 0):
                         opened[j][reached] = key(reached, j)
                     else:
-                        opened[j].pop(reached, None)  # its key of before is too large as well
+                        opened[j].pop(reached, None)  # its previous key is too large as well
         return state
 
     while least(0) < INF:

@@ -1,4 +1,4 @@
-"""Slow, obvious twins of patches and rasterised obstacles: one cell at a time, from the definitions."""
+"""Slow, simple twins of patches and rasterised obstacles: one cell at a time, from the definitions."""
 
 import math
 
@@ -29,7 +29,7 @@ def block_covers(block, x, y):
 
 
 def staircase_height(stairs, x, y):
-    """The n-th step begins n - 1 treads behind the first riser and is ``depth`` long; the highest one counts."""
+    """The n-th step begins n - 1 treads behind the first riser and is ``depth`` long; the highest step counts."""
     ahead = math.cos(stairs.yaw), math.sin(stairs.yaw)
     along = (x - stairs.x) * ahead[0] + (y - stairs.y) * ahead[1]
     across = (y - stairs.y) * ahead[0] - (x - stairs.x) * ahead[1]

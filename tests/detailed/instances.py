@@ -1,4 +1,4 @@
-"""Robots, terrains and states that the tests of the detailed planner share."""
+"""Robots, terrains and states for the tests of the detailed planner."""
 
 import heapq
 import itertools
@@ -18,7 +18,7 @@ from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import CATEGORIES, TerrainSettings, random_map
 from tests.naive import Naive, dijkstra, way_back
 
-#: No two costs alike, so that no rule can stand in for another; few states, so that plain Python can search them.
+#: All costs differ, so that tests notice if one rule is used instead of another. Few states suit a plain Python search.
 TOY = {
     "name": "toy",
     "feet": {
@@ -51,17 +51,17 @@ TOY = {
 
 
 def toy(**changes) -> Robot:
-    """The toy robot, with some values changed: ``toy(step={"max_height": 0.0})``."""
+    """The toy robot with some values changed: ``toy(step={"max_height": 0.0})``."""
     values = {**TOY, "name": "toy"}
     for part, change in changes.items():
         values[part] = {**TOY[part], **change}
     return Robot.load(values)
 
 
-#: Steps come cheap here, so that a short textbook search finds many.
+#: Cheap steps, so that a short textbook search finds many.
 NIMBLE = toy(step={"cost": 0.004, "cost_per_metre": 0.31, "cost_per_height": 0.05}, base_shift={"cost_per_metre": 1.2})
 
-#: The obstacles of the paper's categories at the size of the toy robot; it can step on and over many of them.
+#: The obstacles in the paper's categories, scaled to the toy robot; it can step on and over many of them.
 SMALL_TERRAIN = TerrainSettings(
     area=0.3,
     cuboid_side=(0.05, 0.2),
@@ -79,12 +79,12 @@ SMALL_TERRAIN = TerrainSettings(
 
 
 def small_map(category: str, index: int, cells: int = 14) -> np.ndarray:
-    """Heights float32 [cells, cells] of a random map of a category for the toy robot."""
+    """A random map from a category for the toy robot: heights float32 [cells, cells]."""
     return random_map(7, category, index, SMALL_TERRAIN, cells=cells).heights
 
 
 def blocky(rng, cells: int = 12, blocks: int = 2, height: float = 0.12) -> np.ndarray:
-    """Heights float32 [cells, cells] of a floor with a few low blocks that the toy robot can step on."""
+    """A floor with a few low blocks on which the toy robot can step: heights float32 [cells, cells]."""
     heights = np.zeros((cells, cells), dtype=np.float32)
     for _ in range(blocks):
         x, y = rng.integers(0, cells, 2)
@@ -94,7 +94,7 @@ def blocky(rng, cells: int = 12, blocks: int = 2, height: float = 0.12) -> np.nd
 
 
 def successor_arrays(world, state, rules: Rules | None = None):
-    """What the kernel writes for a state: packed states, costs and action codes."""
+    """Kernel output for a state: packed states, costs and action codes."""
     keys, costs = np.empty(MAX_SUCCESSORS, np.int64), np.empty(MAX_SUCCESSORS)
     actions = np.empty(MAX_SUCCESSORS, np.uint8)
     key = int(pack_states(state, world.tables.lowest)[0])
@@ -103,7 +103,7 @@ def successor_arrays(world, state, rules: Rules | None = None):
 
 
 def kernel_successors(world, state, rules: Rules | None = None) -> dict:
-    """{(action, state): cost} as the kernel sees it, in the words of `tests.naive`."""
+    """Kernel output as {(action, state): cost}, in the notation of `tests.naive`."""
     keys, costs, actions = successor_arrays(world, state, rules)
     states = unpack_states(keys, world.tables.lowest)
     found = {
@@ -115,7 +115,7 @@ def kernel_successors(world, state, rules: Rules | None = None) -> dict:
 
 
 def action_tuple(code: int) -> tuple:
-    """An action code in the words of `tests.naive`."""
+    """An action code in the notation of `tests.naive`."""
     if code < TURN_LEFT:
         return "drive", *DRIVE_MOVES[code].tolist()
     if code < FOOT_MOVE:
@@ -128,7 +128,7 @@ def action_tuple(code: int) -> tuple:
 
 
 def valid_states(twin, rng, count: int, neutral: bool = True, headings=range(64)) -> list[tuple]:
-    """Random valid states, with neutral feet or any; fewer if the terrain has hardly any."""
+    """Random valid states, with neutral or arbitrary feet; fewer than ``count`` if the terrain has few valid states."""
     low, high = twin.robot.offset_range()
     found = []
     for _ in range(60 * count):
@@ -143,25 +143,25 @@ def valid_states(twin, rng, count: int, neutral: bool = True, headings=range(64)
 
 
 def near_edges(twin, states: list[tuple]) -> list[tuple]:
-    """Those of the states in which some foot can step."""
+    """States in which at least one foot can step."""
     return [state for state in states if twin.any_foot_can_step(state)]
 
 
-#: Tests of one category share its tasks, so they run in one process.
+#: All tests of one category run in one process and share its tasks.
 by_category = pytest.mark.parametrize(
     "category", [pytest.param(name, marks=pytest.mark.xdist_group(f"search {name}")) for name in CATEGORIES]
 )
 
 
 class Task(NamedTuple):
-    """A search task with what plain Dijkstra says of it."""
+    """A search task with the solution found by plain Dijkstra."""
 
     world: World
     twin: Naive
     start: tuple
     goal: tuple
     cost: float  # the least
-    way: list  # actions that cost the least
+    way: list  # cheapest actions
 
     @property
     def stepping(self) -> bool:
@@ -169,7 +169,7 @@ class Task(NamedTuple):
 
     @property
     def off_neutral(self) -> bool:
-        """Whether some foot is off its neutral position at the start or at the goal."""
+        """Whether any foot is off its neutral position at the start or the goal."""
         return any(self.start[3:] + self.goal[3:])
 
 
@@ -178,7 +178,7 @@ TASKS_PER_CATEGORY = 70  # at least
 
 @cache
 def search_tasks(category: str) -> tuple[Task, ...]:
-    """Random tasks on small maps of a category; those of one start share a run of Dijkstra, a world and a twin."""
+    """Random tasks on small maps of a category; tasks with one start share a Dijkstra run, a world and a twin."""
     found, stepping = [], 0
     for index in itertools.count():
         if len(found) >= TASKS_PER_CATEGORY and stepping >= 20:
@@ -205,7 +205,7 @@ def search_tasks(category: str) -> tuple[Task, ...]:
 
 
 def whole_graph(twin: Naive, start: tuple) -> dict:
-    """Everything that can be reached from a state: {state: [(state reached, cost)]}."""
+    """All states reachable from a state: {state: [(reached state, cost)]}."""
     graph, missing = {}, [start]
     while missing:
         state = missing.pop()
@@ -216,7 +216,7 @@ def whole_graph(twin: Naive, start: tuple) -> dict:
 
 
 def costs_to_go(graph: dict, goal: tuple) -> dict:
-    """Least cost from each state of a graph that leads to the goal: Dijkstra, backward."""
+    """Least cost to the goal from each state in a graph with a path to it: backward Dijkstra."""
     back = {}
     for state, edges in graph.items():
         for reached, cost in edges:

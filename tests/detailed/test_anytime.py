@@ -1,4 +1,4 @@
-"""Anytime repair: better and better plans, bounds that hold, and how it ends."""
+"""Anytime repair: plans that improve, valid bounds, and the end of a search."""
 
 import math
 from itertools import pairwise
@@ -19,7 +19,7 @@ from tests.detailed.test_refine import with_bar
 from tests.naive import Naive, dijkstra
 
 NIMBLE = toy(step={"cost": 0.004, "cost_per_metre": 0.31, "cost_per_height": 0.05}, base_shift={"cost_per_metre": 1.2})
-#: Costs of quite another order each.
+#: Turns, foot moves and base shifts are far cheaper than with the other robots, and steps have no fixed cost.
 ODD = toy(
     turn={"cost": 0.004}, foot_move={"cost_per_metre": 0.05}, base_shift={"cost_per_metre": 0.07, "backward": False},
     step={"cost": 0.0, "backward": False},
@@ -29,7 +29,7 @@ WEIGHTS = 3.0, 2.0, 1.5, 1.25, 1.0
 
 @pytest.fixture(scope="module")
 def tasks():
-    """Random tasks [(world, twin, start, goal, least cost)] with what plain Dijkstra says of them."""
+    """Random tasks [(world, twin, start, goal, least cost)] with least costs from plain Dijkstra."""
     found = []
     for seed in range(30):
         rng = np.random.default_rng(seed)
@@ -65,7 +65,7 @@ def improvements(task, guided=False, weights=WEIGHTS, **options):
 @pytest.mark.parametrize("guided", [False, True], ids=["admissible", "exaggerated"])
 @pytest.mark.parametrize("steps", [20_000, 30], ids=["rounds", "slices"])
 def test_bounds_hold_costs_never_rise_and_the_last_plan_is_optimal(tasks, monkeypatch, guided, steps):
-    monkeypatch.setattr(solving, "_SLICE", steps)  # looks for better plans that often
+    monkeypatch.setattr(solving, "_SLICE", steps)  # expansions between two checks for better plans
     assert len(tasks) >= 60
     first_was_worse = 0
     for task in tasks:
@@ -102,7 +102,7 @@ def test_limits_end_the_search_with_the_best_plan_so_far(tasks):
     task = max(tasks, key=lambda task: task[4])
     needed = improvements(task)
     assert needed[0].result.expansions < needed[-1].result.expansions
-    enough = needed[0].result.expansions + 1  # for the first plan, not for the best
+    enough = needed[0].result.expansions + 1  # enough for the first plan, too few for the best plan
     (*_, last) = improvements(task, limits=Limits(expansions=enough))
     assert last.ended == Status.EXPANSION_LIMIT and last.result.status == [Status.SOLVED]
     assert last.result.expansions == enough and 0 < last.lower_bound <= task[4] * (1 + 1e-6)
@@ -144,7 +144,7 @@ def test_all_memory_counts_also_that_into_which_the_store_is_copied(monkeypatch)
     most = 0
     short = solve(world, start, goal, estimate, limits=Limits(memory=needed - 1))
     assert short.status == [Status.MEMORY_LIMIT]
-    assert needed / 2 < most < needed  # it grows as far as it may
+    assert needed / 2 < most < needed  # the search uses the memory that the limit allows
     assert solve(world, start, goal, estimate, limits=Limits(memory=1000)).status == [Status.MEMORY_LIMIT]
 
 
@@ -167,7 +167,7 @@ def planner(rough):
 
 
 class Dear(FlatCosts):
-    """Abstract costs far too high."""
+    """Abstract costs that are far too high."""
 
     def edges(self, height_map, region=None, mask=None):
         return super().edges(height_map, region, mask) * 5
@@ -279,7 +279,7 @@ def test_it_may_be_left_at_any_time_and_does_not_disturb_other_queries(planner):
 
 
 def test_steps_that_cannot_be_carried_out_are_refused_and_the_rounds_go_on(planner, monkeypatch):
-    """Whatever the first two plans are, they are said to fail at their first action."""
+    """The test lets the first two plans fail at their first action."""
     refused = []
 
     def refuses(plan, banned, words):

@@ -1,4 +1,4 @@
-"""The estimates of the search kernels against true costs."""
+"""Estimates in the search kernels against true costs."""
 
 import heapq
 
@@ -25,7 +25,7 @@ costs = st.floats(0.01, 3.0)
 
 @st.composite
 def robots(draw):
-    """Toy robots with all costs drawn."""
+    """Toy robots with random costs."""
     ahead = draw(st.floats(0.3, 2.0))
     return toy(
         drive={
@@ -159,7 +159,7 @@ def test_relaxed_distances_equal_a_plain_dijkstra(robot, seed, factor):
 
 
 def plain_relaxed_distances(twin, start, follow):
-    """{(layer, x, y, heading): cost} from the words of `hdsp.detailed.relaxed.relaxed`."""
+    """{(layer, x, y, heading): cost} according to the documentation of `hdsp.detailed.relaxed.relaxed`."""
     low, high = twin.robot.offset_range()
     price = twin.robot.base_shift.cost_per_metre * 0.025
     ways = (1, -1) if twin.robot.base_shift.backward else (1,)

@@ -54,7 +54,7 @@ def test_turned_feet_are_in_the_cell_nearest_to_their_circle(robot):
 
 @pytest.mark.parametrize("cells_of", [foot_cells, contact_cells])
 def test_quarter_turned_feet_are_in_quarter_turned_cells(robot, cells_of):
-    # The samples of the moves turn too: row s of the table belongs to a displacement, which has its turned twin.
+    # The move samples rotate too: row s in the table belongs to a displacement; ``turned`` has the rotated one's row.
     table, quarter = cells_of(robot), rotation(math.pi / 2)
     at = MOVE_SAMPLES.displacement
     turned = [int(np.abs(at - shift).sum(axis=1).argmin()) for shift in at @ quarter.T]

@@ -1,4 +1,4 @@
-"""Multi-heuristic A*: its bound holds whatever the guides say, and how it ends."""
+"""Multi-heuristic A*: its bound holds for arbitrary guides, and searches end with the right status."""
 
 from collections import Counter
 from functools import cache
@@ -23,12 +23,12 @@ from hdsp.terrain.scenes import CATEGORIES
 from tests.detailed.instances import NIMBLE, TASKS_PER_CATEGORY, action_tuple, by_category, search_tasks, valid_states
 from tests.naive_multi import shared_mha
 
-#: Least costs are those of a search in double precision, bounds hold up to what single precision may add.
+#: Least costs come from a search in double precision; bounds hold up to rounding errors of single precision.
 ROUNDED = 1 + 1e-6
 
 
 def informed(task):
-    """Costs to go of the relaxed problem: nearly exact."""
+    """Costs-to-go in the relaxed problem: nearly exact."""
     start, goal = np.array(task.start), np.array(task.goal)
     rules, limit = Rules(), 2 * task.cost + 1
     relaxed = explore(task.world, rules, start, limit)
@@ -37,20 +37,20 @@ def informed(task):
 
 
 def exaggerated(task):
-    """Far too much, and not consistent."""
+    """Far too high, and inconsistent."""
     e, rng = anchor_of(task), np.random.default_rng(0)
     return with_table(e._replace(distance=4 * e.distance, foot=3 * e.foot), rng.uniform(0, 1, (16, 4, 4)), 0.0)
 
 
 def random_or_nothing(task):
-    """Random numbers, with a third of the states cut off."""
+    """Random numbers; a third of the states is cut off."""
     rng = np.random.default_rng(1)
     table = np.where(rng.random((64, 14, 14)) < 0.33, np.inf, rng.uniform(0, 2 * task.cost, (64, 14, 14)))
     return with_table(anchor_of(task), table, np.inf)
 
 
 def astray(task):
-    """Leads away from the goal: the farther from it, the less to go."""
+    """Leads away from the goal: estimates fall with the distance to it."""
     e = anchor_of(task)
     ix, iy = np.indices((14, 14))
     away = np.hypot(ix - task.goal[0], iy - task.goal[1])
@@ -58,7 +58,7 @@ def astray(task):
 
 
 def all_cut_off(task):
-    """Calls every state hopeless."""
+    """Cuts off every state."""
     return with_table(anchor_of(task), np.full((1, 1, 1), np.inf), np.inf)
 
 
@@ -89,14 +89,14 @@ def found(task, guides, w1, w2, **options):
 
 
 def assert_within_bound(task, result, w1, w2):
-    """That the plan costs no more than it says, says no more than promised, and that nothing is promised wrongly."""
+    """Asserts a correct plan cost, a cost within the promised bound, and no wrong bound."""
     assert result.status == [Status.SOLVED]
     cost = result.cost[0]
     assert task.cost <= cost * ROUNDED + 1e-9
     assert 1 <= result.bound <= w1 * w2
     assert cost <= result.bound * task.cost * ROUNDED + 1e-9
     assert result.lower_bound <= task.cost * (1 + 1e-12) + 1e-12
-    # Nothing but rounding separates the bound from the two costs that prove it.
+    # The bound differs from the ratio of the two costs by rounding only.
     slack = 1 + 6 * rounding(task.world) * cost
     assert cost <= result.bound * result.lower_bound * slack + 1e-9
     assert sum(result.expansions_by) == result.expansions
@@ -118,7 +118,7 @@ def test_the_bound_holds_whatever_the_guides_say(category):
 
 @pytest.mark.xdist_group("search cuboid_wall")
 def test_good_guides_help_and_wrong_ones_cost_something():
-    """Else nothing would be shown by bounds that hold."""
+    """Otherwise valid bounds would prove nothing about guides."""
     spent, worse = Counter(), Counter()
     for task in search_tasks("cuboid_wall"):
         for guide in (informed, exaggerated, all_cut_off):
@@ -151,7 +151,7 @@ def test_plans_are_legal_and_as_dear_as_the_textbook_says(category):
 
 @by_category
 def test_the_textbook_search_does_no_better(category):
-    """Both keep the bound; the departures from the textbook never cost much, and help where guides are held back."""
+    """Both keep the bound; the kernel's deviations from the textbook cost little, and help if guides are held back."""
     expansions = Counter()
     for task in search_tasks(category)[::10]:
         anchor, guide = anchor_of(task), exaggerated(task)
@@ -177,7 +177,7 @@ def test_the_bound_holds_for_any_weights(data, w1, w2):
 
 @pytest.mark.xdist_group("search cuboid_wall")
 def test_a_guide_alone_would_break_the_bound():
-    """Else it would not be the anchor that keeps it."""
+    """Otherwise the anchor would not be the reason for the bound."""
     broken = 0
     for task in search_tasks("cuboid_wall"):
         ends = np.array(task.start), np.array(task.goal)
@@ -222,7 +222,7 @@ def test_an_expansion_limit_ends_with_its_own_status_and_what_is_proved(dear_tas
 
 @pytest.fixture(scope="module")
 def long_way():
-    """A world, a start, a goal, its anchor, and a guide that says nothing, so that states are many."""
+    """A world, a start, a goal, its anchor, and an uninformative guide, which makes the search large."""
     world = build_world(HeightMap.flat((80, 80)), NIMBLE)
     start, goal = np.array((20, 20, 0, 0, 0, 0, 0)), np.array((60, 60, 16, 0, 0, 0, 0))
     anchor = geometric_estimate(world, goal)
@@ -231,7 +231,7 @@ def long_way():
 
 @pytest.fixture(scope="module")
 def free(long_way):
-    """What comes out without limits."""
+    """Result without limits."""
     result = solve_multi(*long_way, anchor_weight=1.1)
     assert result.status == [Status.SOLVED] and result.expansions > multi._SLICE
     return result
@@ -241,7 +241,7 @@ def free(long_way):
 def test_no_search_holds_more_memory_than_its_limit(long_way, free, share):
     limit = int(share * free.memory)
     result = solve_multi(*long_way, anchor_weight=1.1, limits=Limits(memory=limit))
-    # With just what it holds at the end, there is no room for the last copy into something larger.
+    # A limit equal to the final memory leaves no space for the last copy into larger arrays.
     assert result.status == [Status.MEMORY_LIMIT if share <= 1 else Status.SOLVED]
     assert result.memory <= limit or result.expansions == 0
     assert 0 < result.open_memory < result.memory
@@ -307,7 +307,7 @@ def rough():
 
 
 class Changed(FlatCosts):
-    """Abstract costs that were multiplied; inf cuts everything off."""
+    """Abstract costs multiplied by a factor; inf cuts everything off."""
 
     factor = 5.0
 

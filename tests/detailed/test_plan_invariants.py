@@ -1,4 +1,4 @@
-"""What holds for every plan that a search returns, whatever the robot, the terrain, the goal and the weight."""
+"""Properties of every plan from a search, for any robot, terrain, goal and weight."""
 
 import math
 from collections import Counter
@@ -114,13 +114,13 @@ def assert_legal(twin, start, goal, result):
 
 
 def assert_driven(twin, state, reached, action):
-    """Feet roll along straight lines and over no edge, also between the points at which the cost is read."""
+    """Feet roll along straight lines and over no edge, also between the points that determine the cost."""
     assert reached[2:] == state[2:] and action[1:] == (reached[0] - state[0], reached[1] - state[1])
     for t in np.linspace(0, 1, 9):
         for foot in range(4):
             dx, dy = twin.foot_cell(state[2], foot, state[3 + foot], t * action[1], t * action[2])
             cell = state[0] + dx, state[1] + dy
-            # Without clearance, a foot may cut the corner of a cell between two of these points.
+            # Without clearance, a foot may cut a cell's corner between two of these points.
             if twin.robot.feet.clearance > 0:
                 assert twin.inside(cell) and not twin.edge(cell), f"the foot at {cell} rolls over an edge"
 
@@ -140,7 +140,7 @@ def assert_turned(twin, state, reached, action):
 
 
 def assert_one_foot_moved(twin, state, reached, action):
-    """Base and other feet rest; the foot goes as far as the action says."""
+    """Base and other feet stay; the foot moves by the action's length."""
     foot, length = action[1:]
     assert reached[:3] == state[:3]
     assert [b - a for a, b in zip(state[3:], reached[3:], strict=True)] == [
@@ -149,7 +149,7 @@ def assert_one_foot_moved(twin, state, reached, action):
 
 
 def assert_shifted(twin, state, reached, action):
-    """The feet rest while the base goes on: no foot leaves its place by more than rounding."""
+    """The feet stay while the base moves: each foot moves by rounding errors at most."""
     assert reached[2] == state[2] and len({b - a for a, b in zip(state[3:], reached[3:], strict=True)}) == 1
     for foot in range(4):
         assert np.abs(np.subtract(twin.foothold(state, foot), twin.foothold(reached, foot))).max() <= 1
@@ -165,7 +165,7 @@ MOTIONS = {
 
 
 def assert_base_passes(twin, state, reached):
-    """The base centre goes over nothing that would hit the body."""
+    """The base centre passes over nothing high enough to hit the body."""
     highest = min(float(twin.height(at[:2])) for at in (state, reached)) + max(b.above for b in twin.robot.body.boxes)
     for t in np.linspace(0, 1, 9):
         cell = tuple(np.rint(np.add(state[:2], t * np.subtract(reached[:2], state[:2]))).astype(int).tolist())
@@ -175,7 +175,7 @@ def assert_base_passes(twin, state, reached):
 @property_test
 @given(robots, st.integers(4, 11), st.integers(1, 3), st.integers(0, 6), st.integers(0, 1000), st.booleans())
 def test_nobody_gets_through_a_wall(robot, at, thick, gap, seed, diagonal):
-    """A wall across the map, straight or as a staircase of cells, with a gap of some cells at one end."""
+    """A wall across the map, straight or diagonal in steps of a cell, with a gap of some cells at one end."""
     heights = np.zeros((18, 18), dtype=np.float32)
     x, y = np.indices(heights.shape)
     along = x - (y - 9) if diagonal else x
@@ -199,7 +199,7 @@ def test_nobody_gets_through_a_wall(robot, at, thick, gap, seed, diagonal):
 @property_test
 @given(robots, terrains, st.integers(0, 1000), st.sampled_from(["cost", "expansions", "memory", None]))
 def test_statuses_are_honest(robot, heights, seed, limit):
-    """Each search ends as plain Dijkstra or the limit says."""
+    """Each search ends in agreement with plain Dijkstra or its limit."""
     rng = np.random.default_rng(seed)
     twin, world = Naive(heights, robot), build_world(HeightMap(heights), robot)
     start, goal = ((*base, int(rng.integers(64)), 0, 0, 0, 0) for base in rng.integers(0, 16, (2, 2)).tolist())

@@ -1,4 +1,4 @@
-"""Proofs that a goal cannot be reached: never of what can be, and of what should be."""
+"""Proofs of unreachable goals: found where expected, and never for a reachable goal."""
 
 import time
 
@@ -57,7 +57,7 @@ def world_heights(world):
 
 
 def walled(opening: float, height: float, cells: int = 160) -> HeightMap:
-    """A floor with a wall across its middle that has an opening of some width (m)."""
+    """A floor with a wall across its middle; the wall has an opening of a given width (m)."""
     heights = np.zeros((cells, cells), np.float32)
     wide = round(opening / 0.025)
     heights[78:82] = height
@@ -74,7 +74,7 @@ def test_a_door_that_is_too_narrow_is_named_with_what_the_body_hits():
     proof = why_unreachable(world, start, goal)
     assert proof.proof == POSE and proof.foot == -1
     assert proof.from_start[0] < 78 < 82 <= proof.from_goal[0]
-    assert 55 <= proof.from_start[1] <= 85  # in front of the door, not somewhere along the wall
+    assert 55 <= proof.from_start[1] <= 85  # in front of the door, not elsewhere along the wall
     assert len(proof.blocked) == proof.from_goal[0] - proof.from_start[0] - 1
     assert len(proof.body_hits) and (world_heights(world)[tuple(proof.body_hits.T)] == 1).all()
 

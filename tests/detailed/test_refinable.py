@@ -1,4 +1,4 @@
-"""Plans whose steps cannot be carried out are reported and planned again without these steps."""
+"""Steps without a motion are reported, and the planner plans again without them."""
 
 import pytest
 
@@ -25,7 +25,7 @@ def steps_of(plan):
 
 
 def refusing(refused_steps, monkeypatch):
-    """Lets refinement refuse certain steps, and counts how often it was asked."""
+    """Makes refinement refuse certain steps; returns its calls."""
     refine, asked = hdsp.planning.plans.refine, []
 
     def strict(terrain, robot, states, actions):

@@ -1,4 +1,4 @@
-"""Motions of plans: what comes out can be carried out, and the check finds what could not."""
+"""Motions made from plans are feasible, and the check finds infeasible ones."""
 
 import dataclasses
 
@@ -60,7 +60,7 @@ def test_nothing_jumps(motion):
     assert abs(np.diff(motion.base[:, :3], axis=0)).max() <= 0.026
     assert abs(np.diff(motion.base[:, 3:], axis=0)).max() <= 0.11  # a heading step
     moved = np.linalg.norm(np.diff(motion.feet, axis=0), axis=2)
-    assert moved.max() <= 0.1  # what a foot does while the robot turns by a heading step, at most
+    assert moved.max() <= 0.1  # the largest foot movement while the robot turns by a heading step
 
 
 def test_a_step_lifts_one_foot_over_the_bar(plan, motion):

@@ -1,4 +1,4 @@
-"""What the search finds, compared with plain Dijkstra on random small maps of all categories."""
+"""Search results, compared with plain Dijkstra on random small maps of all categories."""
 
 from collections import Counter
 from itertools import pairwise
@@ -75,7 +75,7 @@ def test_a_search_that_expands_no_state_twice_stays_within_its_bound_too(categor
 
 
 def exhausted(category):
-    """Small worlds of a category with all that can be reached from a start: [(world, twin, rules, start, graph)]."""
+    """Small worlds from a category with all states reachable from a start: [(world, twin, rules, start, graph)]."""
     found = []
     for index in range(40):
         rng = np.random.default_rng([9, CATEGORIES.index(category), index])
@@ -93,12 +93,12 @@ def exhausted(category):
 
 
 def inconsistent(world, to_go, rng):
-    """Estimate made of the exact costs to go of half of the poses, and of nothing or random shares of the others'."""
+    """An inconsistent estimate: exact costs-to-go for about half the poses, otherwise zero or a random share."""
     table = np.full((2, 64, world.nx, world.ny), np.inf, dtype=np.float32)
     for (ix, iy, heading, *feet), cost in to_go.items():
         entry = int(any(feet)), heading, ix, iy
         table[entry] = min(table[entry], np.float32(cost) * np.float32(0.99999))
-    known = np.isfinite(table)  # nothing is said of what cannot get to the goal
+    known = np.isfinite(table)  # states without a path to the goal keep no estimate
     shares = np.where(rng.random(table.shape) < 0.5, 1, rng.random(table.shape) * rng.integers(2, size=table.shape))
     table[known] *= shares[known].astype(np.float32)
     return pose_estimate(world, table, 0.0, np.zeros((1, 4)))._replace(foot=0.0, outside=0.0)
@@ -167,7 +167,7 @@ def test_many_goals_in_one_search_end_as_they_do_alone(category):
 
 @pytest.fixture(scope="module")
 def dear_task():
-    """World, start, goal and least cost of a task that takes some expansions."""
+    """World, start, goal and least cost for a task with several expansions."""
     tasks = search_tasks("cuboid_wall")
     return max(tasks, key=lambda task: task.cost)
 
@@ -203,7 +203,7 @@ def test_an_expansion_limit_ends_with_its_own_status(dear_task):
 
 @pytest.fixture(scope="module")
 def long_way():
-    """A world, a start and a goal whose search takes more than 0.6 MB and more than one look at the clock."""
+    """A world, a start and a goal with a search that takes more than 0.6 MB and more than one check of the clock."""
     return build_world(HeightMap.flat((120, 120)), NIMBLE), (20, 20, 0, 0, 0, 0, 0), (100, 100, 32, 0, 0, 0, 0)
 
 

@@ -1,4 +1,4 @@
-"""Two hundred plans up and down random staircases: every one can be carried out."""
+"""Two hundred plans up and down random staircases; every plan becomes a motion."""
 
 import math
 
@@ -15,7 +15,8 @@ AHEAD = 1.1  # m, to the first riser
 def staircase(rng):
     """A staircase along x, and the poses below and above it.
 
-    Treads begin at 0.3 m: on narrower ones two risers of more than 0.15 m are under the body, which they touch.
+    Treads are at least 0.3 m long. On shorter treads, two risers with more than 0.15 m together are under the body and
+    touch it.
     """
     steps, rise, tread = int(rng.integers(2, 5)), rng.uniform(0.15, 0.25), rng.uniform(0.3, 0.35)
     top = AHEAD + (steps - 1) * tread
@@ -39,7 +40,7 @@ def test_plans_on_staircases_can_be_carried_out(group):
             start = (x, y + rng.uniform(-0.05, 0.05), theta + rng.uniform(-0.1, 0.1))
             plan = planner.plan(start, goal, weight=2, refinable=True, expansions=150_000)
             if not plan.solved or done == PLANS // GROUPS:
-                break  # some staircases need longer searches; this is about the motions
+                break  # some staircases need longer searches, but the test is about motions
             done += 1
             motion = plan.refine()
             assert sum(action.startswith("step ") for action in plan.actions) >= 8

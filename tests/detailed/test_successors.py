@@ -23,7 +23,7 @@ from tests.naive import Naive
 
 
 def assert_same_successors(world, twin, state, rules=None):
-    """The kernel and the twin agree on a state; returns the kinds of action it allows."""
+    """Asserts that kernel and twin agree on a state; returns the kinds of its actions."""
     found = kernel_successors(world, state, rules)
     expected = {(action, reached): cost for action, reached, cost in twin.successors(state)}
     assert set(found) == set(expected), f"at {state}"

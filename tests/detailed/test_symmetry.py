@@ -1,4 +1,4 @@
-"""Mirrored and quarter-turned worlds cost what the original costs: actions, feet, plans and labels."""
+"""Mirrored and quarter-turned worlds have the original's costs: actions, feet, plans and labels."""
 
 from collections import Counter
 
@@ -61,11 +61,11 @@ def mirrored(heights):
 
 
 def quarter_turned(heights):
-    """heights[x, y] goes to [ny - 1 - y, x]: counter-clockwise."""
+    """Rotates counter-clockwise: heights[x, y] goes to [ny - 1 - y, x]."""
     return np.ascontiguousarray(heights[:, ::-1].T)
 
 
-#: Ways to look at a world: of its heights, of a state (given the cells along y), and of an action.
+#: Symmetries: functions for heights, for a state (given the number of cells along y), and for an action.
 VIEWS = [(mirrored, mirrored_state, mirrored_action), (quarter_turned, quarter_turned_state, quarter_turned_action)]
 
 
@@ -117,7 +117,7 @@ def test_feet_of_mirrored_and_turned_abstract_states(category, robot):
 
 
 def assert_same_labels(first, second, actions):
-    """Action m of the first map is action ``actions(m)`` of the second."""
+    """Action m on the first map is action ``actions(m)`` on the second."""
     order = [ACTIONS.index(actions(*action)) for action in ACTIONS]
     assert (first.feasible == second.feasible[order]).all()
     np.testing.assert_allclose(first.cost, second.cost[order], rtol=1e-5, atol=1e-6)

@@ -1,4 +1,4 @@
-"""Worlds after a change of the map: those of the changed map, to the last bit."""
+"""An updated world equals the world built from the changed map, to the last bit."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Tasks with labels by a rule simple enough for a network to learn in seconds."""
+"""Tasks with labels from a rule that a network learns in seconds."""
 
 import numpy as np
 
@@ -7,8 +7,10 @@ from hdsp.robot.lattice import N_ABSTRACT_ACTIONS, PATCH_CELLS, PATCH_CENTER, ro
 
 
 def synthetic_tasks(maps: int, seed: int = 0) -> TaskSet:
-    """Flat maps with one block beside the robot; whatever leads towards the block is infeasible, all else costs as much
-    as it is long."""
+    """Flat maps with one block beside the robot.
+
+    Goals towards the block are infeasible; all other costs are proportional to the distance.
+    """
     random = np.random.default_rng(seed)
     heights = np.zeros((maps, PATCH_CELLS, PATCH_CELLS), np.float32)
     goals = np.stack([robot_frame_goals(int(random.integers(4))) for _ in range(maps)])
@@ -35,7 +37,7 @@ def synthetic_tasks(maps: int, seed: int = 0) -> TaskSet:
     )
 
 
-#: Widths that train in a fraction of a second.
+#: A network that trains in a fraction of a second.
 TINY_MODEL = {
     "architecture": "compact",
     "encoding": {"reference": "base", "channels": ["height", "edge"]},

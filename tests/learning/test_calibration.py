@@ -1,4 +1,4 @@
-"""Calibration: against the textbook, on data whose truth is known, and as part of an abstraction."""
+"""Calibration: against textbook code, on data with known truth, and as part of an abstraction."""
 
 import math
 from itertools import pairwise
@@ -27,7 +27,7 @@ TASKS = st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size
 
 
 def naive_error(tasks, bins):
-    """The expected calibration error, bin by bin, as it is written."""
+    """The expected calibration error by its definition, bin by bin."""
     error = 0.0
     for k in range(bins):
         inside = [(p, y) for p, y in tasks if k <= p * bins < k + 1 or (k == bins - 1 and p == 1)]
@@ -39,7 +39,7 @@ def naive_error(tasks, bins):
 
 
 def naive_quantile(residuals, level):
-    """The order statistic, found by counting."""
+    """The order statistic by counting."""
     n = len(residuals)
     for bound in sorted(residuals):
         below = sum(r <= bound for r in residuals)
@@ -99,7 +99,7 @@ def test_the_conformal_quantile_is_the_order_statistic_of_the_textbook(residuals
 def test_conformal_bounds_cover_as_they_promise(level, seed):
     rng = np.random.default_rng(seed)
     covered = []
-    for _ in range(400):  # the promise is a mean over draws of the calibration set
+    for _ in range(400):  # the guarantee is a mean over random calibration sets
         residuals = rng.exponential(size=60) - 0.5
         covered.append((rng.exponential(size=200) - 0.5 <= conformal_quantile(residuals, level)).mean())
     promised = math.floor(level * 61 + 1e-9) / 61 if level < 0.5 else math.ceil(level * 61 - 1e-9) / 61
@@ -107,7 +107,7 @@ def test_conformal_bounds_cover_as_they_promise(level, seed):
 
 
 def noisy_costs(seed, n=20_000):
-    """Tasks whose errors grow with how much dearer they are than on flat ground."""
+    """Tasks with errors that grow with the cost relative to flat ground."""
     rng = np.random.default_rng(seed)
     flat = rng.uniform(0.1, 0.6, n)
     cost = flat * rng.choice([1.0, 1.2, 1.6, 2.5], n) * rng.uniform(0.98, 1.02, n)

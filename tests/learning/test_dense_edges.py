@@ -29,7 +29,7 @@ def padded_network():
 
 @pytest.fixture(scope="module")
 def terrain():
-    return rough_map((110, 78), seed=0)  # several tiles at all headings, and cells left over at the upper borders
+    return rough_map((110, 78), seed=0)  # several tiles at all headings, and remaining cells at the upper borders
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_a_padded_network_is_evaluated_exactly_unless_asked_otherwise(padded_net
 
 
 def test_dense_evaluation_of_a_padded_trunk_is_that_of_a_wider_one(padded_network):
-    """Away from the rim of a patch its features are the same; the rest differs by what the zeros stood for."""
+    """Features agree away from the patch's rim; the others differ because of the padding with zeros."""
     network = padded_network.network
     trunk = network.dense_trunk()
     heights = torch.rand(1, 1, 80, 80, generator=torch.Generator().manual_seed(0))
@@ -94,7 +94,7 @@ def test_only_affected_states_change(network, method, request):
     changed = np.zeros(before.shape, bool)
     changed[10:13, 70:74] = True
     affected = costs.affected(changed)
-    # Which patches see a changed cell: asked of the patches themselves.
+    # The patches themselves tell whether they contain a changed cell.
     states = np.argwhere(np.ones_like(affected))
     for k in range(16):
         bases = abstract_anchor(states[states[:, 0] == k][:, [1, 2, 0]])[:, :2]
@@ -115,7 +115,7 @@ def test_a_network_that_cannot_be_evaluated_densely_says_so():
 
 @pytest.mark.parametrize("heading", range(16))
 def test_patches_of_a_turned_map(heading):
-    """At quarter turns they are those cut at the base; at others the base is off by at most half a cell."""
+    """At quarter turns they equal the patches cut at the base; otherwise the base is off by at most half a cell."""
     terrain = rough_map((90, 100), seed=0)
     bases = np.array([(46, 50), (2, 2), (86, 98), (40, 10)])
     turned = TurnedMap(terrain.heights, heading)

@@ -1,4 +1,4 @@
-"""Heights as networks see them."""
+"""Heights as input of a network."""
 
 import math
 
@@ -95,7 +95,7 @@ def test_unevenness_is_that_of_the_cost_model():
     encoding = HeightEncoding(unknown=None, channels=("height", "unevenness"))
     expected = cost_maps(HeightMap(heights), Robot.load("momaro")).unevenness
     encoded = encoding(torch.from_numpy(heights)[None, None])[0, 1]
-    inner = slice(13, 72 - 13)  # beyond the rim the two know different things
+    inner = slice(13, 72 - 13)  # near the rim, the two methods assume different neighbours
     np.testing.assert_allclose(encoded[inner, inner].expm1(), expected[inner, inner], rtol=1e-4)
     assert encoding.unevenness_radius == round(cells(Robot.load("momaro").drive.unevenness_radius))
     assert encoding.radius("unevenness") == 12

@@ -1,4 +1,4 @@
-"""The network that judges footprints."""
+"""The network that evaluates footprints."""
 
 import math
 
@@ -54,15 +54,17 @@ def test_the_rim_of_a_patch_has_no_part_in_it(network, patches):
 
 
 def test_a_turn_to_the_other_side_is_the_mirrored_turn_of_a_mirrored_network(network, patches):
-    """The turned footprints are those of the mirrored map under mirrored taps: checked by a network whose weights are
-    symmetric in y."""
+    """Rotated footprints equal the opposite ones on the mirrored map with mirrored taps.
+
+    The test uses a network with weights that are symmetric in y.
+    """
     symmetric = build_network(model_file("footprint")).eval()
     symmetric.load_state_dict(network.state_dict())
     with torch.no_grad():
         layers = [*symmetric.near, *symmetric.local, symmetric.of_local]
         for kernel in (layer.weight for layer in layers if hasattr(layer, "weight")):
             kernel.copy_((kernel + kernel.flip(-1)) / 2)
-        # The channel slope_y changes its sign in a mirror.
+        # Mirroring changes the sign of channel slope_y.
         names = [symmetric.encoding.channels[i] for i in symmetric.trunk_channels]
         symmetric.near[0].weight[:, names.index("slope_y")] = 0
         of_taps, of_feet = symmetric.of_ground.weight.split([189, STANCE_FEATURES], dim=1)

@@ -1,4 +1,4 @@
-"""Abstract costs of whole maps."""
+"""Abstract costs for whole maps."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def costs():
     torch.manual_seed(2)
     model = settings_from(ModelSettings, TINY_MODEL, "model")
     network = build_network(model)
-    # A random network of one opinion would leave half of the code untried.
+    # A random network with constant predictions would leave half the code untested.
     with torch.no_grad():
         network.heads.weight[1] *= 20
     return LearnedCosts(LearnedAbstraction(network, model, hardware=HardwareSettings("cpu", "32")))

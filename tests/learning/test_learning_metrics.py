@@ -1,4 +1,4 @@
-"""The two numbers of the paper, and the two losses."""
+"""The paper's two metrics, and the two losses."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Rules for loss weights against slow, obvious simulations."""
+"""Rules for loss weights against slow, simple simulations."""
 
 from itertools import pairwise
 
@@ -10,8 +10,11 @@ from hdsp.learning.callbacks import LOSSES, PlateauLossWeights, PublishedLossWei
 
 
 def plateau_cuts(losses, patience):
-    """Epochs at which the paper's rule cuts: no value of the last ``patience`` epochs, counted from the cut before, is
-    below all values seen earlier."""
+    """Epochs at which the paper's rule cuts.
+
+    The rule cuts if no value of the last ``patience`` epochs is below all earlier values. It counts epochs from the
+    previous cut.
+    """
     cuts, since = [], 0
     for now in range(len(losses)):
         window = range(max(since, now - patience + 1), now + 1)
@@ -23,7 +26,10 @@ def plateau_cuts(losses, patience):
 
 
 def published_cuts(feasibility, cost, patience):
-    """Epochs at which the script's rule cuts each weight: histories as plain lists, emptied as the script does."""
+    """Epochs at which the published script's rule cuts each weight.
+
+    Histories are plain lists, which the rule clears like the script.
+    """
     histories, cuts = {"feasibility": [], "cost": []}, {"feasibility": [], "cost": []}
     for now, values in enumerate(zip(feasibility, cost, strict=True)):
         to_cut = []
@@ -50,7 +56,7 @@ def run(rule, feasibility, cost):
 
 def random_losses(seed):
     random = np.random.default_rng(seed)
-    # Few distinct values, so that ties occur.
+    # Few distinct values give ties.
     return (np.round(20 * (random.random((2, 120)) + 1 / np.arange(1, 121))) / 20).tolist()
 
 
@@ -73,7 +79,7 @@ def test_published_rule_cuts_after_two_rises():
 
 
 def test_published_rule_forgets_the_cost_history_with_a_cut_of_feasibility():
-    # The cost would have risen twice at epoch 3; the cut of feasibility at epoch 2 makes it begin anew.
+    # The cost would have risen twice at epoch 3, but the feasibility cut at epoch 2 clears its history.
     cuts = run(PublishedLossWeights(), [1, 2, 3, 1, 1, 1], [5, 4, 5, 6, 7, 8])
     assert cuts == {"feasibility": [2], "cost": [5]}
 

@@ -1,4 +1,4 @@
-"""Networks: the published architecture, and sharing the trunk changes no result."""
+"""Networks: the published architecture, and equal results with a shared trunk."""
 
 import pytest
 import torch
@@ -38,7 +38,7 @@ class TextbookKlamt2019(nn.Module):
         return self.cost(features).squeeze(), torch.sigmoid(self.feasibility(features)).squeeze()
 
     def load_from(self, network):
-        """The weights of our network, in the order of layers; the two heads are one layer there."""
+        """Copies our network's weights in layer order; there, one layer contains both heads."""
         *layers, heads_weight, heads_bias = network.state_dict().values()
         layers += [heads_weight[:1], heads_bias[:1], heads_weight[1:], heads_bias[1:]]
         names = list(self.state_dict())
@@ -87,7 +87,7 @@ def test_shared_evaluation_equals_one_task_at_a_time(architecture, patches, goal
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_every_parameter_learns(architecture, patches, goals):
     network = build_network({"architecture": architecture})
-    with torch.no_grad():  # one common offset keeps the rectifiers of a random network from all being closed
+    with torch.no_grad():  # the offset keeps some rectifiers of a random network active
         for parameter in network.parameters():
             parameter.add_(0.01)
     cost, logits = network(patches, goals)
@@ -128,8 +128,8 @@ def test_wrong_configurations_are_named(config, message):
 def test_sampling_equals_the_one_of_torch():
     random = torch.Generator().manual_seed(0)
     level = torch.rand(2, 36, 36, 5, generator=random)
-    positions = torch.rand(2, 4, 7, 2, generator=random) * 90 - 9  # some beyond the border
-    grid = (positions / 36 - 1).flip(-1)  # torch counts from the centre, in halves of the patch, last axis first
+    positions = torch.rand(2, 4, 7, 2, generator=random) * 90 - 9  # some lie outside
+    grid = (positions / 36 - 1).flip(-1)  # torch: origin at the centre, unit half a patch, last axis first
     expected = nn.functional.grid_sample(
         level.permute(0, 3, 1, 2), grid, padding_mode="border", align_corners=False
     ).permute(0, 2, 3, 1)

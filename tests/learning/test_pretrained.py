@@ -1,4 +1,4 @@
-"""Pretrained abstractions: what was saved is what is read, and nothing that does not fit is read."""
+"""Saved abstractions: loading restores them exactly, and unsuitable files are refused."""
 
 import json
 

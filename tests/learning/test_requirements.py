@@ -1,4 +1,4 @@
-"""What a robot asks of the ground, against the detailed planner's own maps and plain loops."""
+"""A robot's requirements for the ground, against the detailed planner's maps and plain loops."""
 
 import math
 
@@ -35,7 +35,7 @@ def patch(request):
 
 @pytest.fixture(scope="module")
 def straight(network, patch):
-    """Features [STANCE_FEATURES, POSES, POSES] of the unturned poses."""
+    """Features [STANCE_FEATURES, POSES, POSES] for poses with heading 0."""
     ground = network._first(network.encoding(torch.from_numpy(patch)[None, None]))[1]
     return network._stances(ground, [FIRST - NEAR_RADIUS] * 2, (POSES, POSES))[0].numpy()
 
@@ -48,7 +48,7 @@ def feet_cells(x, y, inward=0.0, heading=0.0):
 
 
 def shares(patch, x, y, heading=0.0):
-    """Spread of the feet, whether all stand, and how far the highest ground in the boxes rises, by plain loops."""
+    """Height spread of the feet, whether each foot stands, and the largest rise in the boxes, by plain loops."""
     feet = patch[feet_cells(x, y, heading=heading)]
     level = (np.nanmax(feet) - np.nanmin(feet)) / ROBOT.drive.level
     standable = cost_maps(HeightMap(patch), ROBOT).standable[feet_cells(x, y, heading=heading)]
@@ -70,7 +70,7 @@ def test_shares_are_those_of_the_robot_and_the_ground(patch, straight):
             seen = facts[:, x, y]
             assert seen[0] == pytest.approx(min(level, MOST), abs=1e-4)
             assert (seen[3] > 1) == (not standable.all())
-            # A box reaches half a cell farther than the squares that cover it, at most.
+            # A box extends at most half a cell beyond the squares that cover it.
             assert seen[6] == pytest.approx(min(rise, MOST), abs=1e-4)
             for first in (0, 3, 6):
                 soft = [1 / (1 + math.exp(min((1 - seen[first]) / width, 50))) for width in SHARPNESS]

@@ -1,4 +1,4 @@
-"""The trained abstraction that comes with the package: found, loaded, refused where it does not fit, and packaged."""
+"""The shipped abstraction: found, loaded, refused for another robot, and packaged."""
 
 import json
 import shutil
@@ -19,7 +19,7 @@ from tests import ROOT
 
 MEGABYTES = 8
 
-#: Loads and asks in a process that finds nothing but the wheel, cannot connect, cannot unpickle, and has no Lightning.
+#: Loads and predicts in a process with the wheel only, without network, unpickling and Lightning.
 PROBE = """
 import pickle, socket, sys
 sys.path = [sys.argv[1], *(p for p in sys.path if p and p != sys.argv[2])]

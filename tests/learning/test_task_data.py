@@ -1,4 +1,4 @@
-"""Tasks as batches."""
+"""Batches of tasks."""
 
 import numpy as np
 import pytest
@@ -110,7 +110,7 @@ def test_empty_task_sets_are_refused():
 
 @pytest.fixture(scope="module")
 def shards(tasks, tmp_path_factory):
-    """The ten maps in five shards, one of them empty."""
+    """The ten maps in five shards; one shard is empty."""
     folder = tmp_path_factory.mktemp("shards")
     for number, part in enumerate([tasks[:3], tasks[3:4], tasks[:0], tasks[4:8], tasks[8:]]):
         write_shard(folder / f"{number}.h5", part, {"labels_hash": "x"})
@@ -164,7 +164,7 @@ def test_batches_go_on_after_those_of_before_an_interruption(tasks, shards, stre
     for taken in (1, len(whole) - 1, len(whole)):
         resumable = batches(taken)
         rest = list(resumable)
-        expected = whole[taken:] or whole  # after the last one all of the next epoch
+        expected = whole[taken:] or whole  # after the last batch, the next epoch follows
         assert len(rest) == len(expected)
         assert all(
             torch.equal(a, b)

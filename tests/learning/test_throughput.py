@@ -1,4 +1,4 @@
-"""The benchmarks of training data and throughput: what they promise to measure."""
+"""The benchmarks of training data and throughput measure the promised quantities."""
 
 import shutil
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Training: it learns, keeps the best state, resumes, and says what is wrong."""
+"""Training: it learns, keeps the best state, resumes, and reports errors."""
 
 import csv
 import json
@@ -35,7 +35,7 @@ def test_a_small_network_learns_a_simple_rule(tasks, val, tmp_path):
 
 
 def test_the_best_epoch_is_saved_and_gives_its_metrics_again(tasks, val, tmp_path):
-    # A learning rate this high makes late epochs worse than early ones now and then.
+    # With this high learning rate, late epochs are sometimes worse than early ones.
     config = tiny_config(epochs=5, optimizer={"name": "adamw", "lr": 0.03}, schedule={"name": "constant"})
     result = train(config, tasks, {"val": val, "other": tasks}, tmp_path, quiet=True)
     scores = [combined_score(row["feasibility_accuracy/val"], row["cost_error/val"]) for row in result.history]
@@ -66,7 +66,7 @@ def test_history_is_written_and_told(tasks, val, tmp_path, capsys):
 
 
 class StopAfter(pl.Callback):
-    """Ends the training as an interruption would, after the checkpoint of an epoch."""
+    """Interrupts the training after an epoch's checkpoint."""
 
     def __init__(self, epoch):
         self.epoch = epoch
@@ -78,7 +78,7 @@ class StopAfter(pl.Callback):
 
 @pytest.mark.parametrize("rule", ["plateau", "published"])
 def test_an_interrupted_training_ends_like_an_undisturbed_one(tasks, val, tmp_path, rule):
-    # A falling weight is part of what has to survive: at this learning rate losses are noise and rise now and then.
+    # A reduced loss weight must survive too. At this learning rate, losses are noise and sometimes rise.
     config = tiny_config(
         epochs=6,
         mirror=True,
@@ -99,7 +99,7 @@ def test_an_interrupted_training_ends_like_an_undisturbed_one(tasks, val, tmp_pa
 
 
 class StopWithin(pl.Callback):
-    """Ends the training as an interruption would, within an epoch, after a checkpoint there."""
+    """Interrupts the training within an epoch, after a checkpoint there."""
 
     def __init__(self, epoch, batch):
         self.epoch, self.batch = epoch, batch

@@ -1,4 +1,4 @@
-"""All models of conf/model, and what is particular to some architectures."""
+"""All models in conf/model, and properties of single architectures."""
 
 import numpy as np
 import pytest
@@ -20,11 +20,11 @@ EXACT = HardwareSettings("cpu", "32", 1)
 
 
 def abstraction(name: str) -> LearnedAbstraction:
-    """A model of conf/model with random weights whose costs and judgements vary as those of a trained one."""
+    """A model from conf/model with random weights; its costs and predictions vary like a trained model's."""
     torch.manual_seed(0)
     model = settings_from(ModelSettings, model_file(name), "model")
     network = build_network(model).eval()
-    half = len(network.heads.bias) // 2  # the first half are costs, the other logits
+    half = len(network.heads.bias) // 2  # the first half are costs, the second half logits
     with torch.no_grad():
         network.heads.weight *= 20
         network.heads.bias[:half] += 0.5

@@ -101,7 +101,7 @@ def test_a_killed_label_stage_continues_to_the_same_shards(tmp_path):
 
 
 def kill_in_the_middle(project, folder, shards: int) -> dict[str, int]:
-    """Start `dvc repro label@val`, kill -9 the stage between two shards; returns the finished ones and their times."""
+    """Kills the stage in `dvc repro label@val` between two shards; returns the finished shards with their times."""
     from hdsp.labels.shards import shard_paths
 
     command, quiet = [sys.executable, "-m", "dvc", "repro", "label@val"], subprocess.DEVNULL
