@@ -1,10 +1,9 @@
-"""Cost-to-go of a 10 x 10 m map (160,000 states x 22 edges): ours against scipy, in one run.
+"""Cost-to-go on a 10 x 10 m map (160,000 states x 22 edges): ours against scipy, in one run.
 
     python -m benchmarks.dijkstra [--cells 100] [--repeats 7]
 
-Prints one JSON line last. `ratio` compares the searches alone, on prepared graphs (scipy without the build of its
-matrix, ours without inverting the edges); `ratio_with_build` counts both preparations. Each time is the least of
-`repeats` runs.
+The last line is JSON. `ratio` compares the searches alone, on prepared graphs (scipy without its matrix build, ours
+without the edge inversion); `ratio_with_build` includes both preparations. Each time is the least of `repeats` runs.
 """
 
 import argparse
@@ -33,7 +32,7 @@ def main(argv=None) -> dict:
 
     PreparedGraph.from_edges(edges[:, :4, :4]).cost_to_go((0, 0, 0))  # compile
     prepare_s = search_s = scipy_build_s = scipy_s = np.inf
-    for _ in range(arguments.repeats):  # in turn, so that a busy moment of the machine hits both
+    for _ in range(arguments.repeats):  # alternating, so that a busy moment affects both
         prepare_s, graph = timed(prepare_s, lambda: PreparedGraph.from_edges(edges))
         search_s, distance = timed(search_s, lambda graph=graph: graph.cost_to_go(goal))
         scipy_build_s, matrix = timed(scipy_build_s, lambda: reversed_csr(edges))
@@ -56,14 +55,14 @@ def main(argv=None) -> dict:
 
 
 def timed(least, function):
-    """The lesser of `least` and the seconds of a call, and its result."""
+    """Returns the smaller of `least` and the call's seconds, and its result."""
     begin = time.perf_counter()
     value = function()
     return min(least, time.perf_counter() - begin), value
 
 
 def rough_terrain_edges(cells: int, seed: int) -> np.ndarray:
-    """Edges float32 [16, cells, cells, 22] as on uneven ground: flat costs times local factors, some walls."""
+    """Edges float32 [16, cells, cells, 22] like on uneven ground: flat costs times local factors, some walls."""
     rng = np.random.default_rng(seed)
     headings = heading_angle(np.arange(ABSTRACT_HEADINGS), ABSTRACT_HEADINGS)
     dx, dy, turn = ABSTRACT_ACTIONS.T
@@ -78,7 +77,7 @@ def rough_terrain_edges(cells: int, seed: int) -> np.ndarray:
 
 
 def reversed_csr(edges: np.ndarray):
-    """The reversed graph as a scipy matrix [n, n]; row = state an edge leads to, column = state it starts in."""
+    """Reversed graph as scipy matrix [n, n]; row = an edge's end state, column = its start state."""
     from scipy.sparse import csr_matrix
 
     headings, nx, ny, _ = edges.shape

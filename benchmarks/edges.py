@@ -1,20 +1,20 @@
-"""Costs of all abstract actions of a 10 x 10 m map: dense against per patch, and an update of 1 m2.
+"""Costs of all abstract actions on a 10 x 10 m map: dense against per patch, and an update of 1 m2.
 
     python -m benchmarks.edges [--size 10] [--sample 0.01] [--threads 2] [--precision 32]
 
-Prints one JSON line last. The network is the paper's without zero padding, its weights random: neither speed nor
-equality depends on training. No two patches of the map are equal, so that none is spared.
+The last line is JSON. The network is the paper's without zero padding, with random weights, because neither speed nor
+equality depends on training. All patches on the map differ, so each is evaluated.
 
-`dense_s` is the whole map. `patches_s` is the evaluation of a random sample of its states, patch by patch with one
-trunk evaluation for 22 actions, times states / sample. On the sample the two are compared: `largest_difference` of
-costs, and the share of actions that only one of them calls feasible. `update_ratio` compares an update after the
-heights of 1 m2 in the middle of the map changed, edges, graph and Dijkstra, to the same for the whole map;
-`update_identical` says whether both lead to the same bits. `*_cpu_s` are processor seconds of all threads, which other
-work on the machine hardly changes; `cpu_ratio` and `update_cpu_ratio` compare these.
+`dense_s` covers the whole map. `patches_s` extrapolates from a random sample of states, evaluated patch by patch with
+one trunk evaluation for 22 actions. On this sample, `largest_difference` compares the costs, and `differently_feasible`
+is the share of actions feasible for one method only. `update_ratio` compares an update (edges, graph and Dijkstra)
+after a height change on 1 m2 in the middle with the same work for the whole map; `update_identical` tells whether both
+results are identical to the bit. `*_cpu_s` are processor seconds over all threads, which depend little on other work on
+the machine; `cpu_ratio` and `update_cpu_ratio` compare them.
 
-`padded_*`: dense evaluation of the published network, an approximation, against its exact evaluation in the middle of
-the map: that goes on where the patch has zeros, and the base stands up to half a cell off. Again the share of actions
-judged differently, and the mean difference of costs relative to the mean cost.
+`padded_*` compare dense evaluation of the published network, an approximation, with its exact evaluation in the middle
+of the map. Dense evaluation sees the map where a patch has zeros, and the base is off by up to half a cell. The figures
+are the share of actions judged differently, and the mean cost difference relative to the mean cost.
 """
 
 import argparse
@@ -50,7 +50,7 @@ def main(argv=None) -> dict:
     sample = np.random.default_rng(arguments.seed).random(shape) < arguments.sample
     goal = (shape[1] // 4, shape[2] // 3, 0)
 
-    # A small map first: kernels are compiled, and libraries choose their algorithms.
+    # A small map first compiles kernels and lets libraries choose their algorithms.
     small = HeightMap(before.heights[:100, :100])
     update(dense, small, small.heights > 0.19, PreparedGraph.from_edges(dense.edges(small)), (0, 0, 0))
     patches.edges(small, mask=sample[:, :25, :25])
@@ -93,14 +93,14 @@ def main(argv=None) -> dict:
 
 
 def timed(compute):
-    """Seconds, processor seconds of all threads, and what was computed."""
+    """Returns seconds, processor seconds over all threads, and the result."""
     began, began_cpu = time.perf_counter(), time.process_time()
     result = compute()
     return time.perf_counter() - began, time.process_time() - began_cpu, result
 
 
 def update(costs, terrain, changed: np.ndarray, graph, goal, distances=None):
-    """The graph and the distances to the goal after the heights of some cells have changed to those of ``terrain``."""
+    """Updates graph and distances to the goal after some cells changed to the heights in ``terrain``."""
     affected = costs.affected(changed)
     states = np.argwhere(affected)
     edges = costs.edges(terrain, mask=affected)
@@ -109,7 +109,7 @@ def update(costs, terrain, changed: np.ndarray, graph, goal, distances=None):
 
 
 def search(edges: np.ndarray, goal):
-    """The graph of edges, and the distances to the goal."""
+    """Builds the graph from edges; returns it with the distances to the goal."""
     from hdsp.abstract import PreparedGraph
 
     graph = PreparedGraph.from_edges(edges)
@@ -117,7 +117,7 @@ def search(edges: np.ndarray, goal):
 
 
 def differences(found: np.ndarray, expected: np.ndarray) -> dict:
-    """How two ways to the same costs [n, 22] differ."""
+    """Differences between two results for the same costs [n, 22]."""
     both = np.isfinite(found) & np.isfinite(expected)
     return {
         "feasible": float(np.isfinite(expected).mean()),
@@ -129,7 +129,7 @@ def differences(found: np.ndarray, expected: np.ndarray) -> dict:
 
 
 def approximation(hardware, terrain) -> dict:
-    """How far the dense evaluation of the published network is from its exact one, in the middle of the map."""
+    """Error of dense evaluation for the published network, in the middle of the map."""
     from hdsp.learning import LearnedCosts
     from hdsp.robot.lattice import abstract_shape
 
@@ -146,7 +146,7 @@ def approximation(hardware, terrain) -> dict:
 
 
 def rough_map(shape: tuple[int, int], seed: int):
-    """Noise, blocks and unknown cells: no two patches are equal."""
+    """Map with noise, blocks and unknown cells, without equal patches."""
     from hdsp.terrain.height_map import HeightMap
 
     random = np.random.default_rng(seed)
@@ -158,8 +158,10 @@ def rough_map(shape: tuple[int, int], seed: int):
 
 
 def random_abstraction(hardware, **settings):
-    """An abstraction with a random network; its last layer is set such that about half of all actions are feasible, and
-    costs vary as true ones do."""
+    """Abstraction with a random network.
+
+    Its last layer is scaled so that about half of all actions are feasible and costs vary like real ones.
+    """
     import torch
 
     from hdsp.learning import LearnedAbstraction, ModelSettings, build_network

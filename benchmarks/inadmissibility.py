@@ -1,14 +1,14 @@
-"""How much heuristics that are not admissible exceed the cost to go: h / h* over exact h*.
+"""Overestimation by inadmissible heuristics: h / h* over exact h*.
 
     python -m benchmarks.inadmissibility [--seeds 6] [--size 5] [--pairs 60] [--near 0.3] [--far 2.0]
                                          [--guides manual learned] [--json FILE] [--page docs/guarantees.md]
 
-Pairs of random valid states, `near` to `far` metres apart, on random arenas; the least cost between them is found by A*
-(W = 1, geometric heuristic), and pairs that it does not solve within `expansions` are left out and counted. Every state
-on a least-cost way has its exact cost to go too, the rest of the way; up to `suffixes` of these per pair count, spread
-over the first part of it, where the cost to go is at least `least`. Prints quantiles of h / h*, the largest, and the
-share above 1, for each heuristic, as one JSON line last; `--page` writes them into the page, and the distributions into
-figures/inadmissibility.png beside it.
+Pairs are random valid states on random arenas, `near` to `far` metres apart. A* (W = 1, geometric heuristic) finds the
+least cost between them; pairs unsolved within `expansions` are left out and counted. Every state on an optimal path
+also has an exact cost-to-go, the cost of the remaining path. Up to `suffixes` such states per pair count, spread over
+the first part of the path, where the cost-to-go is at least `least`. The last line is JSON: for each heuristic,
+quantiles of h / h*, the largest ratio, and the share above 1. `--page` writes these figures into the page, and the
+distributions into figures/inadmissibility.png beside it.
 """
 
 import argparse
@@ -78,7 +78,7 @@ def main(argv=None) -> dict:
 
 
 def pairs(planner: Planner, rng, count: int, near: float, far: float):
-    """Random valid states on neutral feet, start and goal, between which lie ``near`` to ``far`` metres."""
+    """Yields random valid states on neutral feet, start and goal, ``near`` to ``far`` metres apart."""
     grid, shape = planner.grid, planner.terrain.shape
     found = 0
     while found < count:
@@ -94,7 +94,7 @@ def pairs(planner: Planner, rng, count: int, near: float, far: float):
 
 
 def least_way(planner: Planner, start, goal, arguments) -> tuple[np.ndarray, np.ndarray] | None:
-    """States of a least-cost way, the start first, and their costs to go; None where none was found."""
+    """States on an optimal path, the start first, and their costs-to-go; None if no path was found."""
     view, limits = geometric_estimate(planner.world, goal), Limits(expansions=arguments.expansions)
     result = solve(planner.world, start, goal[None], view, limits=limits)
     if result.status[0] != Status.SOLVED:
@@ -103,7 +103,7 @@ def least_way(planner: Planner, start, goal, arguments) -> tuple[np.ndarray, np.
 
 
 def spread(states: np.ndarray, edge_costs: np.ndarray, suffixes: int, least: float):
-    """States of a least-cost way that count, as ``least_way``; None where the whole way costs less than ``least``."""
+    """Counted states on an optimal path, as in ``least_way``; None if the whole path costs less than ``least``."""
     to_go = edge_costs[::-1].cumsum()[::-1]
     enough = int((to_go >= least).sum())
     if enough == 0:
@@ -113,14 +113,14 @@ def spread(states: np.ndarray, edge_costs: np.ndarray, suffixes: int, least: flo
 
 
 def scores(ratios: np.ndarray) -> dict:
-    # A cost to go is a sum in double precision, the tables of heuristics are single.
+    # Costs-to-go are sums in double precision; heuristic tables have single precision.
     above = float((ratios > 1 + 1e-5).mean())
     values = {f"q{100 * q:g}": round(float(np.quantile(ratios, q)), 3) for q in QUANTILES}
     return {"n": len(ratios), **values, "max": round(float(ratios.max()), 3), "above_1": round(above, 4)}
 
 
 def text(result: dict) -> str:
-    """The result as it stands in the page."""
+    """Formats the result for the page."""
     rows = []
     for name, found in result["heuristics"].items():
         for kind, label in (("pairs", "random pairs"), ("with_ways", "and states on their ways")):
@@ -133,7 +133,7 @@ def text(result: dict) -> str:
 
 
 def draw(ratios: dict[str, np.ndarray], path: Path) -> None:
-    """Share of states whose h / h* is at most so much."""
+    """Draws the cumulative distribution of h / h* over states."""
     from hdsp.viz import style
 
     figure = style.figure(5.2, 3.0)

@@ -1,20 +1,20 @@
-"""Labels of maps: one search for all goals of a map against a search of its own for each goal, and what a split takes.
+"""Label speed: one search for all goals on a map against one search per goal, and the time for a split.
 
     python -m benchmarks.labelling [--maps 100] [--seed 3] [--workers 2] [--skip-separate]
 
-Maps of the paper's nine categories in turn, those without a valid start left out. Both ways use the same rules, cost
-limits, lower bounds and proofs, and the compiled world of the map (`build_world`), whose time is given apart:
+Maps come from the paper's nine categories in turn; maps without a valid start are left out. Both methods use the same
+rules, cost limits, lower bounds, proofs and compiled world (`build_world`), whose time is listed separately:
 
 - shared: `hdsp.abstract.oracle.task_costs`, all 22 goals at once;
-- separate: the same function for each goal alone: its own relaxed problem, its own lower bounds, its own search.
+- separate: the same function for each goal alone, with its own relaxed problem, lower bounds and search.
 
-Each call begins with an empty memory of what the body meets at a pose. Times of this comparison are processor seconds.
-`ratio` is separate over shared; `ratio_with_world` counts the compiled world too: once a map for the shared way, once a
-task for the separate one, which then is 22 labels of one action each, made from the map.
+Each call starts without stored body checks. Times in this comparison are processor seconds. `ratio` is separate over
+shared. `ratio_with_world` includes the compiled world: once per map for the shared method, once per task for the
+separate method, which then amounts to 22 single-action labels made from the map.
 
-Then a label run (`hdsp.labels.run.split_run`) of the same maps, generation and shards included, on one process and on
-`--workers`. `minutes_for_249194_tasks` is that time for the paper's training set: as many maps, dropped ones included,
-and the start of the processes. Prints one JSON line last.
+A label run (`hdsp.labels.run.split_run`) on the same maps follows, including generation and shards, on one process and
+on `--workers`. `minutes_for_249194_tasks` extrapolates to the paper's training set: equally many maps, including
+dropped ones, and the process start. The last line is JSON.
 """
 
 import argparse
@@ -35,7 +35,7 @@ from hdsp.robot.lattice import ABSTRACT_ACTIONS
 from pipeline.config import compose
 from pipeline.label import label_run
 
-#: Maps of the paper's training set before those without a valid start are dropped; 249,194 tasks are left of them.
+#: Maps in the paper's training set before maps without a valid start are dropped; 249,194 tasks remain.
 MAPS = 18_000
 
 
@@ -71,14 +71,14 @@ def main(argv=None) -> dict:
 
 
 def paper_run(seed: int, maps: int) -> LabelRun:
-    """A split of the paper's settings with at least about ``maps`` maps that have a valid start."""
+    """A split with the paper's settings and about ``maps`` or more maps with a valid start."""
     per_category = -(-2 * maps // 9)
     split = f"labelling.splits.random={{seed: {seed}, maps_per_category: {per_category}, maps_per_shard: 45}}"
     return label_run(compose(["profile=paper", split]), "random")
 
 
 def compare(run: LabelRun, maps: int) -> dict:
-    """Seconds of both ways on the first ``maps`` maps with a valid start, and how far their labels are apart."""
+    """Times both methods on the first ``maps`` maps with a valid start, and compares their labels."""
     seconds = {"world": 0.0, "shared": 0.0, "separate": 0.0}
     worst, different, compared, feasible = 0.0, 0, 0, 0
     undecided = {"shared": 0, "separate": 0}
@@ -99,7 +99,7 @@ def compare(run: LabelRun, maps: int) -> dict:
             warmed, built = True, 0.0
         seconds["world"] += built
         ways = {"shared": oracle.task_costs, "separate": separate_costs}
-        # In turn the one or the other first, so that neither always finds the caches warm.
+        # The order alternates, so that neither method always finds warm caches.
         found = {}
         for name in sorted(ways, reverse=bool(compared % 2)):
             began = time.process_time()
@@ -126,20 +126,20 @@ def compare(run: LabelRun, maps: int) -> dict:
             (seconds["separate"] + 22 * seconds["world"]) / (seconds["shared"] + seconds["world"]), 2
         ),
         "feasibility_differs": different,
-        "ended_by_expansion_limit": undecided,  # the limit is one search's: such tasks may differ
+        "ended_by_expansion_limit": undecided,  # the limit applies per search, so these tasks may differ
         "cost_difference_max": worst,
     }
 
 
 def separate_costs(world, start: np.ndarray, settings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As `oracle.task_costs`, each goal on its own."""
+    """Like `oracle.task_costs`, with a separate call for each goal."""
     found = [oracle.task_costs(_unvisited(world), start, settings, action[None]) for action in ABSTRACT_ACTIONS]
     goals, cost, reason = (np.concatenate(column) for column in zip(*found, strict=True))
     return goals, cost, reason
 
 
 def _unvisited(world):
-    """The world without what earlier searches found out about the body at each pose."""
+    """The world without stored body checks from earlier searches."""
     return world._replace(base=np.zeros_like(world.base))
 
 

@@ -1,11 +1,11 @@
-"""How the tasks of random maps are decided, and how long a map takes.
+"""Decision of tasks on random maps, and time per map.
 
     python -m benchmarks.labels_decided [--maps 200] [--seed 3] [--robot momaro]
 
-Labels random maps of all nine categories in turn and prints one JSON line last: the share of tasks solved, with an
-invalid goal, proved infeasible, proved to cost more than the limit, and undecided at a cap of the search
-(`capped_share`); the most expansions of a search; milliseconds a map, with those that are dropped for want of a valid
-start and without, and tasks per second on one core.
+The benchmark labels random maps from all nine categories in turn and prints one JSON line last. It holds the shares of
+tasks solved, with an invalid goal, proved infeasible, proved above the cost limit, and undecided at a search limit
+(`capped_share`); the most expansions in a search; milliseconds per map, with and without maps dropped for lack of a
+valid start; and tasks per second on one core.
 """
 
 import argparse
@@ -32,7 +32,7 @@ def main(argv=None) -> dict:
     expansions = count_expansions()
     reasons: Counter = Counter()
     kept, seconds = 0, 0.0
-    for number in range(-len(CATEGORIES), arguments.maps):  # the first ones only compile
+    for number in range(-len(CATEGORIES), arguments.maps):  # the first maps only compile kernels
         index, category = divmod(max(number, 0), len(CATEGORIES))
         category = CATEGORIES[category if number >= 0 else number]
         heights = random_map(arguments.seed, category, index, terrain)
@@ -61,7 +61,7 @@ def main(argv=None) -> dict:
 
 
 def count_expansions() -> list[int]:
-    """A list to which every search of the oracle adds its expansions from now on."""
+    """Returns a list to which every later oracle search appends its expansions."""
     found: list[int] = []
     solve = oracle.solve
 

@@ -1,19 +1,19 @@
-"""Multi-heuristic A* against weighted A*: what a proved bound costs with a heuristic that is not admissible.
+"""Multi-heuristic A* against weighted A*: the price of a proved bound with an inadmissible heuristic.
 
     python -m benchmarks.multi_heuristic [--seeds 4] [--size 5] [--bounds 1.25 1.5 2] [--expansions 2000000]
                                          [--guides manual learned] [--arena] [--json FILE]
                                          [--page docs/guarantees.md]
 
-On random arenas (start and goal far apart) and, with `--arena`, on the paper's arena with its tasks (as scanned, if
-data/arena/scanned.npz is there, else its true heights). For each bound W:
+Terrain is random arenas (start and goal far apart) and, with `--arena`, the paper's arena with its tasks (as scanned if
+data/arena/scanned.npz exists, otherwise its true heights). For each bound W:
 
-- `geometric`: weighted A* with the admissible heuristic, W: its bound is proved;
-- `plain`: weighted A* with the manual or learned heuristic, W: nothing is proved;
+- `geometric`: weighted A* with the admissible heuristic and W; its bound is proved;
+- `plain`: weighted A* with the manual or learned heuristic and W; no bound is proved;
 - `anchored 1 x W` and `anchored W^1/2 x W^1/2`: multi-heuristic A*, W1 x W2, same guide, geometric anchor.
 
-Times are seconds of the processor for the search alone. Prints the runs and their summary as one JSON line last: means
-of ratios are geometric, over the tasks that the anchored search solved; tasks that no search solved are left out. Where
-the geometric search ends at the limit on expansions, its ratio is a lower bound (`geometric_capped` counts these).
+Times are processor seconds for the search alone. The last line is JSON with all runs and their summary. Mean ratios are
+geometric, over the tasks solved by the anchored search; tasks without any solution are left out. If the geometric
+search ends at the expansion limit, its ratio is a lower bound (`geometric_capped` counts these cases).
 """
 
 import argparse
@@ -67,7 +67,7 @@ def main(argv=None) -> dict:
 
 
 def places(arguments):
-    """Name, a planner for each guide, and tasks (name, start, goal in lattice units), of each terrain."""
+    """Yields, for each terrain, its name, a planner for each guide, and tasks (name, start, goal in lattice units)."""
     for seed in range(arguments.seeds):
         planners = prepared(random_arena(seed, arguments.size), arguments.guides)
         yield f"random {seed}", planners, [("far", *far_apart(planners[0], seed))]
@@ -92,7 +92,7 @@ def compare(planners, start, goal, bounds, limits) -> list[dict]:
     world = planners[0].world
     anchor = geometric_estimate(world, goal)
     views = {planner.heuristic.name: planner.heuristic.set_goal(goal) for planner in planners}
-    solve(world, start, goal[None], anchor, limits=Limits(expansions=10))  # compiled, and loaded, before it is timed
+    solve(world, start, goal[None], anchor, limits=Limits(expansions=10))  # compiles kernels before any timing
     solve_multi(world, start, goal, anchor, [anchor], limits=Limits(expansions=10))
     runs = []
     for bound in bounds:
@@ -135,7 +135,7 @@ def run_of(search: str, guide: str | None, wanted: float, result, seconds: float
 
 
 def solvable(runs: list[dict]) -> list[tuple[str, str]]:
-    """Place and name of the tasks that some search solved."""
+    """Place and name of each task solved by some search."""
     return sorted({(r["place"], r["task"]) for r in runs if r["status"] == "solved"})
 
 
@@ -168,7 +168,7 @@ def summary(runs: list[dict]) -> list[dict]:
 
 
 def text(result: dict, limit: int) -> str:
-    """The summary as it stands in the page."""
+    """Formats the summary for the page."""
     head = [
         "guide", "bound W", "W1 x W2", "solved", "proved on average", "expansions: geometric / anchored",
         "time: geometric / anchored", "expansions: anchored / plain", "cost: anchored / plain",
@@ -189,13 +189,13 @@ def text(result: dict, limit: int) -> str:
 
 
 def mean_ratio(over: list[dict], under: list[dict], what: str) -> float | None:
-    """Geometric mean; tasks are left out for which one of the two has no such number."""
+    """Geometric mean ratio, over tasks for which both sides have this number."""
     pairs = [
         (a[what], b[what]) for a, b in zip(over, under, strict=True) if a[what] is not None and b[what] is not None
     ]
     if not pairs:
         return None
-    # No search is faster than the clock can tell.
+    # The lower limit is the clock's resolution.
     return round(math.exp(np.mean([math.log(max(a, 1e-4) / max(b, 1e-4)) for a, b in pairs])), 3)
 
 

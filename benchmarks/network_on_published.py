@@ -1,12 +1,12 @@
-"""How well a trained network agrees with labels in the published format, task by task.
+"""Agreement between a trained network and labels in the published format, task by task.
 
     python -m benchmarks.network_on_published FILE [--model momaro | FOLDER] [--maps]
 
-FILE is the authors' text format, whole or in part. Prints one JSON line: of all maps, and of flat, driving and stairs
-maps, the number of maps and tasks, feasibility accuracy, and mean absolute cost error over the tasks that both judge
-feasible; and the expected calibration error of all maps. With --maps also a line for each map.
+FILE has the authors' text format, complete or in part. The benchmark prints one JSON line: for all maps and for flat,
+driving and stairs maps, the number of maps and tasks, the feasibility accuracy, and the mean absolute cost error over
+tasks feasible for both; and the expected calibration error over all maps. With --maps it also prints one line per map.
 
-Which maps are flat, driving or stairs maps is said by their numbers in the authors' file (``hdsp.labels.published_tasks``).
+Map numbers in the authors' file decide the terrain kind, flat, driving or stairs (``hdsp.labels.published_tasks``).
 """
 
 import argparse
@@ -52,7 +52,7 @@ def main(argv: list[str] | None = None) -> dict:
 
 
 def scores(judged: np.ndarray, cost: np.ndarray, feasible: np.ndarray, labelled_cost: np.ndarray) -> dict:
-    """Figures of some maps; arrays [n, 22]. A mean over no task is None."""
+    """Figures for some maps; arrays [n, 22]. A mean without tasks is None."""
     both = judged & feasible
     return {
         "maps": len(judged),

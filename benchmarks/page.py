@@ -1,4 +1,4 @@
-"""Numbers in pages of docs/: what stands between two marks was written by the benchmark that the marks name."""
+"""Benchmark figures on pages in docs/: each benchmark writes the block between its own markers."""
 
 from pathlib import Path
 
@@ -6,10 +6,10 @@ from hdsp.base.errors import InputError
 
 
 def write_block(page: Path, author: str, text: str) -> None:
-    """Put ``text`` between the marks of ``author`` in a page.
+    """Writes ``text`` between the markers of ``author`` on a page.
 
     Raises:
-        InputError: the page does not have these marks once.
+        InputError: the page does not have exactly one pair of these markers.
     """
     begin, end = f"<!-- written by {author}: begin -->\n", f"<!-- written by {author}: end -->"
     shown = page.read_text()
@@ -20,6 +20,6 @@ def write_block(page: Path, author: str, text: str) -> None:
 
 
 def table(head: list[str], rows: list[list]) -> str:
-    """A table of a page; None becomes an empty field."""
+    """Formats a Markdown table; None becomes an empty field."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join("" if cell is None else str(cell) for cell in line) + " |" for line in lines)

@@ -1,12 +1,12 @@
-"""Our labels against those that the authors published, task by task.
+"""Our labels against the authors' published labels, task by task.
 
     python -m benchmarks.published_labels FILE [--robot momaro] [--expansions 100000] [--tasks MAP ...]
 
-FILE is the authors' text format, whole or in part. Prints one line a map, then one JSON line: feasibility agreement and
-mean absolute cost error (over tasks that both judge feasible) of all maps and of flat, driving and stairs maps, the
-largest error on flat maps, the share of tasks by how their search ended, and seconds.
+FILE has the authors' text format, complete or in part. The benchmark prints one line per map, then one JSON line:
+feasibility agreement and mean absolute cost error (over tasks feasible for both) on all maps and on flat, driving and
+stairs maps, the largest error on flat maps, the share of tasks per search status, and seconds.
 
-Which maps are flat, driving or stairs maps is said by their numbers in the authors' file (``hdsp.labels.published_tasks``).
+Map numbers in the authors' file decide the terrain kind, flat, driving or stairs (``hdsp.labels.published_tasks``).
 """
 
 import argparse

@@ -1,19 +1,18 @@
-"""The learned heuristic with lower quantiles of cost, against costs as the network says: how often it overestimates,
-search effort and plan cost.
+"""Learned heuristic at lower cost quantiles, against predicted costs: overestimates, search effort, plan cost.
 
     python -m benchmarks.quantile_heuristic [--model momaro] [--quantiles 0.5 0.25 0.1 0.05 0.01] [--weights 1 1.25]
                                             [--seeds 0 1 2 3 4 5] [--size 5] [--pairs 5] [--near 1]
                                             [--far 3] [--expansions 500000] [--json FILE] [--page docs/heuristics.md]
 
-Tasks are pairs of random valid states, `near` to `far` metres apart, on random arenas. For each arena the network is
-asked once; quantiles follow from its answer. Each task is planned with each heuristic and weight, and with the
-geometric heuristic, whose plan at W = 1 is the cheapest there is. Prints a line for each task, then one JSON line:
+Tasks are pairs of random valid states on random arenas, `near` to `far` metres apart. The network is evaluated once per
+arena; all quantiles follow from this result. Each task is planned with each heuristic and weight, and with the
+geometric heuristic, whose plan at W = 1 is optimal. The benchmark prints one line per task, then one JSON line:
 
-- `above`: quantiles of h / h* and the share above 1, for the states of the cheapest plans (`suffixes` of each, besides
-  the start), as benchmarks.inadmissibility counts them; tasks that the reference did not solve have none.
-- `rows`: for each heuristic and weight the number of solved tasks; `expansions`: geometric mean of the ratio to those
-  with the costs as the network says, same weight, over tasks that both solved; `cost_to_best`: mean ratio to the
-  cheapest plan that any search found, over the tasks solved, and the largest.
+- `above`: quantiles of h / h* and the share above 1, over states on optimal plans (the start and `suffixes` more from
+  each plan), counted as in benchmarks.inadmissibility. Tasks without a reference plan do not count.
+- `rows`: for each heuristic and weight, the number of solved tasks; `expansions`: geometric mean ratio to the
+  expansions with predicted costs at the same weight, over tasks solved by both; `cost_to_best`: mean and largest ratio
+  to the least cost from any search, over solved tasks.
 """
 
 import argparse
@@ -39,7 +38,7 @@ AS_SAID, REFERENCE = "as the network says", "geometric"
 
 
 class KnownCosts:
-    """`AbstractCosts` of one map that were computed before."""
+    """Precomputed `AbstractCosts` for one map."""
 
     def __init__(self, edges: np.ndarray):
         self.known = edges
@@ -101,7 +100,7 @@ def main(argv: list[str] | None = None) -> dict:
 
 
 def prepared(abstraction: LearnedAbstraction, seed: int, arguments: argparse.Namespace) -> dict[str, Planner]:
-    """A planner for each heuristic, on one random arena; the reference is the first."""
+    """Returns a planner for each heuristic on one random arena; the reference comes first."""
     reference = Planner(random_arena(seed, arguments.size))
     edges = LearnedCosts(abstraction).edges(reference.terrain, mask=standing_states(reference.world))
     levels = {AS_SAID: edges} | {
@@ -112,9 +111,9 @@ def prepared(abstraction: LearnedAbstraction, seed: int, arguments: argparse.Nam
 
 
 def on_task(planners: dict[str, Planner], start, goal, arguments) -> tuple[list[dict], dict[str, np.ndarray]]:
-    """One search with each heuristic and weight; h / h* of each heuristic where the reference found the cheapest plan.
+    """Runs one search with each heuristic and weight; also returns h / h* for each heuristic.
 
-    Start and goal are states int64 [7] in units of the lattice.
+    Ratios exist only if the reference found the optimal plan. Start and goal are states int64 [7] in lattice units.
     """
     grid = planners[REFERENCE].grid
     ends, limit = (grid.to_world(start), grid.to_world(goal)), arguments.expansions
@@ -143,7 +142,7 @@ def run_of(heuristic: str, weight: float, plan: Plan) -> dict:
 
 
 def at_level(abstraction: LearnedAbstraction, edges: np.ndarray, level: float) -> np.ndarray:
-    """Edges [16, nx, ny, 22] of costs as the network says, at a level of cost."""
+    """Converts edges [16, nx, ny, 22] from predicted costs to a cost level."""
     result = np.full_like(edges, np.inf)
     for heading in range(ABSTRACT_HEADINGS):
         flat = np.broadcast_to(abstraction.flat_costs(robot_frame_goals(heading)), edges[heading].shape)
@@ -153,7 +152,7 @@ def at_level(abstraction: LearnedAbstraction, edges: np.ndarray, level: float) -
 
 
 def summary(runs: list[dict]) -> dict:
-    """Figures of each heuristic and weight; tasks that no search solved count as tasks alone."""
+    """Figures for each heuristic and weight; a task without any solution counts only as a task."""
     at = {(run["task"], run["heuristic"], run["weight"]): run for run in runs}
     tasks = list(dict.fromkeys(run["task"] for run in runs))
     solved_runs = [run for run in runs if run["solved"]]
@@ -177,7 +176,7 @@ def summary(runs: list[dict]) -> dict:
 
 
 def text(result: dict) -> str:
-    """The result as it stands in the page."""
+    """Formats the result for the page."""
     rows = [
         [
             row["heuristic"], *overestimated(result["above"].get(row["heuristic"])), f"{row['weight']:g}",
@@ -200,7 +199,7 @@ def text(result: dict) -> str:
 
 
 def overestimated(found: dict | None) -> list:
-    """Share of states above 1, and quantiles of h / h*, as they stand in the page; None where nothing is known."""
+    """Share of states above 1 and quantiles of h / h*, formatted for the page; None without data."""
     return [None] * 3 if found is None else [f"{found['above_1']:.1%}", found["q50"], found["q95"]]
 
 

@@ -1,11 +1,11 @@
-"""Speed of the detailed search on a 10 x 10 m map: expansions per second, bytes per state, ratio to the textbook twin.
+"""Detailed search speed on a 10 x 10 m map: expansions per second, bytes per state, ratio to the textbook twin.
 
     python -m benchmarks.search [--size 10] [--expansions 500000] [--repeats 3] [--seed 0]
 
-Geometric heuristic, W = 1, one core. Prints one JSON line last. `expansions_per_s` is that of the fastest of `repeats`
-runs. `bytes_per_state` counts all memory of the search at its end, for each state seen: states, directory, hash table,
-open list, and the room kept for growth; `bytes_per_state_open_list` is the share of the open list. `ratio_to_twin`
-compares the time per expansion with that of plain Python (tests/naive.py) on the same map and start.
+Geometric heuristic, W = 1, one core. The last line is JSON. `expansions_per_s` comes from the fastest of `repeats`
+runs. `bytes_per_state` is the search's whole memory at its end per seen state: states, directory, hash table, open
+list, and reserve for growth; `bytes_per_state_open_list` is the open list's part. `ratio_to_twin` compares the time per
+expansion with plain Python (tests/naive.py) on the same map and start.
 """
 
 import argparse
@@ -40,13 +40,13 @@ def main(argv=None) -> dict:
         return solve(planner.world, start, goal, view, limits=Limits(expansions=expansions), paths=False)
 
     run(1000)  # compile
-    # Each expansion limit ends the search; time that goes into growing the store counts.
+    # The expansion limit ends each search; the time for store growth counts.
     results = [run(arguments.expansions) for _ in range(arguments.repeats)]
     best = min(results, key=lambda result: result.seconds / result.expansions)
 
     twin = Naive(planner.terrain.heights, planner.robot)
     twin_start = tuple(start.tolist())
-    dijkstra(twin, twin_start, most=arguments.twin_expansions)  # what the twin remembers of the terrain is not counted
+    dijkstra(twin, twin_start, most=arguments.twin_expansions)  # fills the twin's terrain cache, unmeasured
     began = time.perf_counter()
     settled = len(dijkstra(twin, twin_start, most=arguments.twin_expansions).cost)
     twin_seconds = (time.perf_counter() - began) / settled
@@ -68,8 +68,7 @@ def main(argv=None) -> dict:
 
 
 def far_apart(planner: Planner, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of some random valid states on neutral feet two that are far from each other, int64 [7] each; the first is not
-    locked in."""
+    """Returns two distant valid states on neutral feet, int64 [7] each; the first is not locked in."""
     rng = np.random.default_rng(seed)
     states = []
     while len(states) < 40:

@@ -1,11 +1,11 @@
-"""How much maps made such as sensors see them resemble maps of scans: unknown cells, noise, steps between cells.
+"""Similarity between simulated sensor maps and scanned maps: unknown cells, noise, steps between cells.
 
     python -m benchmarks.sensing outputs/beyond/data/labels/val_sensed data/simulated data/real data/labels/random
 
-For each shard or folder of shards, over the patches of its tasks: the share of unknown cells; of known neighbours, the
-shares that differ by 1 to 5 and by 5 to 15 cm; and on even ground (squares of 9 x 9 known cells that span less than
-8 cm, a plane taken off) what is left, as median and 90th percentile of its standard deviation in mm, and how it
-correlates over one and two cells. Prints one JSON line last.
+For each shard or folder, the figures cover all its patches: the share of unknown cells; among known neighbours, the
+shares with differences from 1 to 5 cm and from 5 to 15 cm; on even ground, the residual noise. Even ground is a square
+of 9 x 9 known cells that span less than 8 cm; its fitted plane is subtracted. Noise is listed as median and 90th
+percentile of its standard deviation in mm, and as correlation over one and two cells. The last line is JSON.
 """
 
 import argparse
@@ -33,7 +33,7 @@ def main(argv=None) -> dict:
 
 
 def describe(tasks: TaskSet) -> dict[str, float | int | None]:
-    """Figures of a set, by name; None where it has no even ground, or no noise."""
+    """Figures for a set, by name; None without even ground or without noise."""
     heights = tasks.heights.astype(float)
     steps = np.abs(np.concatenate([np.diff(heights, axis=axis).ravel() for axis in (1, 2)]))
     steps = steps[np.isfinite(steps)]
@@ -58,7 +58,7 @@ def describe(tasks: TaskSet) -> dict[str, float | int | None]:
 
 
 def even_ground(heights: np.ndarray) -> list[np.ndarray]:
-    """What a plane leaves of squares of even ground, [9, 9] each, at random places of patches [n, 72, 72]."""
+    """Residuals, [9, 9] each, after a plane fit to even squares at random places in patches [n, 72, 72]."""
     random = np.random.default_rng(0)
     plane = np.column_stack([np.ones(_SIDE**2), *np.indices((_SIDE, _SIDE)).reshape(2, -1)])
     off = np.eye(_SIDE**2) - plane @ np.linalg.pinv(plane)

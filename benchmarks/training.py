@@ -1,12 +1,12 @@
-"""Training throughput: one pass through the map for all 22 goals of it, against a pass for each task, in one run.
+"""Training throughput: one pass per map for all its 22 goals, against one pass per task, in one run.
 
     python -m benchmarks.training [--model klamt2019] [--maps 8] [--repeats 3] [--page docs/pipeline.md]
 
-Both ways take the same tasks through the same network, forward and backward with the losses of training, on one thread
-in float32; they are measured in turn. `separate` puts the tasks of all maps into one batch, each with its own copy of
-the patch; `one_by_one` passes them singly, as the paper trained. Gradients have to agree: `gradient_difference` is the
-greatest difference relative to the largest gradient of its parameter; more than 1e-4 ends the run. Times are CPU time.
-Prints one JSON line last; `ratio` is shared over separate tasks per second. `--page` writes the result into the page.
+All methods pass the same tasks through the same network, forward and backward with the training losses, on one thread
+in float32; their measurements alternate. `separate` puts all tasks into one batch, each with its own copy of the patch;
+`one_by_one` passes single tasks, like the paper's training. Gradients have to agree: `gradient_difference` is the
+greatest difference relative to the parameter's largest gradient, and the run ends above 1e-4. Times are CPU times. The
+last line is JSON; `ratio` is shared over separate tasks per second. `--page` writes the result into the page.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from hdsp.robot.lattice import N_ABSTRACT_ACTIONS, robot_frame_goals
 from hdsp.terrain.scenes import CATEGORIES, random_map
 from pipeline.config import compose, plain
 
-#: Greatest relative difference between the gradients of both ways.
+#: Greatest allowed relative difference between gradients.
 TOLERANCE = 1e-4
 
 
@@ -55,7 +55,7 @@ def main(argv=None) -> dict:
             began = time.process_time()
             for batch in batches:
                 pass_through(network, batch, shared)
-            if repeat:  # the first time libraries choose their algorithms
+            if repeat:  # in the first pass, libraries choose their algorithms
                 seconds[name].append(time.process_time() - began)
             gradients[name] = [parameter.grad.clone() for parameter in network.parameters()]
 
@@ -83,7 +83,7 @@ def main(argv=None) -> dict:
 
 
 def text(result: dict) -> str:
-    """The result as it stands in the page."""
+    """Formats the result for the page."""
     rates = result["tasks_per_s"]
     ways = [
         ("shared: each map once for its goals", "shared", 1),
@@ -100,7 +100,7 @@ def text(result: dict) -> str:
 
 
 def random_tasks(maps: int) -> Batch:
-    """Random terrain with labels out of thin air: how long a step takes does not depend on them."""
+    """Random terrain with arbitrary labels, which do not influence the step time."""
     random = np.random.default_rng(0)
     heights = np.stack([random_map(0, CATEGORIES[k % len(CATEGORIES)], k).heights for k in range(maps)])
     goals = np.stack([robot_frame_goals(k % 4) for k in range(maps)])
@@ -121,12 +121,12 @@ def separated(batch: Batch) -> Batch:
 
 
 def singles(batch: Batch) -> list[Batch]:
-    """One batch for each task."""
+    """One batch per task."""
     return [Batch(*(part[k : k + 1] for part in batch)) for k in range(len(batch.heights))]
 
 
 def pass_through(network: torch.nn.Module, batch: Batch, whole: Batch) -> None:
-    """Adds the gradients of a batch's share of the losses of ``whole``."""
+    """Adds gradients for a batch's share in the losses over ``whole``."""
     cost, logits = network(batch.heights, batch.goals)
     feasibility, error = task_losses(cost, logits, batch.feasible, batch.cost)
     share = batch.feasible.numel() / whole.feasible.numel()

@@ -1,1 +1,1 @@
-"""The stages of dvc.yaml, one thin module each: read the configuration, call hdsp, write outputs and metrics."""
+"""Stages in dvc.yaml, one thin module each: read the configuration, call hdsp, write outputs and metrics."""

@@ -1,4 +1,4 @@
-"""The abstractions by the names of the configuration: as judges of tasks, and as costs of whole maps."""
+"""Abstractions by their configuration names: as predictors for tasks, and as costs for whole maps."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 METHODS = ("learned", "pretrained", "pretrained-NAME", "manual", "flat")
 
 
-#: Where the stage `train` leaves the learned abstraction.
+#: Output folder of stage `train` for the learned abstraction.
 TRAINED = "models/abstraction"
-#: How names of the abstractions of the package begin.
+#: Prefix of names for shipped abstractions.
 PRETRAINED = "pretrained"
 
 
 def available(names: Iterable[str], robot: Robot) -> list[str]:
-    """The names without those of abstractions that do not come with the package for this robot, which are printed."""
+    """Returns the names without shipped abstractions that do not exist for this robot; prints the omitted names."""
     from hdsp.learning.shipped import presets
 
     absent = [n for n in names if n.startswith(PRETRAINED) and robot.name + n.removeprefix(PRETRAINED) not in presets()]
@@ -35,16 +35,17 @@ def available(names: Iterable[str], robot: Robot) -> list[str]:
 
 
 def task_predictor(name: str, config: DictConfig, folders: Folders, model: str = TRAINED) -> TaskPredictor:
-    """The abstraction `name` as a judge of single tasks.
+    """Returns abstraction `name` as a predictor for single tasks.
 
     Args:
-        name: one of `METHODS`; `pretrained`: what comes with the package for the robot, of that name if there is one.
-        config: of the stage.
-        folders: of the stage.
-        model: of the learned one: a folder, or the name of one that comes with the package.
+        name: one of `METHODS`; `pretrained`: the robot's shipped abstraction, `pretrained-NAME`: its shipped
+            abstraction NAME.
+        config: stage configuration.
+        folders: stage folders.
+        model: source for `learned`: a folder, or a shipped abstraction's name.
 
     Raises:
-        InputError: there is no abstraction of that name; the learned one is not trained yet, or for another robot.
+        InputError: no abstraction has this name; or the learned one is not trained yet, or belongs to another robot.
     """
     robot = Robot.load(plain(config.robot))
     if name == "learned" or name.startswith(PRETRAINED):
@@ -74,7 +75,7 @@ def task_predictor(name: str, config: DictConfig, folders: Folders, model: str =
 
 
 def abstract_costs(name: str, config: DictConfig, folders: Folders) -> AbstractCosts:
-    """The abstraction `name` as costs of all abstract actions of a map; raises as `task_predictor`."""
+    """Returns abstraction `name` as costs for whole maps; raises as `task_predictor`."""
     predictor = task_predictor(name, config, folders)
     if name == "learned" or name.startswith(PRETRAINED):
         from hdsp.learning.learned_costs import LearnedCosts

@@ -1,11 +1,11 @@
-"""Trainings beside each other: tables in docs/architectures.md and docs/figures/pareto.png.
+"""Comparison of trainings: tables in docs/architectures.md and docs/figures/pareto.png.
 
     python -m pipeline.compare
 
-Runs in `outputs/zoo/NAME` and `outputs/ablations/NAME`, as sweeps leave them, are gathered into `reports/zoo.json`,
-beside what each model of conf/model takes, and `reports/ablations.json`. What those say of others stays, as long as it
-is of the same model or experiment. The page is made of the reports alone, so that it can be made again without
-training. No stage of dvc.yaml: no stage of it makes these runs.
+Sweeps leave runs in `outputs/zoo/NAME` and `outputs/ablations/NAME`. They become `reports/zoo.json`, together with
+measured times for every model in conf/model, and `reports/ablations.json`. Earlier report entries stay if they belong
+to the same model or experiment. The page comes from the reports alone and needs no training. dvc.yaml has no stage for
+this comparison, because none makes these runs.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.tables import EMPTY, markdown, percent
 
 PAGE = "architectures.md"
-#: Sections of the configuration in which experiments may differ.
+#: Configuration sections in which experiments may differ.
 SECTIONS = ("robot", "terrain", "labelling", "model", "trainer")
 ARCHITECTURE = "model.architecture"
-#: Name of the ablation that all others are compared to.
+#: Reference ablation for all others.
 BASE = "base"
-#: The two figures of a set in `reports/training.json`.
+#: The two figures per set in `reports/training.json`.
 QUALITY = ("feasibility_accuracy", "cost_error")
-#: Sets of the Pareto picture, the first that all models have figures of.
+#: Candidate sets for the Pareto picture: the first one with figures from all models is used.
 PICTURED = ("random", "val")
-#: States of a map that are evaluated patch by patch to measure the time of all, and their heading; dense evaluation is
-#: measured with all states of that heading.
+#: Number of states in a time measurement patch by patch, and their heading; dense evaluation is measured with all
+#: states at this heading.
 SAMPLED, HEADING = 500, 2
-SIDE = 400  # cells of a map of 10 m
+SIDE = 400  # cells along a 10 m map
 
 
 def compare(config: DictConfig, folders: Folders) -> None:
@@ -60,22 +60,23 @@ def compare(config: DictConfig, folders: Folders) -> None:
 
 
 def markers(name: str) -> tuple[str, str]:
-    """Lines of the page between which a table stands."""
+    """Markers around a table on the page."""
     return f"<!-- {name}: written by `python -m pipeline.compare` -->", f"<!-- end of {name} -->"
 
 
 def runs_of(folders: Folders, kind: str) -> dict[str, Path]:
-    """Folders of finished runs by name."""
+    """Folders with finished runs, by name."""
     places = sorted(folders.read("outputs", kind).glob("*/reports/training.json"))
     return {place.parents[1].name: place.parents[1] for place in places}
 
 
 def zoo_report(runs: Mapping[str, Path], before: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """By model what it takes, measured here, and what it reached: in its run, or as the report before says, if it had
-    the same number of parameters then.
+    """For each model: figures measured here, and its training result.
+
+    The result comes from the model's run, or from the report before if the number of parameters is the same.
 
     Raises:
-        InputError: they had different numbers of maps or epochs.
+        InputError: numbers of maps or epochs differ between results.
     """
     report: dict[str, dict[str, Any]] = {name: measured(settings) for name, settings in models(runs).items()}
     for name, values in report.items():
@@ -97,7 +98,7 @@ def _require_equal(kind: str, budgets: Mapping[str, str], runs: Mapping[str, Pat
 
 
 def models(runs: Mapping[str, Path]) -> dict[str, Any]:
-    """Settings of every model of conf/model, and of those of runs as they were trained."""
+    """Settings of every model in conf/model, and of the models in runs, as trained."""
     found = {path.stem: plain(compose([f"model={path.stem}"]).model) for path in sorted(CONF.glob("model/*.yaml"))}
     return found | {
         name: read_json(run / "models" / "abstraction" / "config.json")["model"] for name, run in runs.items()
@@ -105,7 +106,7 @@ def models(runs: Mapping[str, Path]) -> dict[str, Any]:
 
 
 def measured(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """What a model takes; that does not depend on its weights, which are random here."""
+    """Size and speed of a model, measured with random weights, which have no influence on them."""
     from hdsp.learning import HardwareSettings, LearnedAbstraction, ModelSettings, build_network, count_parameters
     from hdsp.learning.network_settings import settings_from
 
@@ -118,11 +119,13 @@ def measured(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def ablation_report(runs: Mapping[str, Path], before: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """By ablation what it reached, and the settings in which it differs from the base: of its run, or as the report
-    before says, if there still is such an experiment and it differs in the same.
+    """For each ablation: its training result, and its differences from the base.
+
+    The result comes from the ablation's run, or from the report before if the experiment still exists with the same
+    differences.
 
     Raises:
-        InputError: they had different numbers of epochs. Numbers of maps may differ, and are shown.
+        InputError: numbers of epochs differ. Numbers of maps may differ, and the table shows them.
     """
     base = experiment_settings(BASE)
     report: dict[str, dict[str, Any]] = {}
@@ -137,17 +140,17 @@ def ablation_report(runs: Mapping[str, Path], before: Mapping[str, Mapping[str, 
 
 
 def trained(zoo: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
-    """The models of the zoo that a run was made with."""
+    """Models in the zoo with a training result."""
     return {name: run for name, run in zoo.items() if QUALITY[0] in run}
 
 
 def outcome(training: Mapping[str, Any]) -> dict[str, Any]:
-    """What is kept of `reports/training.json`; empty if there is none of it."""
+    """Selected values from `reports/training.json`; empty if it has none."""
     return {key: training[key] for key in ("maps", "epochs", "best_epoch", *QUALITY) if key in training}
 
 
 def experiment_settings(name: str) -> dict[str, Any] | None:
-    """The configuration of the experiment with that file name, flat; None if there is no such experiment."""
+    """Flat configuration for the experiment with this file name; None if there is no such experiment."""
     for path in sorted(CONF.glob(f"experiment/**/{name}.yaml")):
         config = compose([f"experiment={path.relative_to(CONF / 'experiment').with_suffix('').as_posix()}"])
         return flatten({section: config[section] for section in SECTIONS})
@@ -155,10 +158,9 @@ def experiment_settings(name: str) -> dict[str, Any] | None:
 
 
 def differences(base: Mapping[str, Any] | None, other: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Settings that are not those of the base; None for those that only the base has. None if one is not known.
+    """Settings that differ from the base; value None for settings of the base alone. None if a side is unknown.
 
-    Where the architecture is another, it stands for all settings of the model, and a section that is gone for what it
-    held.
+    A different architecture stands for all model settings; a missing section stands for all its settings.
     """
     if base is None or other is None:
         return None
@@ -172,9 +174,9 @@ def differences(base: Mapping[str, Any] | None, other: Mapping[str, Any] | None)
 
 
 def map_seconds(abstraction) -> float:
-    """CPU seconds of one core for the costs of all actions of a map of 10 x 10 m, extrapolated from a part of it.
+    """CPU seconds on one core for all action costs on a 10 x 10 m map, extrapolated from a part.
 
-    The map is noise, of which no two patches are equal, so that none is spared.
+    The map is noise without equal patches, so no patch is evaluated only once for several states.
     """
     from hdsp.learning import LearnedCosts
     from hdsp.terrain.height_map import HeightMap
@@ -196,7 +198,7 @@ def map_seconds(abstraction) -> float:
 
 
 def zoo_table(zoo: Mapping[str, Mapping[str, Any]]) -> str:
-    """Markdown: a model in each line, the fastest first; models on a Pareto front of the picture are in bold."""
+    """Markdown table: one model per row, the fastest first; bold names lie on a Pareto front in the picture."""
     runs = trained(zoo)
     if not runs:
         return "No runs yet."
@@ -221,7 +223,7 @@ def zoo_table(zoo: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def ablation_table(ablations: Mapping[str, Mapping[str, Any]]) -> str:
-    """Markdown: an experiment in each line, in brackets its difference to the base."""
+    """Markdown table: one experiment per row, with its difference to the base in brackets."""
     if not ablations:
         return "No runs yet."
     if BASE not in ablations:
@@ -242,7 +244,7 @@ def ablation_table(ablations: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def sets_of(runs: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Names of all sets that runs have figures of, without the one that chose their epochs."""
+    """Names of all sets with figures, except the set that selected the epochs."""
     return list(dict.fromkeys(of for run in runs.values() for of in run["feasibility_accuracy"] if of != "val"))
 
 
@@ -253,7 +255,7 @@ def quality(run: Mapping[str, Any], of: str) -> str:
 
 
 def change(run: Mapping[str, Any], base: Mapping[str, Any], of: str) -> str:
-    """How both differ from the base, in percent points and as they are."""
+    """Differences of both figures to the base: accuracy in percent points, cost error as a plain number."""
     if EMPTY in (quality(run, of), quality(base, of)):
         return EMPTY
     accuracy, error = (run[key][of] - base[key][of] for key in QUALITY)
@@ -261,7 +263,7 @@ def change(run: Mapping[str, Any], base: Mapping[str, Any], of: str) -> str:
 
 
 def panels(zoo: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, float]]:
-    """The two errors of the picture by model, on the first set that all models have figures of."""
+    """Both errors in the picture, for each model, on the first set with figures from all models."""
     common = [of for of in PICTURED if all(quality(run, of) != EMPTY for run in zoo.values())]
     if not common:
         raise InputError(f"runs of the zoo: no set of {', '.join(PICTURED)} has figures of all models")
@@ -273,7 +275,7 @@ def panels(zoo: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, float]]:
 
 
 def fronts(zoo: Mapping[str, Mapping[str, Any]]) -> set[str]:
-    """Names of the models on a Pareto front of error over time."""
+    """Names of models on a Pareto front of error over time."""
     from hdsp.viz import pareto_front
 
     names = list(zoo)
@@ -289,7 +291,7 @@ def picture(zoo: Mapping[str, Mapping[str, Any]], path: Path) -> None:
     save_pareto({name: run["map_seconds"] for name, run in zoo.items()}, panels(zoo), path)
 
 
-#: What is kept of each kind of runs, and what the page shows of it.
+#: Report and page table for each kind of run.
 REPORTS = {"zoo": zoo_report, "ablations": ablation_report}
 TABLES = {"zoo": zoo_table, "ablations": ablation_table}
 

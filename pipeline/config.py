@@ -1,7 +1,7 @@
-"""Configuration of the stages: composed from conf/ by Hydra, or read from the params.yaml that DVC watches.
+"""Stage configuration: composed from conf/ by Hydra, or read from the params.yaml that DVC watches.
 
-`python -m pipeline.config` composes conf/ into params.yaml (the bytes that `dvc exp run` writes);
-with overrides, e.g. `python -m pipeline.config profile=paper`, that composition.
+`python -m pipeline.config` composes conf/ into params.yaml, with the same bytes as `dvc exp run`. Overrides are
+applied, e.g. `python -m pipeline.config profile=paper`.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ PARAMS = Path("params.yaml")
 Settings = TypeVar("Settings")
 
 
-#: Mappings to which a command line may add entries of its own, without the + that Hydra asks for elsewhere.
+#: Mappings to which a command line may add entries without Hydra's +.
 OPEN = ("evaluation.sets.",)
 
 
 def compose(overrides: Sequence[str] = ()) -> DictConfig:
-    """The configuration of conf/ with Hydra overrides applied, all interpolations resolved.
+    """Composes conf/ with Hydra overrides; all interpolations are resolved.
 
     Raises:
-        InputError: unknown key, unknown choice of a group, or an override that cannot be parsed.
+        InputError: a key or group choice is unknown, or an override cannot be parsed.
     """
     GlobalHydra.instance().clear()
     overrides = [f"++{override}" if override.startswith(OPEN) else override for override in overrides]
@@ -51,10 +51,10 @@ def compose(overrides: Sequence[str] = ()) -> DictConfig:
 
 
 def read_params(path: Path = PARAMS) -> DictConfig:
-    """The configuration that `dvc repro` works with.
+    """Reads the configuration for `dvc repro`.
 
     Raises:
-        InputError: there is no such file, or it is not a mapping.
+        InputError: the file does not exist, or is not a mapping.
     """
     if not path.is_file():
         raise InputError(f"{path} not found: run stages in the project's root, or compose it with `make params`")
@@ -66,22 +66,22 @@ def read_params(path: Path = PARAMS) -> DictConfig:
 
 
 def write_params(path: Path = PARAMS, overrides: Sequence[str] = ()) -> None:
-    """Compose conf/ into params.yaml, byte for byte as `dvc exp run` does."""
+    """Composes conf/ into params.yaml, byte for byte as `dvc exp run` does."""
     text = OmegaConf.to_yaml(compose(overrides))
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def plain(section: Any) -> Any:
-    """A section as plain dicts, lists and numbers."""
+    """Converts a section to plain dicts, lists and numbers."""
     return OmegaConf.to_container(section, resolve=True) if OmegaConf.is_config(section) else section
 
 
 def settings(kind: type[Settings], section: Any, where: str) -> Settings:
-    """A settings dataclass from a section of the configuration; lists become tuples.
+    """Builds a settings dataclass from a configuration section; lists become tuples.
 
     Raises:
-        InputError: names a key that the dataclass does not have, with those it has.
+        InputError: a key is unknown; the message names it and the allowed keys.
     """
     values = plain(section)
     allowed = sorted(f.name for f in fields(kind))  # type: ignore[arg-type]
@@ -91,7 +91,7 @@ def settings(kind: type[Settings], section: Any, where: str) -> Settings:
 
 
 def flatten(section: Any, prefix: str = "") -> dict[str, Any]:
-    """Nested mappings as one level with dotted names, as MLflow parameters need them."""
+    """Flattens nested mappings to one level with dotted names, for MLflow parameters."""
     flat: dict[str, Any] = {}
     for name, value in plain(section).items():
         value = plain(value)
@@ -103,12 +103,12 @@ def flatten(section: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def expand_choices(overrides: Sequence[str]) -> list[list[str]]:
-    """For `a=1,2 b=3`: `[[a=1, b=3], [a=2, b=3]]`, one list for each value that a sweep will use.
+    """Expands `a=1,2 b=3` to `[[a=1, b=3], [a=2, b=3]]`: one list for each value in a sweep.
 
-    Only one override is varied at a time: enough to check every value before a sweep begins.
+    Only one override varies at a time, which is enough to check every value before a sweep begins.
 
     Raises:
-        InputError: an override that cannot be parsed.
+        InputError: an override cannot be parsed.
     """
     try:
         parsed = OverridesParser.create().parse_overrides(list(overrides))
@@ -128,7 +128,7 @@ def _frozen(value: Any) -> Any:
 
 
 def _one_line(error: Exception, overrides: Sequence[str]) -> str:
-    """Hydra explains over many lines; people need the key and what is allowed beside it."""
+    """Shortens Hydra's message to one line with the key and the allowed keys beside it."""
     text = " ".join(str(error).split())
     for override in overrides:
         key = override.split("=")[0].lstrip("+~")

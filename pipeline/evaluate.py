@@ -1,4 +1,4 @@
-"""Stage `evaluate`: how well each abstraction agrees with the detailed planner, on each set (the paper's Table I)."""
+"""Stage `evaluate`: agreement between each abstraction and the detailed planner, on each set (the paper's Table I)."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def evaluate(config: DictConfig, folders: Folders) -> None:
 
 
 def calibration(predictors: Mapping[str, Any], tasks: TaskSet) -> dict[str, Any]:
-    """By method, of those that give probabilities: `hdsp.learning.calibration.calibration_figures`."""
+    """Returns `hdsp.learning.calibration.calibration_figures` for each method with probabilities."""
     return {
         name: predictor.calibration_figures(tasks)
         for name, predictor in predictors.items()

@@ -60,7 +60,7 @@ def import_scans(config: DictConfig, folders: Folders) -> None:
 
 
 def _remove_others(folder, names: set[str]) -> None:
-    """Shards of scans that are no longer listed, and the note of a run without any."""
+    """Removes shards for scans no longer listed, and the note from a run without any."""
     for path in folder.iterdir():
         if path.name not in names:
             path.unlink()

@@ -1,4 +1,4 @@
-"""Stage `label`: seeds -> random maps with the labels of their tasks, in shards that an interrupted run continues."""
+"""Stage `label`: seeds -> random maps with task labels, in shards; an interrupted run continues."""
 
 from __future__ import annotations
 
@@ -25,22 +25,25 @@ def label(config: DictConfig, folders: Folders, split: str) -> None:
     place = shards_place(config, folders.outputs, split)
     result = label_split(label_run(config, split), place, cluster, progress=runtime.progress)
     write_json(folders.write("reports", "labels", f"{split}.json"), result.summary)
-    if result.record:  # beside the labels and not in a report: no two runs are the same here
+    if result.record:  # beside the labels instead of in a report, because it differs in each run
         with folders.write("data", "label_runs", f"{split}.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(result.record) + "\n")
 
 
 def shards_place(config: DictConfig, folder: Path, split: str) -> str | Path:
-    """Folder or URL of the shards of a split; `folder` holds data/, where splits of scanned courses always are."""
+    """Returns the folder or URL with a split's shards.
+
+    `folder` contains data/, which always holds splits from scanned courses.
+    """
     destination = config.labelling.destination if split in config.labelling.splits else None
     return f"{destination.rstrip('/')}/{split}" if destination else folder / "data" / "labels" / split
 
 
 def label_run(config: DictConfig, split: str) -> LabelRun:
-    """The `LabelRun` of a split of the configuration.
+    """Returns the `LabelRun` for a split in the configuration.
 
     Raises:
-        InputError: there is no such split, or a setting is wrong.
+        InputError: the split does not exist, or a setting is wrong.
     """
     from hdsp.labels.rules import LabelSettings
     from hdsp.labels.run.splits import LabelRun, SplitSettings

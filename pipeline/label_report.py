@@ -1,8 +1,9 @@
-"""The labels of a profile beside the paper's, from its shards: `reports/labels.json` and the table `labels.md`.
+"""A profile's labels beside the paper's, from its shards: `reports/labels.json` and the table `labels.md`.
 
     python -m pipeline.label_report profile=paper runtime.inputs=outputs/paper runtime.outputs=.
 
-No stage of dvc.yaml: it describes the profile that was labelled in full once, whatever profile the pipeline runs.
+dvc.yaml has no stage for this report, because it describes one fully labelled profile, independent of the pipeline's
+profile.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ def label_report(config: DictConfig, folders: Folders) -> None:
     splits: dict[str, Any] = {}
     for split, chosen in config.labelling.splits.items():
         if chosen.get("sensing") or not chosen.get("standable", True):
-            continue  # the paper has none of these
+            continue  # the paper has no splits of this kind
         place = shards_place(config, folders.inputs, split)
         ours = describe_labels(label_run(config, split), place)
         records = folders.read("data", "label_runs", f"{split}.jsonl")
@@ -38,7 +39,7 @@ def label_report(config: DictConfig, folders: Folders) -> None:
 
 
 def table(splits: dict[str, Any]) -> str:
-    """Markdown: a row for each split and category, the paper's counts beside ours."""
+    """Markdown table: one row for each split and category, with the paper's counts beside ours."""
     header = ["split", "category", "maps kept", "of", "paper", "tasks", "paper", "feasible", "cost", "paper"]
     rows = []
     for split, values in splits.items():

@@ -1,4 +1,4 @@
-"""The model card of a shipped abstraction. Every number in it is measured or configured."""
+"""Model card for a shipped abstraction. Every number on it is measured or configured."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ def model_card(
     config: DictConfig,
     name: str,
 ) -> str:
-    """The card as Markdown.
+    """Returns the card as Markdown.
 
     Args:
-        abstraction: as it will be loaded.
-        robot: what it is for.
-        precision: of the weights in the file.
-        figures: by set, what `pipeline.publish_model.figures_of` returns, with `paper`: the set of the paper whose
-            figures stand beside.
-        missing: by set without data, why.
-        config: says what training maps hold, and the recipe where the abstraction itself does not.
-        name: in the package.
+        abstraction: abstraction as it will be loaded.
+        robot: its robot.
+        precision: weight precision in the file.
+        figures: for each set the figures from `pipeline.publish_model.figures_of`, with `paper`: the paper's set for
+            comparison.
+        missing: for each set without data, the reason.
+        config: contents of the training maps, and the recipe if the abstraction itself does not hold it.
+        name: name in the package.
     """
     parts = [
         _head(robot, name),
@@ -119,7 +119,7 @@ def _data(abstraction: LearnedAbstraction, robot: Robot, config: DictConfig) -> 
 
 
 def _data_notes(abstraction: LearnedAbstraction, config: DictConfig) -> dict[str, Any]:
-    """As `pipeline.train.data_notes`; of a model that was saved without, what is configured now."""
+    """Like `pipeline.train.data_notes`; the current configuration if the model holds no notes."""
     notes = abstraction.provenance.notes
     if "splits" in notes:
         return notes
@@ -128,12 +128,12 @@ def _data_notes(abstraction: LearnedAbstraction, config: DictConfig) -> dict[str
 
 
 def _sensed(data: Mapping[str, Any]) -> list[str]:
-    """The splits whose maps pass through the sensor model."""
+    """Splits whose maps pass through the sensor model."""
     return [name for name, split in data["splits"].items() if split.get("sensing")]
 
 
 def _scanned(data: Mapping[str, Any]) -> list[str]:
-    """The splits whose maps are patches of simulated scans."""
+    """Splits whose maps are patches from simulated scans."""
     return [name for name, split in data["splits"].items() if "courses" in split]
 
 

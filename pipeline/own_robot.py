@@ -1,10 +1,10 @@
-"""All stages for another robot, in a folder of its own.
+"""All stages for another robot, in its own folder.
 
     python -m pipeline.own_robot robot=anymal_wheels profile=own_robot
 
-`robot` names a file of hdsp/robot/presets (where conf/robot points to). Labels, training, evaluation and planning go to
-outputs/robots/NAME, and what was done before is kept there: a second call continues. The figures also go into
-docs/own-robot.md, with a picture, if that page has the markers of this robot.
+`robot` names a file in hdsp/robot/presets (conf/robot points there). Labels, training, evaluation and planning go to
+outputs/robots/NAME. Earlier results stay there: a second call continues. The figures and a picture also go into
+docs/own-robot.md if this page has the robot's markers.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ PAGE = Path("docs/own-robot.md")
 def own_robot(config: DictConfig, folders: Folders) -> None:
     robot = Robot.load(plain(config.robot))
     check_name(robot)
-    folders = Folders(folders.outputs, folders.outputs)  # what a stage writes, the next one reads
+    folders = Folders(folders.outputs, folders.outputs)  # each stage reads the outputs of earlier stages
     for split in (*config.trainer.splits, *config.trainer.val_splits, "random"):
         (scan_courses if split in config.simulation.splits else label)(config, folders, split)
     train(config, folders)
@@ -48,10 +48,10 @@ def own_robot(config: DictConfig, folders: Folders) -> None:
 
 
 def check_name(robot: Robot) -> None:
-    """A robot's file and the name inside are one: outputs and abstractions go by the name, `robot=NAME` by the file.
+    """Checks that a robot's file and its name agree: outputs and abstractions use the name, `robot=NAME` the file.
 
     Raises:
-        InputError: a file of another name holds a robot of this name.
+        InputError: a file with another name holds a robot with this name.
     """
     if others := [file for file in Robot.presets() if file != robot.name and Robot.load(file).name == robot.name]:
         raise InputError(
@@ -60,12 +60,12 @@ def check_name(robot: Robot) -> None:
 
 
 def markers(robot: str) -> tuple[str, str]:
-    """Lines of the page between which the figures of a robot stand."""
+    """Markers around a robot's figures on the page."""
     return f"<!-- {robot}: written by `python -m pipeline.own_robot` -->", f"<!-- end of {robot} -->"
 
 
 def write_page(page: Path, robot: str, text: str, picture: Path) -> None:
-    """The figures and a picture of a path, if the page has a place for this robot."""
+    """Writes figures and a path picture to the page, if it has a place for this robot."""
     if page.is_file() and markers(robot)[0] in page.read_text(encoding="utf-8"):
         shown = page.parent / "figures" / f"{robot}.png"
         shutil.copyfile(picture, shown)
@@ -73,7 +73,7 @@ def write_page(page: Path, robot: str, text: str, picture: Path) -> None:
 
 
 def place(config: DictConfig) -> str:
-    """The folder of this robot, where a second call finds what the first one did."""
+    """Returns this robot's folder, in which a second call finds earlier results."""
     return f"outputs/robots/{Robot.load(plain(config.robot)).name}"
 
 
@@ -83,7 +83,7 @@ def read_reports(folders: Folders) -> dict[str, Any]:
 
 
 def section(robot: Robot, profile: str, reports: dict[str, Any]) -> str:
-    """What came out, as Markdown."""
+    """Results as Markdown."""
     training, sets = reports["training"], reports["abstraction_quality"]["sets"]
     random = sets["random"]
     if not random["available"]:

@@ -1,4 +1,4 @@
-"""The paper's results (Klamt & Behnke 2019, Table I and II), as data to be printed beside ours."""
+"""The paper's results (Klamt & Behnke 2019, Tables I and II), as data for comparison with ours."""
 
 #: Table I, per set: detailed costs, then for each method feasibility accuracy, mean abstract cost, mean cost error.
 ABSTRACTION_QUALITY = {
@@ -35,7 +35,7 @@ HEURISTIC_PERFORMANCE = {
     },
 }
 
-#: Sec. V-C and VI-A: maps that were kept of those generated and their tasks; costs of the random set from Table I.
+#: Sec. V-C and VI-A: generated maps, kept maps and their tasks; costs for the random set from Table I.
 LABELS = {
     "train": {"maps_before": 18_000, "maps": 11_327, "tasks": 249_194},
     "random": {"maps_before": 1_800, "maps": 1_124, "tasks": 24_728, "cost_mean": 0.476, "cost_std": 0.222},

@@ -2,8 +2,8 @@
 
     python -m pipeline.paper_training
 
-The run of `conf/experiment/klamt2019.yaml` in `outputs/paper` is gathered into `reports/klamt2019.json`; without it
-that report stays as it is, and page and picture are made of the report. An unfinished training shows the epochs it has.
+The run with `conf/experiment/klamt2019.yaml` in `outputs/paper` becomes `reports/klamt2019.json`. Without this run the
+report stays unchanged. Page and picture come from the report alone. An unfinished training shows its finished epochs.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.tables import markdown, percent
 
 RUN = ("outputs", "paper")
-#: Where a training in progress keeps its history, and where a finished one has left it.
+#: History files of an unfinished and of a finished training.
 HISTORIES = (("models", "training", "history.csv"), ("reports", "training_history.csv"))
-#: The validation accuracy and cost error of the paper's figure, epoch by epoch.
+#: Validation accuracy and cost error in the paper's figure, per epoch.
 PUBLISHED = Path(__file__).with_name("paper_training.csv")
 METRICS = ("feasibility_accuracy", "cost_error")
 
@@ -55,25 +55,25 @@ def paper_training(config: DictConfig, folders: Folders) -> None:
 
 
 def begin_end() -> tuple[str, str]:
-    """Lines of the page between which the table stands."""
+    """Markers around the table on the page."""
     return tuple(line.replace("pipeline.compare", "pipeline.paper_training") for line in markers("klamt2019"))
 
 
 def read_history(path: Path) -> list[dict[str, Any]]:
-    """Rows of a `history.csv`, epochs counted from 1."""
+    """Rows from a `history.csv`; epochs count from 1."""
     with path.open(newline="", encoding="utf-8") as file:
         rows = [{name: float(value) for name, value in row.items() if value} for row in csv.DictReader(file)]
     return [{**row, "epoch": int(row["epoch"]) + 1} for row in rows]
 
 
 def read_published() -> list[dict[str, Any]]:
-    """The paper's figure: `epoch`, `feasibility_accuracy`, `cost_error`."""
+    """The paper's curve: `epoch`, `feasibility_accuracy`, `cost_error`."""
     with PUBLISHED.open(newline="", encoding="utf-8") as file:
         return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
 
 
 def table(ours: Sequence[Mapping[str, Any]], theirs: Sequence[Mapping[str, Any]], planned: int) -> str:
-    """Best epoch by validation, ours and theirs, and our other sets in that epoch."""
+    """Best epochs by validation, ours and the paper's, and our other sets in our best epoch."""
 
     def best(rows, accuracy, error):
         return min(rows, key=lambda row: 1 - row[accuracy] + row[error])

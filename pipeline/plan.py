@@ -1,4 +1,4 @@
-"""Stage `plan`: the abstractions as heuristics of the detailed planner, in the paper's arena (Sec. VI-B, Table II)."""
+"""Stage `plan`: abstractions as heuristics for the detailed planner in the paper's arena (Sec. VI-B, Table II)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SOURCES = ("scanned", "random")
 
 
 class Ground(NamedTuple):
-    """What is planned on: the map, where it comes from in words, and what truly stands there if that is known."""
+    """Planning terrain: the map, its origin in words, and the true arena if known."""
 
     terrain: HeightMap
     about: str
@@ -36,7 +36,7 @@ class Ground(NamedTuple):
 
 
 def blocked(robot: Robot) -> Plan:
-    """A search for a way through a wall, which ends in a proof that there is none."""
+    """Plans through a wall; the search ends in a proof of infeasibility."""
     import numpy as np
 
     from hdsp.planning.planner import Planner
@@ -57,8 +57,8 @@ def plan(config: DictConfig, folders: Folders) -> None:
     tasks = read_tasks(next(iter(planners.values())), config.arena.tasks)
     start, goal = next(iter(tasks.values()))
     for planner in planners.values():
-        planner.plan(start, goal, expansions=1)  # kernels are compiled, and loaded, before anything is timed,
-    blocked(robot)  # and those of proofs
+        planner.plan(start, goal, expansions=1)  # compiles and loads kernels before any measurement,
+    blocked(robot)  # including the kernels for proofs
 
     runs: list[dict[str, Any]] = []
     found: dict[tuple[str, str, float], Plan] = {}
@@ -100,10 +100,10 @@ def plan(config: DictConfig, folders: Folders) -> None:
 
 
 def read_ground(arena: DictConfig, folders: Folders) -> Ground:
-    """The map that `arena.source` asks for; where the arena could not be scanned, its own heights.
+    """Returns the map named by `arena.source`; an arena without scan gives its own heights.
 
     Raises:
-        InputError: unknown source, or an arena that cannot be made.
+        InputError: the source is unknown, or the arena cannot be made.
     """
     from hdsp.terrain.arenas import ArenaSettings, random_arena, read_arena
     from hdsp.terrain.height_map import HeightMap
@@ -122,7 +122,7 @@ def read_ground(arena: DictConfig, folders: Folders) -> Ground:
 def prepare(
     terrain: HeightMap, robot: Robot, config: DictConfig, folders: Folders
 ) -> tuple[dict[str, Planner], dict[str, float]]:
-    """A planner for each heuristic, and the seconds that costs of all abstract actions took."""
+    """Returns a planner for each heuristic, and the seconds for all abstract action costs."""
     from hdsp.planning.planner import Planner
 
     planners: dict[str, Planner] = {}
@@ -138,10 +138,10 @@ def prepare(
 
 
 def timed(planner: Planner, start: Pose, goal: Pose, weight: float, section: DictConfig) -> tuple[Plan, float]:
-    """A plan, and the seconds it took from the question on; the median of several runs where they are short.
+    """Returns a plan and its query time in seconds, the median of several runs for short queries.
 
-    Each run is as the first question on a new map: what earlier ones left is forgotten, so that it includes the
-    Dijkstra search to its goal.
+    Each run equals the first query on a new map: earlier results are forgotten, so the time includes the Dijkstra
+    search for its goal.
     """
     times: list[float] = []
     while True:
@@ -154,7 +154,7 @@ def timed(planner: Planner, start: Pose, goal: Pose, weight: float, section: Dic
 
 
 def read_tasks(planner: Planner, tasks: DictConfig) -> Tasks:
-    """Start and goal of each task by its name.
+    """Returns each task's start and goal by name.
 
     Raises:
         InputError: two tasks have the same name, or the robot cannot stand at a pose.
@@ -173,7 +173,7 @@ def read_tasks(planner: Planner, tasks: DictConfig) -> Tasks:
 
 
 def describe(task: str, heuristic: str, weight: float, plan: Plan, seconds: float) -> dict[str, Any]:
-    """What is reported of a search."""
+    """Report entry for a search."""
     status = str(plan.status)
     return {
         "pair": task,
@@ -189,7 +189,7 @@ def describe(task: str, heuristic: str, weight: float, plan: Plan, seconds: floa
 
 
 def checked(truth: Arena | None, plan: Plan, robot: Robot) -> dict[str, Any]:
-    """Whether a path keeps clear of what truly stands there; None where there is no path, or the truth is unknown."""
+    """Checks a path for collisions with the true arena; None without a path or a known arena."""
     from hdsp.planning.collisions import check_plan
 
     if truth is None or not plan.solved:
@@ -204,7 +204,7 @@ def checked(truth: Arena | None, plan: Plan, robot: Robot) -> dict[str, Any]:
 
 
 def collisions(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """How many paths were checked against the truth, how many are free, the least clearance of the body (m)."""
+    """Counts checked and collision-free paths, with the least body and foot clearance (m)."""
     known = [run for run in runs if run["collision_free"] is not None]
     return {
         "checked": len(known),
@@ -215,7 +215,7 @@ def collisions(runs: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def in_words(run: dict[str, Any]) -> str:
-    """One line about a search."""
+    """Describes a search in one line."""
     cost = "no path" if run["cost"] is None else f"cost {run['cost']:.3f}"
     hits = run.get("collisions") or [""]
     verdict = {True: ", free", False: f", COLLIDES {len(hits)} times: {hits[0]}", None: ""}
@@ -226,8 +226,10 @@ def in_words(run: dict[str, Any]) -> str:
 
 
 def best_to_show(runs: list[dict[str, Any]]) -> tuple[str, str, float]:
-    """The search for the picture: the task with most steps, then with the longest path, by the learned heuristic if it
-    found one, with the least weight."""
+    """Selects the search for the picture.
+
+    The order is: most steps, longest path, learned heuristic if it found a path, least weight.
+    """
     solved = [run for run in runs if run["status"] == "solved"] or runs
     chosen = max(solved, key=lambda run: (run["steps"], run["cost"] or 0.0))["pair"]
     candidates = [run for run in solved if run["pair"] == chosen]
@@ -236,8 +238,10 @@ def best_to_show(runs: list[dict[str, Any]]) -> tuple[str, str, float]:
 
 
 def series_to_show(runs: list[dict[str, Any]], weight: float = 1.25) -> tuple[str, float]:
-    """Heuristic and weight for the picture of all paths: the learned one, or else the last, and the weight nearest to
-    the paper's."""
+    """Selects heuristic and weight for the picture with all paths.
+
+    The heuristic is the learned one, or else the last; the weight is nearest to the paper's.
+    """
     names = [run["heuristic"] for run in runs]
     chosen = "learned" if "learned" in names else names[-1]
     return chosen, min((run["weight"] for run in runs if run["heuristic"] == chosen), key=lambda w: abs(w - weight))

@@ -1,11 +1,11 @@
-"""Put a trained abstraction into the package, with its model card.
+"""Puts a trained abstraction into the package, with its model card.
 
     python -m pipeline.publish_model models/abstraction
 
-The folder of a training in progress (`models/training`) does too; its overrides say what is being trained.
-It is calibrated on the validation set and judged on every set of `evaluation.sets` as it will be loaded, after its
-weights were rounded. Writes `hdsp/learning/shipped/ROBOT/`, or ROBOT-NAME with `runtime.variant=NAME`. With overrides add
-`runtime.outputs=.`, or it lands in outputs/.
+A folder with an unfinished training (`models/training`) is also accepted; the overrides then describe the trained
+model. The abstraction is calibrated on the validation set. All sets in `evaluation.sets` evaluate it in its final form,
+with rounded weights. Output is `hdsp/learning/shipped/ROBOT/`, or ROBOT-NAME with `runtime.variant=NAME`. With
+overrides, add `runtime.outputs=.`; otherwise the output lands in outputs/.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
     from hdsp.learning import LearnedAbstraction
 
-#: Bytes; larger weights are rounded to half floats.
+#: Weights above this number of bytes are rounded to half floats.
 LARGEST = 4_000_000
-#: What a training in progress has in its folder.
+#: File in the folder of an unfinished training.
 CHECKPOINT = "checkpoints/best.ckpt"
-#: Levels of the cost errors that the card states.
+#: Cost error levels on the card.
 ERROR_LEVELS = (0.5, 0.9, 0.99, 1.0)
 
 
@@ -85,7 +85,7 @@ def publish_model(config: DictConfig, folders: Folders, source: str) -> None:
 
 
 def in_progress(source: Path, robot: Robot, config: DictConfig, folders: Folders) -> LearnedAbstraction:
-    """The best epoch so far of the training of `config.model` in a folder that holds checkpoints."""
+    """Loads the best epoch so far from an unfinished training of `config.model`."""
     import torch
 
     from hdsp.learning import LearnedAbstraction, Provenance
@@ -106,7 +106,7 @@ def in_progress(source: Path, robot: Robot, config: DictConfig, folders: Folders
 
 
 def _validation(trainer: Mapping[str, Any], config: DictConfig, folders: Folders) -> TaskSet:
-    """The maps by which the training chose its epoch."""
+    """Validation maps, which selected the training's epoch."""
     from hdsp.labels.tasks import TaskSet
 
     sets = []
@@ -119,11 +119,14 @@ def _validation(trainer: Mapping[str, Any], config: DictConfig, folders: Folders
 
 
 def figures_of(abstraction: LearnedAbstraction, tasks: TaskSet) -> dict[str, Any]:
-    """All that the card says of a set: what `hdsp.labels.evaluation.evaluate_predictor` and the calibration return,
-    `categories` with the same for each, and `false_feasible`, `false_infeasible` (shares of tasks), `cost_errors`."""
+    """Returns all figures on the card for a set.
+
+    These are the figures from `hdsp.labels.evaluation.evaluate_predictor` and from the calibration, `categories` with
+    the same figures per category, and `false_feasible`, `false_infeasible` (shares of tasks) and `cost_errors`.
+    """
     from hdsp.labels.evaluation import evaluate_set, predict
 
-    # Answers are computed once: a set may be large, and a network slow.
+    # One evaluation serves all figures, because sets are large and networks may be slow.
     feasible, cost = predict(abstraction, tasks)
     whole = evaluate_set({"it": _Answers(feasible, cost)}, tasks)
     both = feasible & tasks.feasible
@@ -142,7 +145,7 @@ def figures_of(abstraction: LearnedAbstraction, tasks: TaskSet) -> dict[str, Any
 
 
 class _Answers:
-    """A predictor that was asked already."""
+    """Predictor with precomputed answers."""
 
     def __init__(self, feasible: np.ndarray, cost: np.ndarray):
         self.answers = feasible, cost

@@ -1,4 +1,4 @@
-"""Stage `published`: the authors' own labels as a test set; without them, a note that says why and how to get them."""
+"""Stage `published`: the authors' labels as a test set; without them, a note with reason and remedy."""
 
 from __future__ import annotations
 

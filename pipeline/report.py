@@ -1,4 +1,4 @@
-"""Stage `report`: both tables of the paper beside ours, in reports/tables.md and between the markers of README.md."""
+"""Stage `report`: both paper tables beside ours, in reports/tables.md and between the markers in README.md."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def report(config: DictConfig, folders: Folders) -> None:
 
 
 def summary(quality: dict[str, Any], planning: dict[str, Any]) -> dict[str, Any]:
-    """The headline numbers, for `dvc metrics show` and `dvc exp show`."""
+    """Headline numbers for `dvc metrics show` and `dvc exp show`."""
     accuracy: dict[str, Any] = {}
     error: dict[str, Any] = {}
     for name, values in quality["sets"].items():
@@ -45,7 +45,7 @@ def summary(quality: dict[str, Any], planning: dict[str, Any]) -> dict[str, Any]
 
 
 def put_between_markers(page: Path, tables: str, begin: str = BEGIN, end: str = END) -> None:
-    """Replace what stands between two markers of the README or another page.
+    """Replaces the text between two markers on the README or another page.
 
     Raises:
         InputError: the page lacks a marker.

@@ -1,4 +1,4 @@
-"""Stage `scan_arena`: the paper's arena and random courses, scanned by a simulated lidar; the simulated patches."""
+"""Stage `scan_arena`: simulated lidar scans of the paper's arena and of random courses; simulated patches."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def scan_arena(config: DictConfig, folders: Folders) -> None:
 
 
 def scan_paper_arena(config: DictConfig, folders: Folders, robot: Robot, lidar) -> dict[str, Any]:
-    """Maps of the arena, true and scanned, and its picture; returns how true the scan is."""
+    """Writes the arena's true and scanned maps and its picture; returns the scan accuracy and the valid task ends."""
     from hdsp.planning.planner import Planner
     from hdsp.terrain.arenas import read_arena
     from hdsp.terrain.simulation.lidar_mapping import accuracy, scanned_map
@@ -68,7 +68,7 @@ def scan_paper_arena(config: DictConfig, folders: Folders, robot: Robot, lidar) 
 
 
 def scan_courses(config: DictConfig, folders: Folders, robot: Robot, lidar) -> dict[str, Any]:
-    """The set of simulated patches and its picture; returns how many there are of each kind."""
+    """Writes the simulated patch set and its picture; returns the number of patches per kind."""
     from hdsp.base.workers import ClusterSettings
     from hdsp.labels.course_patches import PatchRun, PatchSettings, simulated_courses, task_set
     from hdsp.labels.rules import LabelSettings
@@ -100,7 +100,7 @@ def scan_courses(config: DictConfig, folders: Folders, robot: Robot, lidar) -> d
 
 
 def _picture(arena) -> np.ndarray | None:
-    """A rendering, or None where the machine cannot draw."""
+    """Renders the arena; None if the machine cannot draw."""
     from hdsp.terrain.simulation.mujoco_world import World
 
     try:

@@ -1,7 +1,7 @@
-"""`python -m pipeline.scan_courses SPLIT`: labelled patches of scanned random courses to learn from, in shards.
+"""`python -m pipeline.scan_courses SPLIT`: labelled patches from scanned random courses, as training shards.
 
-The splits are those of `simulation.splits`. A shard holds the patches of a course; those that are there and still hold
-stay, so that an interrupted run goes on, and more courses add shards.
+`simulation.splits` defines the splits. A shard holds one course's patches. Existing valid shards are kept, so an
+interrupted run continues, and more courses add shards.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def _is_valid(path: Path, digest: str) -> bool:
 
 
 def _remove_others(wanted: set[Path]) -> None:
-    """Removes shards of courses that are no longer part of the split, or made otherwise; other files stay."""
+    """Removes shards for courses outside the split or with another hash; other files stay."""
     from hdsp.labels.run.splits import SHARD_NAME
 
     for path in next(iter(wanted)).parent.iterdir():

@@ -1,6 +1,6 @@
-"""The learned abstraction as an MLflow model: `mlflow.pyfunc.load_model(uri).predict({"heights": ..., "goals": ...})`.
+"""Learned abstraction as an MLflow model: `mlflow.pyfunc.load_model(uri).predict({"heights": ..., "goals": ...})`.
 
-Logged from code: this file defines the model when MLflow loads it, the network comes from its safetensors. No pickle.
+MLflow logs the model from code: it runs this file on loading, and the network comes from its safetensors. No pickle.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ NAME = "abstraction"
 
 
 def log(mlflow: Any, abstraction_dir: Path, tasks: TaskSet) -> None:
-    """Log the abstraction with its signature to the current run.
+    """Logs the abstraction with its signature to the current run.
 
     Args:
         mlflow: the module, inside a run.
-        abstraction_dir: `config.json` and `model.safetensors`.
+        abstraction_dir: folder with `config.json` and `model.safetensors`.
         tasks: any labelled maps; one serves as the input example.
     """
     from hdsp.learning.abstraction import LearnedAbstraction
@@ -30,27 +30,38 @@ def log(mlflow: Any, abstraction_dir: Path, tasks: TaskSet) -> None:
     example = {"heights": tasks.heights[:1], "goals": tasks.goals[:1]}
     predictions = predict(LearnedAbstraction.from_pretrained(abstraction_dir), example)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # asks for an input example; the signature says it all
+        warnings.simplefilter("ignore", UserWarning)  # asks for an input example; the signature suffices
         mlflow.pyfunc.log_model(
             name=NAME,
             python_model=str(Path(__file__)),
             artifacts={NAME: str(abstraction_dir)},
             signature=mlflow.models.infer_signature(example, predictions),
-            # What the project's own package needs; without a list MLflow starts a process to find out.
+            # Without a list, MLflow starts a process to find the requirements.
             pip_requirements=["numpy", "numba", "scipy", "torch", "safetensors"],
         )
 
 
 def predict(abstraction: Any, inputs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """`heights` float32 [n, 72, 72] (m, NaN = unknown) and `goals` float32 [n, 22, 3] (abstract steps, robot frame) to
-    `feasible` bool [n, 22] and `cost` float32 [n, 22]."""
+    """Predicts feasibility and cost.
+
+    Args:
+        abstraction: learned abstraction.
+        inputs: `heights` float32 [n, 72, 72] (m, NaN = unknown) and `goals` float32 [n, 22, 3] (abstract steps, robot
+            frame).
+
+    Returns:
+        `feasible` bool [n, 22] and `cost` float32 [n, 22].
+    """
     feasible, cost = abstraction.predict(np.asarray(inputs["heights"]), np.asarray(inputs["goals"]))
     return {"feasible": feasible, "cost": cost}
 
 
 class _Judge:
-    """What the served model does. Not itself a `PythonModel`, whose methods MLflow wraps with checks of type hints:
-    here the signature checks inputs."""
+    """Methods for the served model.
+
+    It is not itself a `PythonModel`, because MLflow wraps the methods of a `PythonModel` with type hint checks; here
+    the signature checks inputs.
+    """
 
     def load_context(self, context):
         from hdsp.learning import LearnedAbstraction
@@ -67,5 +78,5 @@ def _define() -> None:
     mlflow.models.set_model(type("Served", (_Judge, mlflow.pyfunc.PythonModel), {})())
 
 
-if __name__ not in ("pipeline.served_model", "__main__"):  # MLflow runs this file under a name of its own
+if __name__ not in ("pipeline.served_model", "__main__"):  # MLflow runs this file under its own name
     _define()

@@ -1,4 +1,4 @@
-"""What a heuristic brings: times and costs of searches against a reference search of the same pair (Table II)."""
+"""Benefit of a heuristic: search times and costs against a reference search for the same pair (Table II)."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ Run = Mapping[str, Any]
 
 
 def summarise(runs: Sequence[Run], reference: tuple[str, float] = ("geometric", 1.0)) -> dict[str, dict[str, Any]]:
-    """Means over the pairs, for each heuristic and weight.
+    """Returns means over the pairs, for each heuristic and weight.
 
     Args:
         runs: searches with `pair`, `heuristic`, `weight`, `status`, `cost` (None if unsolved), `seconds`, `expansions`.
-        reference: heuristic and weight that the others are compared with; the geometric heuristic is admissible, so at
-            W = 1 its costs are optimal.
+        reference: reference heuristic and weight. The geometric heuristic is admissible, so its costs at W = 1 are
+            optimal.
 
     Returns:
-        heuristic -> weight -> `pairs`, `solved`, `seconds_mean`, `expansions_mean`, `memory_max` (bytes), and, over the
-        pairs that this search solved, `speedup` (mean of the ratios of time, as in the paper), `speedup_least` and
-        `speedup_is_lower_bound`: a reference search that its limit ended would have taken longer. `seconds_is_lower_
-        bound`: a search of this kind was ended by its limit. `cost_increase` is the mean over the `cost_pairs` that
-        both solved, `cost_above_best` that over all solved pairs against the least cost that any search found; None
-        where there are none.
+        heuristic -> weight -> values. Over all pairs: `pairs`, `solved`, `seconds_mean`, `expansions_mean`,
+        `memory_max` (bytes) and `seconds_is_lower_bound` (a limit ended a search in this group). Over solved pairs:
+        `speedup` (mean time ratio, as in the paper), `speedup_least` and `speedup_is_lower_bound` (a limit ended a
+        reference search, which would have taken longer). `cost_increase` is the mean over the `cost_pairs` solved by
+        both searches. `cost_above_best` is the mean over all solved pairs, against the least cost from any search.
+        Values without pairs are None.
     """
     references = {run["pair"]: run for run in runs if (run["heuristic"], run["weight"]) == reference}
     best = best_known(runs)
@@ -35,7 +35,7 @@ def summarise(runs: Sequence[Run], reference: tuple[str, float] = ("geometric", 
 
 
 def best_known(runs: Sequence[Run]) -> dict[Any, dict[str, Any]]:
-    """Of each pair that any search solved, the least `cost` and which search found it: `heuristic`, `weight`."""
+    """For each pair solved by any search: least `cost`, and the `heuristic` and `weight` that found it."""
     best: dict[Any, dict[str, Any]] = {}
     for run in filter(_solved, runs):
         if run["pair"] not in best or run["cost"] < best[run["pair"]]["cost"]:
@@ -44,7 +44,7 @@ def best_known(runs: Sequence[Run]) -> dict[Any, dict[str, Any]]:
 
 
 def is_bound(run: Run) -> bool:
-    """Whether a limit ended the search: without one it would have taken longer."""
+    """Whether a limit ended the search, so that its time is a lower bound."""
     return str(run["status"]).endswith("_limit") and run["status"] != "cost_limit"
 
 

@@ -1,4 +1,4 @@
-"""What every stage's command line has in common: overrides, sweeps, folders, and errors of one line."""
+"""Common command line for all stages: overrides, sweeps, folders, one-line errors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SWEEP_FLAGS = ("-m", "--multirun")
 
 @dataclass(frozen=True)
 class Folders:
-    """Where a stage reads what earlier stages made, and where it writes: each holds data/, models/ and reports/."""
+    """Input folder with results from earlier stages, and output folder; each holds data/, models/ and reports/."""
 
     inputs: Path
     outputs: Path
@@ -33,7 +33,7 @@ class Folders:
         return self.inputs.joinpath(*parts)
 
     def write(self, *parts: str) -> Path:
-        """A path to write to; its folder exists."""
+        """Returns a path to write to; its folder exists."""
         path = self.outputs.joinpath(*parts)
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
@@ -49,20 +49,20 @@ def run_stage(
     sweep_context: Callable[[Sequence[str]], contextlib.AbstractContextManager] | None = None,
     place: Callable[[DictConfig], str] | None = None,
 ) -> None:
-    """Run `stage(config, folders, *positional)` with the configuration that the command line asks for.
+    """Runs `stage(config, folders, *positional)` with the configuration from the command line.
 
-    Without overrides the configuration is params.yaml and outputs go where dvc.yaml expects them. With Hydra overrides
-    it is composed from conf/, and outputs go to a new folder under outputs/, so that what DVC tracks stays as it is.
-    A stage that gives a `place` has its outputs there in both cases, unless `runtime.outputs` names another folder.
-    With `-m` (only where `sweep_context` is given) Hydra runs every combination of the choices, inside that context.
-    Bad input ends the process with one line and exit status 1.
+    Without overrides, the configuration is params.yaml, and outputs go to the paths in dvc.yaml. With Hydra overrides,
+    it is composed from conf/, and outputs go to a new folder under outputs/, so that DVC's files stay unchanged. A
+    stage with a `place` writes its outputs there in both cases, unless `runtime.outputs` names another folder. With
+    `-m` (only if `sweep_context` is given), Hydra runs every combination of choices inside this context. Bad input ends
+    the process with one line and exit status 1.
     """
     try:
         arguments, overrides, sweep = _parse(sys.argv[1:], name, positional, sweep_context is not None)
         if sweep:
             assert sweep_context is not None  # _parse refuses -m without
             for variant in expand_choices(overrides):
-                compose(variant)  # what any value does wrong is said before the first run
+                compose(variant)  # any wrong value is reported before the first run
             with sweep_context(overrides):
                 _sweep(stage, name, arguments, overrides)
         else:
@@ -73,21 +73,21 @@ def run_stage(
 
 
 def project_root() -> Path:
-    """The repository that the tracking database belongs to; `dvc exp run --temp` runs stages in a copy of it."""
+    """Returns the repository that holds the tracking database; `dvc exp run --temp` runs stages in a copy."""
     return Path(os.environ.get("DVC_ROOT") or Path(__file__).resolve().parent.parent)
 
 
 def write_json(path: Path, values: Any) -> None:
-    """Whole or absent; numbers that are not finite become null, which every reader of JSON understands."""
+    """Writes a JSON file, whole or absent; non-finite numbers become null, which every JSON reader accepts."""
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(_finite(values), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def read_json(path: Path) -> Any:
-    """Contents of a report that an earlier stage wrote.
+    """Returns the contents of an earlier stage's report.
 
     Raises:
-        InputError: it is not there, or is no JSON.
+        InputError: the file does not exist, or is not JSON.
     """
     text = existing_file(path, "report").read_text(encoding="utf-8")
     try:
@@ -132,7 +132,7 @@ def _folders(
 
 
 def _sweep(stage: Stage, name: str, arguments: Sequence[str], overrides: Sequence[str]) -> None:
-    """Hydra's own multirun, so that its launchers work."""
+    """Runs a sweep through Hydra's own multirun, so that its launchers work."""
     import hydra
     from hydra.core.hydra_config import HydraConfig
 
@@ -146,7 +146,7 @@ def _sweep(stage: Stage, name: str, arguments: Sequence[str], overrides: Sequenc
         folders = Folders(Path(config.runtime.inputs), Path(here.runtime.output_dir))
         try:
             stage(config, folders, *arguments)
-        except InputError as error:  # the other runs of the sweep still have a chance
+        except InputError as error:  # the sweep's other runs continue
             failed.append(f"run {here.job.num} ({' '.join(here.overrides.task)}): {error}")
 
     argv, sys.argv = sys.argv, [f"pipeline/{name}.py", "-m", *overrides]

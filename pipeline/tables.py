@@ -1,4 +1,4 @@
-"""The paper's two tables beside ours, in markdown, from the reports of the stages."""
+"""The paper's two tables beside ours, in Markdown, from stage reports."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ METHOD_NAMES = {
     "manual": "manually tuned",
     "flat": "flat ground",
 }
-#: Methods beside which the paper's figures of another stand.
+#: Methods shown beside the paper's figures for another method.
 AS_PAPER = {"pretrained": "learned", "pretrained-klamt2019": "learned"}
 HEURISTIC_NAMES = {
     "geometric": "geometric",
@@ -29,7 +29,7 @@ EMPTY = "–"
 
 
 def abstraction_quality_table(quality: Mapping[str, Any], training: Mapping[str, Any] | None = None) -> str:
-    """Table I: per set a column of ours and, where the paper has that set, one of the paper's.
+    """Table I: one column per set, with ours and, if the paper has the set, the paper's figures.
 
     Args:
         quality: contents of `reports/abstraction_quality.json`.
@@ -66,8 +66,9 @@ def abstraction_quality_table(quality: Mapping[str, Any], training: Mapping[str,
 
 
 def heuristic_table(planning: Mapping[str, Any]) -> str:
-    """Table II: speed-up and cost increase against the optimal search with the geometric heuristic; then the times and
-    costs of each task.
+    """Table II: speed-up and cost increase against the optimal search with the geometric heuristic.
+
+    Times and costs of each task follow.
 
     Args:
         planning: contents of `reports/planning.json`.
@@ -114,7 +115,7 @@ _TASKS_NOTE = "Time (s) and cost of each task. ≥ marks a search that ended at 
 
 
 def _tasks(planning: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Header and rows: for each heuristic and weight, time and cost of each task; then the least costs."""
+    """Header and rows: time and cost of each task by heuristic and weight, then the least costs."""
     runs = planning["runs"]
     pairs = list(dict.fromkeys(run["pair"] for run in runs))
     found = {(run["heuristic"], run["weight"], run["pair"]): run for run in runs}
@@ -171,7 +172,7 @@ def _lookup(values: Any, keys: tuple[str, ...]) -> float | None:
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Padded, so that it reads as well in a terminal."""
+    """Formats a Markdown table, padded for reading in a terminal."""
     table = [list(header), *map(list, rows)]
     widths = [max(len(row[i]) for row in table) for i in range(len(header))]
     padded = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in table]
@@ -184,7 +185,7 @@ def _known(value: float | None) -> bool:
 
 
 def percent(value: float | None) -> str:
-    """A share as it stands in all tables."""
+    """Formats a share as percentage, alike in all tables."""
     return f"{100 * value:.2f} %" if value is not None and _known(value) else EMPTY
 
 

@@ -1,4 +1,4 @@
-"""Sets of labelled tasks, as the stages find them on disk."""
+"""Labelled task sets on disk, as stages read them."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from pipeline.stage import Folders
 if TYPE_CHECKING:
     from hdsp.labels.shards import TaskSet
 
-#: Written by a stage that could not get its data: says why in `reason`.
+#: Written by a stage without data; `reason` explains why.
 ABSENT = "absent.json"
 
 
 def read_set(folder: Place) -> tuple[TaskSet | None, str]:
-    """The tasks of a folder of shards (path or URL), or None and the reason why there are none.
+    """Returns the tasks in a folder with shards (path or URL), or None and the reason for their absence.
 
     Raises:
         InputError: a shard is damaged.
@@ -38,7 +38,7 @@ def read_set(folder: Place) -> tuple[TaskSet | None, str]:
 
 
 def set_place(entry: Mapping[str, Any], folders: Folders) -> Place:
-    """Where an entry of `evaluation.sets` has its shards or scans."""
+    """Returns the place of the shards or scans for an entry in `evaluation.sets`."""
     place = entry.get("tasks") or entry["scans"]
     return place if is_url(place) else folders.read(place)
 
@@ -46,13 +46,13 @@ def set_place(entry: Mapping[str, Any], folders: Folders) -> Place:
 def read_evaluation_set(
     name: str, entry: Mapping[str, Any], config: DictConfig, folders: Folders
 ) -> tuple[TaskSet | None, str]:
-    """As `read_set`, of an entry of `evaluation.sets`: `tasks` names a folder of shards among the inputs, or a URL;
-    `scans` any folder of scans, which are labelled first (`hdsp.labels.scan_sets`).
+    """Like `read_set`, for an entry in `evaluation.sets`.
 
-    An entry with `robot` is of labels that were not made here; there are none for any other robot.
+    In an entry, `tasks` names an input folder or URL with shards; `scans` names any folder with scans, which are
+    labelled first (`hdsp.labels.scan_sets`). `robot` marks labels made elsewhere; they exist for this robot alone.
 
     Raises:
-        InputError: also for another key, or none or both of the two.
+        InputError: also if a key is unknown, or not exactly one of `tasks` and `scans` is given.
     """
     allowed = ("tasks", "scans", "paper", "robot")
     if unknown := sorted(set(entry) - set(allowed)):

@@ -1,6 +1,6 @@
-"""MLflow: one experiment, one run per training, one parent run per sweep.
+"""MLflow tracking: one experiment, one run per training, one parent run per sweep.
 
-The database is `mlflow.db` in the project's root, unless MLFLOW_TRACKING_URI says otherwise; `mlflow ui` reads it.
+The database is `mlflow.db` in the project root, unless MLFLOW_TRACKING_URI is set; `mlflow ui` reads it.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
 
 
 def connect() -> Any:
-    """The mlflow module, with tracking address and experiment set.
+    """Returns the mlflow module, with tracking address and experiment set.
 
-    The addresses are absolute, and belong to the repository and not to the working folder: `dvc exp run --temp` works
-    in a copy that is removed afterwards.
+    Addresses are absolute and belong to the repository instead of the working folder, because `dvc exp run --temp`
+    works in a copy and removes it afterwards.
     """
     import mlflow
 
@@ -38,7 +38,7 @@ def connect() -> Any:
         mlflow.set_tracking_uri(f"sqlite:///{root / 'mlflow.db'}")
     with _one_at_a_time(root / ".mlflow.lock") if local else contextlib.nullcontext():
         if mlflow.get_experiment_by_name(EXPERIMENT) is None:
-            # A server chooses its own place for artifacts.
+            # A server chooses its own artifact location.
             mlflow.create_experiment(EXPERIMENT, (root / "mlartifacts").as_uri() if local else None)
     mlflow.set_experiment(EXPERIMENT)
     return mlflow
@@ -46,12 +46,12 @@ def connect() -> Any:
 
 @contextlib.contextmanager
 def run(name: str, parameters: Mapping[str, Any], tags: Mapping[str, str]) -> Iterator[Any]:
-    """A run with its parameters and tags, inside the sweep's parent if there is one; yields the mlflow module.
+    """Yields the mlflow module inside a run with parameters and tags; a sweep's parent becomes its parent.
 
     Args:
-        name: shown in the list of runs.
+        name: name in the list of runs.
         parameters: one level, dotted names (`pipeline.config.flatten`).
-        tags: data hashes and the like; git commit and DVC experiment are added here.
+        tags: data hashes and similar values; git commit and DVC experiment are added here.
     """
     mlflow = connect()
     tags = {**git_tags(), **tags}
@@ -66,12 +66,12 @@ def run(name: str, parameters: Mapping[str, Any], tags: Mapping[str, str]) -> It
 
 @contextlib.contextmanager
 def sweep(overrides: Sequence[str]) -> Iterator[None]:
-    """A parent run; runs started inside, also in other processes, become its children."""
+    """Opens a parent run; runs started inside become its children, also in other processes."""
     mlflow = connect()
     tags = {**git_tags(), "sweep": " ".join(overrides)}
     with mlflow.start_run(run_name="sweep " + " ".join(overrides), tags=tags) as parent:
         parent_id = parent.info.run_id
-    # Closed again while the children run: they are separate runs of this or of other processes.
+    # The parent is closed while its children run, because they are separate runs in this or other processes.
     client = mlflow.MlflowClient()
     client.update_run(parent_id, status="RUNNING")
     os.environ[PARENT_VARIABLE] = parent_id
@@ -85,7 +85,7 @@ def sweep(overrides: Sequence[str]) -> Iterator[None]:
 
 
 def git_tags() -> dict[str, str]:
-    """Commit of the working tree, and whether files differ from it; empty outside of git."""
+    """Returns the working tree's commit, and whether files differ from it; empty outside git."""
     try:
         commit = _git("rev-parse", "HEAD")
         return {"git.commit": commit, "git.dirty": str(bool(_git("status", "--porcelain", "-uno"))).lower()}
@@ -100,7 +100,7 @@ def _git(*arguments: str) -> str:
 
 @contextlib.contextmanager
 def _one_at_a_time(path: Path) -> Iterator[None]:
-    """Two processes that create the database at the same time would break its migrations."""
+    """Serialises database creation: two processes at the same time would break its migrations."""
     with path.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield

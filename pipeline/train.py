@@ -24,9 +24,9 @@ from pipeline.task_sets import read_evaluation_set, read_set, set_place
 if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
 
-#: Parts of the configuration on which a training depends.
+#: Configuration sections that training depends on.
 SECTIONS = ("robot", "terrain", "labelling", "model", "trainer")
-#: Keys of the trainer that name splits, and the split that each names by default.
+#: Trainer keys for splits, with their default splits.
 ROLES = {"splits": "train", "val_splits": "val"}
 
 
@@ -90,12 +90,15 @@ def train(config: DictConfig, folders: Folders) -> None:
         for file in (history, curves):
             mlflow.log_artifact(str(file), "training")
         served_model.log(mlflow, abstraction_dir, val_tasks)
-    # A finished training is not to be resumed: the next one, perhaps after a change of the code, begins anew.
+    # The next training starts from scratch, perhaps after a code change; it must not resume a finished one.
     shutil.rmtree(work / "checkpoints", ignore_errors=True)
 
 
 def notes(config: DictConfig, tasks: TaskSet | list[Place]) -> dict[str, Any]:
-    """What the model card says of data and recipe, kept with the model; tasks, or the folders that they come from."""
+    """Returns data and recipe notes for the model card, saved with the model.
+
+    `tasks` are the training tasks, or the folders that hold them.
+    """
     from hdsp.labels.shards import read_shards
 
     streamed = isinstance(tasks, list)
@@ -109,14 +112,14 @@ def notes(config: DictConfig, tasks: TaskSet | list[Place]) -> dict[str, Any]:
 
 
 def _notes_of_initial(folder: str | None) -> dict[str, Any]:
-    """Of the model that training begins with, its own notes."""
+    """Notes of the model whose weights start the training."""
     from hdsp.learning import LearnedAbstraction
 
     return {} if folder is None else {"initial": LearnedAbstraction.from_pretrained(folder).provenance.notes}
 
 
 def data_notes(config: DictConfig, splits: Sequence[str]) -> dict[str, Any]:
-    """What training maps hold."""
+    """Returns the contents of the training maps."""
     known = {**config.labelling.splits, **config.simulation.splits}
     return {
         "splits": {name: plain(known[name]) for name in splits},
@@ -126,12 +129,12 @@ def data_notes(config: DictConfig, splits: Sequence[str]) -> dict[str, Any]:
 
 
 def part_of(folders: Sequence[Place], trainer: Mapping[str, Any]) -> TaskSet:
-    """The maps of splits that `trainer.share` and `trainer.residues` leave; a function of these and the labels alone.
+    """Returns the maps that `trainer.share` and `trainer.residues` select; depends on both and the labels alone.
 
-    Only as many shards are read as hold that share; a shard is a sample of its split.
+    Only as many shards are read as this share needs; each shard is a sample from its split.
 
     Raises:
-        InputError: if a split is not there, or no map is left.
+        InputError: a split does not exist, or no map is left.
     """
     import numpy as np
 
@@ -161,7 +164,7 @@ def part_of(folders: Sequence[Place], trainer: Mapping[str, Any]) -> TaskSet:
 
 
 def folder_hash(folder: Place) -> str:
-    """Hash of the names and contents of the files of a folder, with those of its folders; of a URL without these."""
+    """Hash over all file names and contents in a folder, with subfolders; for a URL without subfolders."""
     if is_url(folder):
         remote = open_folder(folder)
         files = ((name, remote.read(name)) for name in remote.names())
@@ -187,7 +190,7 @@ def write_history(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def _required(paths: Sequence[Place]) -> TaskSet:
-    """The tasks of several splits as one set."""
+    """Joins the tasks from several splits in one set."""
     from hdsp.labels.tasks import TaskSet
 
     sets = []
@@ -200,7 +203,7 @@ def _required(paths: Sequence[Place]) -> TaskSet:
 
 
 def _nested(metrics: dict[str, float]) -> dict[str, Any]:
-    """`{"cost_error/val": 1}` as `{"cost_error": {"val": 1}}`: tables of metrics then have readable names."""
+    """Converts `{"cost_error/val": 1}` to `{"cost_error": {"val": 1}}`, for readable names in metric tables."""
     nested: dict[str, Any] = {}
     for name, value in metrics.items():
         group, _, of = name.partition("/")

@@ -128,8 +128,7 @@ class Grid:
     shape: tuple[int, int]
 
     def cell(self, xy) -> np.ndarray:
-        """Returns the cells, int64 [..., 2], under world positions ``xy`` [..., 2] in metres; may lie outside the grid.
-        """
+        """Returns the cells, int64 [..., 2], under world positions ``xy`` [..., 2] in metres; also outside the grid."""
         # The small shift keeps coordinates on a cell's edge from falling below it by rounding.
         scaled = (np.asarray(xy, dtype=float) - np.asarray(self.origin)) / RESOLUTION
         return np.floor(scaled + 1e-6).astype(np.int64)
