@@ -30,16 +30,16 @@ QUANTILES = 0.5, 0.9, 0.95, 0.99
 def main(argv=None) -> dict:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=6, help="number of random arenas")
-    parser.add_argument("--size", type=float, default=5.0, help="their side, m")
-    parser.add_argument("--pairs", type=int, default=60, help="per arena")
+    parser.add_argument("--size", type=float, default=5.0, help="side of the arenas, m")
+    parser.add_argument("--pairs", type=int, default=60, help="pairs per arena")
     parser.add_argument("--near", type=float, default=0.3, help="least distance of a pair, m")
     parser.add_argument("--far", type=float, default=2.0, help="largest distance of a pair, m")
-    parser.add_argument("--suffixes", type=int, default=8, help="states of a way that count, most")
-    parser.add_argument("--least", type=float, default=0.1, help="cost to go from which on they count")
+    parser.add_argument("--suffixes", type=int, default=8, help="largest number of counted states per path")
+    parser.add_argument("--least", type=float, default=0.1, help="least cost-to-go of counted states")
     parser.add_argument("--expansions", type=int, default=300_000, help="limit of each search")
     parser.add_argument("--guides", nargs="+", default=["manual", "learned"], help="heuristics, as Planner takes them")
-    parser.add_argument("--json", type=Path, help="where to write the result")
-    parser.add_argument("--page", type=Path, help="page of docs into which to write it")
+    parser.add_argument("--json", type=Path, help="output file for the result")
+    parser.add_argument("--page", type=Path, help="docs page to update")
     arguments = parser.parse_args(argv)
 
     names = ["geometric", *arguments.guides]

@@ -41,7 +41,7 @@ MAPS = 18_000
 
 def main(argv=None) -> dict:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--maps", type=int, default=100, help="with a valid start")
+    parser.add_argument("--maps", type=int, default=100, help="number of maps with a valid start")
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--skip-separate", action="store_true", help="only the rates of label runs")

@@ -4,7 +4,8 @@
 
 FILE has the authors' text format, complete or in part. The benchmark prints one JSON line: for all maps and for flat,
 driving and stairs maps, the number of maps and tasks, the feasibility accuracy, and the mean absolute cost error over
-tasks feasible for both; and the expected calibration error over all maps. With --maps it also prints one line per map.
+tasks that labels and network judge feasible; and the expected calibration error over all maps. With --maps it also
+prints one line per map.
 
 Map numbers in the authors' file decide the terrain kind, flat, driving or stairs (``hdsp.labels.published_tasks``).
 """
@@ -26,7 +27,7 @@ KINDS = ("flat", "driving", "stairs")
 def main(argv: list[str] | None = None) -> dict:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("file")
-    parser.add_argument("--model", default="momaro", help="one that comes with the package, or a folder")
+    parser.add_argument("--model", default="momaro", help="shipped abstraction, or a folder")
     parser.add_argument("--maps", action="store_true", help="print a line for each map")
     arguments = parser.parse_args(argv)
     try:

@@ -3,8 +3,8 @@
     python -m benchmarks.published_labels FILE [--robot momaro] [--expansions 100000] [--tasks MAP ...]
 
 FILE has the authors' text format, complete or in part. The benchmark prints one line per map, then one JSON line:
-feasibility agreement and mean absolute cost error (over tasks feasible for both) on all maps and on flat, driving and
-stairs maps, the largest error on flat maps, the share of tasks per search status, and seconds.
+feasibility agreement and mean absolute cost error (over tasks that both judge feasible) on all maps and on flat,
+driving and stairs maps, the largest error on flat maps, the share of tasks per search status, and seconds.
 
 Map numbers in the authors' file decide the terrain kind, flat, driving or stairs (``hdsp.labels.published_tasks``).
 """
@@ -28,8 +28,8 @@ def main(argv=None) -> dict:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("file")
     parser.add_argument("--robot", default="momaro", help="preset or YAML file")
-    parser.add_argument("--expansions", type=int, default=LabelSettings.max_expansions, help="cap on each search")
-    parser.add_argument("--tasks", type=int, nargs="*", metavar="MAP", help="print the tasks of these maps, only these")
+    parser.add_argument("--expansions", type=int, default=LabelSettings.max_expansions, help="limit of each search")
+    parser.add_argument("--tasks", type=int, nargs="*", metavar="MAP", help="evaluate these maps only; print tasks")
     arguments = parser.parse_args(argv)
     robot = Robot.load(arguments.robot)
     settings = LabelSettings(max_expansions=arguments.expansions)

@@ -23,7 +23,7 @@ _SQUARES = 40  # drawn from a patch
 
 def main(argv=None) -> dict:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("places", nargs="+", help="shards, or folders of them")
+    parser.add_argument("places", nargs="+", help="shards, or folders with shards")
     arguments = parser.parse_args(argv)
     result = {place: describe(read_tasks(place)) for place in arguments.places}
     for place, values in result.items():

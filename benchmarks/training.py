@@ -32,10 +32,10 @@ TOLERANCE = 1e-4
 
 def main(argv=None) -> dict:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--model", default="klamt2019", help="a file of conf/model")
+    parser.add_argument("--model", default="klamt2019", help="file in conf/model")
     parser.add_argument("--maps", type=int, default=8)
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--page", type=Path, help="page of docs into which to write the result")
+    parser.add_argument("--page", type=Path, help="docs page to update")
     arguments = parser.parse_args(argv)
     if min(arguments.maps, arguments.repeats) < 1:
         raise InputError("benchmark: maps and repeats have to be at least 1")

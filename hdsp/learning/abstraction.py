@@ -44,7 +44,7 @@ Precision = Literal["float32", "float16"]
 
 @dataclass(frozen=True)
 class Provenance:
-    """Label origin.
+    """Origin of a model's labels.
 
     Attributes:
         robot: robot name.
@@ -72,7 +72,7 @@ class LearnedAbstraction:
     Attributes:
         network: in evaluation mode, on the ``hardware`` device.
         model: settings that built the network.
-        provenance: label origin.
+        provenance: origin of the labels.
         metrics: flat metrics at the end of training.
         calibration: corrects probabilities and holds cost quantiles.
         quantile: level of predicted costs, see ``at_quantile``; None = the network's own costs.

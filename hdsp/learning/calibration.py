@@ -6,10 +6,10 @@ Calibration of Modern Neural Networks, 2017). Temperature scaling, from the same
 number; no decision at one half changes.
 
 *Costs.* Split conformal prediction turns errors on tasks outside the training set into bounds for new tasks. If tasks
-are exchangeable, a new task's cost lies below the level a bound with probability at most a (for a <= 1/2; at least a
-for larger a), for any network (Vovk et al. 2005; Lei et al. 2018). Errors are small for most tasks, and grow with the
-excess cost over flat ground. So errors are relative to the predicted cost, and quantiles are taken per excess group,
-which also makes the bounds hold within each group.
+are exchangeable, a new task's cost lies below the bound for level a with probability at most a (for a <= 1/2) or at
+least a (for a > 1/2), with any network (Vovk et al. 2005; Lei et al. 2018). Errors are small for most tasks and grow
+with the excess cost over flat ground. Errors are therefore taken relative to the predicted cost, and quantiles are
+taken per excess group. The bounds then also hold within each group.
 """
 
 from __future__ import annotations
@@ -239,8 +239,8 @@ def calibration_figures(
 
     Returns:
         ``ece``, ``ece_adaptive``, ``brier`` (mean squared probability error); ``bins``: reliability diagram with equal
-        bin widths; ``cost_coverage``: for each level, the share of tasks with costs up to the bound, among tasks
-        feasible for both.
+        bin widths; ``cost_coverage``: for each level, the share of tasks with costs up to the bound, among tasks that
+        labels and network judge feasible.
     """
     equal = reliability(probability, feasible)
     both = feasible & judged

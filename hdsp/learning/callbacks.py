@@ -108,8 +108,8 @@ LOSS_WEIGHT_RULES: dict[str, type[LossWeightRule]] = {"plateau": PlateauLossWeig
 class EpochPosition(pl.Callback):
     """Restores the batch position within an epoch from a checkpoint.
 
-    Lightning restores loader states only if nothing asked for the number of steps before, but learning rate schedules
-    do.
+    Lightning restores a loader's state only if no code has asked for the number of steps before. Learning rate
+    schedules ask for it, so this callback restores the position.
     """
 
     def __init__(self, batches: ResumableBatches):

@@ -26,7 +26,7 @@ class HeightEncoding:
     """Height encoding; a pure function of one patch.
 
     Attributes:
-        reference: zero of the heights. ``base``: height of the cell under the base, so that a robot on a platform and a
+        reference: zero level. ``base``: height of the cell under the base, so that a robot on a platform and a
             robot on the floor see the same. ``none``: the map's own zero (published treatment); a network can be
             evaluated densely only with ``none``.
         unknown: height in metres for unknown (NaN) cells, relative to the reference. None: unknown cells have no

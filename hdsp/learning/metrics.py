@@ -11,8 +11,8 @@ MINIMUM_COST = 1e-3
 class TaskMetrics:
     """Sums over batches; ``compute`` returns the metrics for all tasks since ``reset``.
 
-    A task counts as judged feasible at a probability above one half. Costs are compared over tasks feasible for both
-    labels and network (paper, Sec. VI-A).
+    The network judges a task feasible at a probability above one half. Costs are compared over tasks that labels and
+    network judge feasible (paper, Sec. VI-A).
     """
 
     def __init__(self) -> None:
@@ -38,7 +38,8 @@ class TaskMetrics:
         """Returns the metrics.
 
         Keys are ``feasibility_accuracy`` in [0, 1]; ``cost_error``, ``detailed_cost`` and ``abstract_cost``, which are
-        means over tasks feasible for both (NaN without any); and the counts ``tasks`` and ``both_feasible``.
+        means over tasks that labels and network judge feasible (NaN without any); and the counts ``tasks`` and
+        ``both_feasible``.
         """
         compared = self.both_feasible or float("nan")
         return {
