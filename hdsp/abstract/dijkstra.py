@@ -1,9 +1,9 @@
 """Cost-to-go over the abstract graph: a backward one-to-any Dijkstra search (paper, Sec. V-D).
 
-One goal, every state: a single search from the goal over predecessors gives each abstract state the cost of its
-cheapest way to the goal. The kernel uses a ring of buckets instead of a heap: with buckets no wider than the cheapest
-edge, nothing inside a bucket can improve anything else in it, so no order inside is needed. Where that would take too
-many buckets they are made wider, and a state that improves after its visit is visited again: same distances.
+One search from the goal over predecessors gives every abstract state the cost of its cheapest path to the goal. The
+kernel uses a ring of buckets instead of a heap. If buckets are no wider than the cheapest edge, no state in a bucket
+can improve another state in it, so a bucket needs no order. If this takes too many buckets, they are made wider, and a
+state that improves after its visit is visited again; the distances are the same.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from hdsp.abstract.prefetch import prefetch
 from hdsp.base.errors import InputError
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, DRIVE_MOVES, N_ABSTRACT_ACTIONS
 
-REPAIRED_SHARE = 16  # a repair that has to look at more than one state in so many takes longer than a new search
-AHEAD = 3  # visits between the request of a row of costs and its use
-N_DRIVE = len(DRIVE_MOVES)  # the abstract actions are these moves, then the turns
-#: Which states an action passes over between its ends, rows (action, x, y of its end seen from there), int64 [n, 3].
+REPAIRED_SHARE = 16  # a repair of more than 1 / REPAIRED_SHARE of all states takes longer than a new search
+AHEAD = 3  # visits between the prefetch of a cost row and its use
+N_DRIVE = len(DRIVE_MOVES)  # abstract actions are these moves, followed by the turns
+#: States that an action passes over: rows (action, x, y), int64 [n, 3], with (x, y) from the state to the action's end.
 PASSED = np.array(
     [
         (m, dx - x, dy - y)
@@ -35,37 +35,36 @@ PASSED = np.array(
     ],
     dtype=np.int64,
 )
-MAX_BUCKETS = 256  # a power of two; more of them take memory, fewer only repeat a few visits
+MAX_BUCKETS = 256  # a power of two; more buckets take memory, fewer repeat a few visits
 
 
 def cost_to_go(edges: np.ndarray, goal_abstract: tuple[int, int, int]) -> np.ndarray:
-    """Cost of the cheapest abstract path from every abstract state to one goal.
+    """Returns the cost of the cheapest abstract path from every abstract state to one goal.
 
-    Convention: states are indexed `[heading, ix, iy]`, the goal is given as `(ix, iy, heading)`.
+    Convention: states are indexed `[heading, ix, iy]`, the goal is given as `(ix, iy, heading)`. For several goals on
+    one map, use one `PreparedGraph`.
 
     Args:
-        edges: float32 [16, nx, ny, 22], costs of the abstract actions as `AbstractCosts.edges` returns them;
-            `edges[k, a, b, m]` leads from `(a, b, k)` to `(a + dx, b + dy, (k + dtheta) % 16)`, inf = infeasible.
+        edges: float32 [16, nx, ny, 22], abstract action costs as from `AbstractCosts.edges`; `edges[k, a, b, m]` leads
+            from `(a, b, k)` to `(a + dx, b + dy, (k + dtheta) % 16)`, inf = infeasible.
         goal_abstract: abstract cell and heading `(ix, iy, heading)` of the goal.
 
     Returns:
-        float32 [16, nx, ny]; 0 at the goal, inf where no feasible path leads to it. Sums are accumulated in float64
-        from the goal outwards and rounded once at the end.
+        float32 [16, nx, ny]; 0 at the goal, inf without a feasible path to it. Sums are accumulated in float64 from the
+        goal outwards and rounded once at the end.
 
     Raises:
         InputError: the edges have a wrong shape, a negative or a NaN cost, or the goal lies outside the map.
-
-    For many goals on one map build a `PreparedGraph` once and ask it.
     """
     return PreparedGraph.from_edges(edges).cost_to_go(goal_abstract)
 
 
 @dataclass(frozen=True)
 class PreparedGraph:
-    """The edges of one map stored by the state they lead to, ready for any number of goals.
+    """One map's edges, stored by end state, ready for any number of goals.
 
-    `incoming[k, a, b, m]` is the cost of action m from the state it starts in, so that one row holds all edges a
-    backward search looks at when it visits a state; inf where that state lies outside the map.
+    `incoming[k, a, b, m]` is the cost of action m from its start state to state (a, b, k); inf if the start lies
+    outside the map. One row then holds all edges that a backward search reads at a state.
     """
 
     incoming: np.ndarray
@@ -93,11 +92,11 @@ class PreparedGraph:
         return self.incoming.shape[1], self.incoming.shape[2]
 
     def with_edges(self, states: np.ndarray, costs: np.ndarray) -> PreparedGraph:
-        """A graph that differs in the edges of some states.
+        """Returns a graph with new edges at some states.
 
         Args:
             states: int64 [n, 3], (heading, ix, iy).
-            costs: float32 [n, 22], all edges of these states.
+            costs: float32 [n, 22], all edges at these states.
 
         Raises:
             InputError: a cost is negative or NaN.
@@ -108,28 +107,28 @@ class PreparedGraph:
         incoming = self.incoming.copy()
         _replace(incoming, np.ascontiguousarray(states, np.int64), costs, ABSTRACT_ACTIONS)
         finite = costs[np.isfinite(costs)]
-        # Bounds are all that is needed of these two; they need not be reached.
+        # Both values serve as bounds; no edge needs to reach them.
         cheapest, dearest = (float(finite.min()), float(finite.max())) if len(finite) else (np.inf, 0.0)
         return PreparedGraph(incoming, min(cheapest, self.cheapest), max(dearest, self.dearest))
 
     def cost_to_go(self, goal_abstract: tuple[int, int, int]) -> np.ndarray:
-        """Float32 [16, nx, ny], cost from every state to the goal `(ix, iy, heading)`; see function `cost_to_go`."""
+        """Returns the cost from every state to the goal `(ix, iy, heading)`, float32 [16, nx, ny]; see `cost_to_go`."""
         return self.distances(goal_abstract).astype(np.float32)
 
     def repaired(self, distances: np.ndarray, goal_abstract: tuple[int, int, int], states: np.ndarray) -> np.ndarray:
-        """What `distances` gives, from its result on a graph that differs in the edges of some states.
+        """Returns `distances`, computed from its result on a graph with other edges at some states.
 
-        Only states whose cost-to-go changes are looked at, and those next to them (Ramalingam & Reps 1996): from the
-        goal outwards, those are given up whose cost no successor accounts for any more; they, and states that a changed
-        edge brings closer, are then searched anew. Where these are many, all states are: that is faster then.
+        The repair visits only states whose cost-to-go changes, and their neighbours (Ramalingam & Reps 1996). From the
+        goal outwards, it drops every state whose cost no successor explains any more. It then searches again from
+        dropped states and from states with a better edge. A new search replaces the repair when too many states change.
 
         Args:
-            distances: float64 [16, nx, ny], of that other graph, for the same goal.
-            goal_abstract: the goal.
-            states: int64 [n, 3], (heading, ix, iy), the states whose edges differ.
+            distances: float64 [16, nx, ny], result on the other graph, for the same goal.
+            goal_abstract: goal.
+            states: int64 [n, 3], (heading, ix, iy), states with other edges.
         """
         finite = distances[np.isfinite(distances)]
-        # A cost too small to be seen in a sum leaves open which of two states accounts for the other.
+        # A cost lost by rounding in a sum leaves open which of two states explains the other.
         if not finite.max() + self.cheapest > finite.max():
             return self.distances(goal_abstract)
         ix, iy, heading = (int(value) for value in goal_abstract)
@@ -144,7 +143,7 @@ class PreparedGraph:
         return flat[self._margin : len(flat) - self._margin].reshape(distances.shape)
 
     def distances(self, goal_abstract: tuple[int, int, int]) -> np.ndarray:
-        """As `cost_to_go`, before rounding: float64 [16, nx, ny]."""
+        """Like method `cost_to_go`, before rounding: float64 [16, nx, ny]."""
         ix, iy, heading = (int(value) for value in goal_abstract)
         nx, ny = self.shape
         if not (0 <= ix < nx and 0 <= iy < ny and 0 <= heading < ABSTRACT_HEADINGS):
@@ -160,18 +159,18 @@ class PreparedGraph:
         return inside.reshape(ABSTRACT_HEADINGS, nx, ny)
 
     def bridged(self, distances: np.ndarray) -> np.ndarray:
-        """Costs-to-go, which also say what lies between the ends of an action.
+        """Returns costs-to-go with values for states between the ends of an action.
 
-        On an edge, the robot can be where no abstract state is: with two feet up and the base on its way, at a place
-        where it cannot come to rest with the best feet for it. Such a state has no way of its own to the goal, but
-        actions lead over it. There, half of the cost of the best one remains, and what its end has to go.
+        During a step, the robot can be at a position without an abstract state: two feet are up, the base is on its
+        way, and no feet allow it to rest there. This position has no path of its own to the goal, but actions lead over
+        it. Its cost is half the cost of the best such action plus the cost-to-go at the action's end.
 
         Args:
-            distances: float64 [16, nx, ny], of `distances`.
+            distances: float64 [16, nx, ny], from `distances`.
 
         Returns:
-            the same where `distances` is finite; elsewhere finite if a feasible action to a state with a way to the
-            goal passes over the state.
+            the same values where `distances` is finite. Other states have a finite value if a feasible action over them
+            ends in a state with a path to the goal.
         """
         return _bridge(self.incoming, distances, self.passed_over, PASSED)
 
@@ -182,7 +181,7 @@ class PreparedGraph:
 
     @property
     def _margin(self) -> int:
-        """Unused states at both ends of the flat arrays, so that a move across the border of the map stays in them."""
+        """Unused states at both ends of the flat arrays, so that moves across the map's border stay inside."""
         return int(np.abs(self._offsets[:N_DRIVE]).max())
 
     @property
@@ -192,10 +191,10 @@ class PreparedGraph:
         return -((ABSTRACT_ACTIONS[:, 2] * nx + ABSTRACT_ACTIONS[:, 0]) * ny + ABSTRACT_ACTIONS[:, 1])
 
     def _buckets(self) -> tuple[float, int]:
-        """Width and number of the buckets in the ring, which must span the dearest edge; a power of two of them."""
+        """Bucket width and count (a power of two); the ring must span the most expensive edge."""
         if not self.dearest > 0:  # no finite edge, or only free ones
             return 1.0, 2
-        # A hair below the cheapest edge, so that rounding cannot put a successor into the bucket of its origin.
+        # Slightly below the cheapest edge, so that rounding cannot put a successor into its origin's bucket.
         width = max(self.cheapest * (1 - 1e-6), self.dearest / (MAX_BUCKETS - 3))
         return width, 1 << (int(self.dearest / width) + 2).bit_length()
 
@@ -225,7 +224,7 @@ class _Queue(NamedTuple):
 
 @njit(cache=True)
 def _invert(edges, actions):
-    """Edges by the state they lead to, smallest and largest finite cost, and whether all costs are >= 0."""
+    """Edges by end state, smallest and largest finite cost, and whether all costs are >= 0."""
     headings, nx, ny, count = edges.shape
     incoming = np.full((headings, nx, ny, count), np.float32(np.inf), np.float32)
     cheapest = np.inf
@@ -250,10 +249,10 @@ def _invert(edges, actions):
 
 @njit(cache=True, error_model="numpy")
 def _search(incoming, offsets, queue, margin, per_width):
-    """Empties the queue; returns False if a bucket may be too small for the next visit, and goes on when called again.
+    """Empties the queue; returns False if a bucket may be too small for the next visit. The next call continues.
 
-    Indices are unsigned because numba then leaves out its test for negative ones. An edge from outside the map costs
-    inf, so that the comparison of distances is the only test in the inner loop.
+    Indices are unsigned because numba then omits its test for negative ones. An edge from outside the map costs inf, so
+    the comparison of distances is the only test in the inner loop.
     """
     distance, visited, entries, filled, current_bucket = queue
     states = np.int64(len(distance) - 2 * margin)
@@ -276,7 +275,7 @@ def _search(incoming, offsets, queue, margin, per_width):
             if fullest + N_ABSTRACT_ACTIONS > room:
                 fullest = filled.max()
                 if fullest + N_ABSTRACT_ACTIONS > room:
-                    current_bucket[0] = current  # its entries stay: visited ones are skipped the next time
+                    current_bucket[0] = current  # its entries stay; the next call skips visited ones
                     return False
             state = np.uint64(entries[np.uint64(current), np.uint64(place)])
             place += 1
@@ -291,7 +290,7 @@ def _search(incoming, offsets, queue, margin, per_width):
             row = (state - np.uint64(margin)) * count
             for action in range(N_ABSTRACT_ACTIONS):
                 index = np.int64(state) + offsets[np.uint64(action)]
-                if action >= N_DRIVE:  # turns: headings are a circle
+                if action >= N_DRIVE:  # turns: headings are cyclic
                     if index < margin:
                         index += states
                     elif index >= states + margin:
@@ -324,13 +323,15 @@ def _replace(incoming, states, costs, actions):
 
 @njit(cache=True, error_model="numpy")
 def _repair(incoming, offsets, distance, margin, goal, sources, most):
-    """Brings `distance` up to date in place; flat arrays and indices as in `_search`. False if more than `most` states
-    would have to be given up or be searched anew; `distance` is then good for nothing."""
+    """Updates `distance` in place; flat arrays and indices as in `_search`.
+
+    Returns False if more than `most` states would be dropped, or too many searched again; `distance` is then invalid.
+    """
     given_up = np.zeros(len(distance), np.bool_)
     queued = np.zeros(len(distance), np.bool_)
     lost = np.empty(most, np.int64)
     count = 0
-    # By former cost: whatever may account for a state has been settled when its turn comes.
+    # In order of former cost: every state that may explain another one is decided before it.
     waiting = [(distance[state], state) for state in sources if state != goal and distance[state] < np.inf]
     for _, state in waiting:
         queued[state] = True
@@ -379,7 +380,7 @@ def _repair(incoming, offsets, distance, margin, goal, sources, most):
 
 @njit(cache=True, inline="always")
 def _neighbour(state, offset, action, margin, length):
-    """The state an offset leads to; headings are a circle for turns."""
+    """State at an offset; headings are cyclic for turns."""
     index = state + offset
     if action >= N_DRIVE:
         states = length - 2 * margin
@@ -392,7 +393,7 @@ def _neighbour(state, offset, action, margin, length):
 
 @njit(cache=True)
 def _least(incoming, offsets, distance, given_up, margin, state):
-    """Least cost by way of a successor that was not given up."""
+    """Least cost over successors that were not dropped."""
     least = np.inf
     for action in range(N_ABSTRACT_ACTIONS):
         after = _neighbour(state, -offsets[action], action, margin, len(distance))
@@ -410,7 +411,7 @@ def _passed_over(incoming, passed):
             for y in range(ny):
                 for n in range(len(passed)):
                     if incoming[k, x, y, passed[n, 0]] < np.inf:
-                        # The other end is on the map, and so is what lies between.
+                        # The start is on the map, and so are all states between.
                         result[k, x - passed[n, 1], y - passed[n, 2]] = True
     return result
 

@@ -14,13 +14,13 @@ from hdsp.robot.lattice import CELLS_PER_ABSTRACT, HEADINGS, HEADINGS_PER_ABSTRA
 
 
 def to_detailed(world: World, abstract, whole_cell: bool = False) -> np.ndarray | None:
-    """The detailed state of least cost that matches an abstract state.
+    """Returns the least-cost detailed state that matches an abstract state.
 
     Args:
         world: terrain and robot.
         abstract: (a, b, k), abstract cell and heading.
-        whole_cell: search all detailed base states of the abstract cell (nearest to the anchor first) instead of the
-            anchor alone. The published labels show no shift of position or heading, so labelling uses the anchor.
+        whole_cell: search all detailed base states in the abstract cell (nearest to the anchor first) instead of the
+            anchor alone. The published labels show no shift in position or heading, so labelling uses the anchor.
 
     Returns:
         int64 [7] in lattice units, or None if no state is valid.
