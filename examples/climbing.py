@@ -150,7 +150,7 @@ def page(found: dict[str, dict]) -> str:
         else:
             rows.append(f"| {one['title']} | {one['seconds']:.1f} | no way | | | | |")
     words = [f"- {one['title']}: *{line}*" for one in found.values() for line in one["words"]]
-    return "\n".join([*rows, "", "What `explain()` says:", "", *words])
+    return "\n".join([*rows, "", "Output of `explain()`:", "", *words])
 
 
 def main() -> None:

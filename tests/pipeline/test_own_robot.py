@@ -46,7 +46,7 @@ def test_a_file_with_the_name_of_another_robot_is_refused(monkeypatch):
     check_name(momaro)
     monkeypatch.setattr(Robot, "presets", staticmethod(lambda: ["copy", "momaro"]))
     monkeypatch.setattr(Robot, "load", lambda _: momaro)
-    with pytest.raises(InputError, match=r"robots/copy.yaml: its name is 'momaro'; need the file's, 'copy'"):
+    with pytest.raises(InputError, match=r"presets/copy.yaml: its name is 'momaro'; need the file's, 'copy'"):
         check_name(momaro)
 
 
