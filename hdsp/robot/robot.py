@@ -6,16 +6,16 @@ To add a robot, write one YAML file like ``presets/momaro.yaml`` and pass its pa
 import hashlib
 import json
 import math
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import asdict
 from importlib import resources
-from operator import attrgetter
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Annotated, Any, Self
 
 import numpy as np
-import yaml
+from pydantic import AfterValidator, Field, model_validator
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import Name, NotNegative, Positive, checked, fault, load_settings, parse_yaml, read_yaml, unit
 from hdsp.robot.lattice import RESOLUTION, offset_steps
 
 _PRESETS = resources.files("hdsp.robot") / "presets"
@@ -23,156 +23,292 @@ _PRESETS = resources.files("hdsp.robot") / "presets"
 #: Order of the feet in every array that has an axis of four.
 FEET = ("front_left", "rear_left", "rear_right", "front_right")
 
+_LONGEST_STEP = 15  # cells; the code of an action has no larger number (hdsp.detailed.states)
+_OFFSETS = 32  # lattice steps; the code of a state has no more foot offsets
 
-@dataclass(frozen=True)
+Metres = Annotated[float, unit("m")]
+PositiveMetres = Annotated[Positive, unit("m")]
+NotNegativeMetres = Annotated[NotNegative, unit("m")]
+NotNegativeRadians = Annotated[NotNegative, unit("rad")]
+#: Angle between the heading and a direction.
+Deviation = Annotated[float, Field(gt=0, le=math.pi), unit("rad")]
+
+
+def _of_an_action(length: float) -> float:
+    if length > _LONGEST_STEP * RESOLUTION + 1e-9:
+        raise fault("", length, f"at most {_LONGEST_STEP * RESOLUTION:g} m")
+    return length
+
+
+@checked
 class Feet:
-    """Where the feet are (m, robot frame), how much room they need, and which ground they feel.
+    """Positions of the feet in the robot frame, the room that they need, and the ground that they feel.
 
     Attributes:
-        neutral_x, neutral_y: of the front left foot; the others mirror it.
-        offset_min, offset_max: reach along x, relative to the neutral position.
-        clearance: no undrivable edge may lie this close.
-        min_separation: between the front and the rear foot of one side.
-        neutral_preference: state cost that one metre off the neutral position is worth when feet are chosen.
-        contact_inward, contact_half_width: a foot pays for the most uneven ground in a square of this half width, whose
-            middle is this far from the foot toward the body, in x and in y.
+        neutral_x: neutral position of the front left foot, ahead of the base centre; the rear feet mirror it.
+        neutral_y: neutral position of the front left foot, to the left of the base centre; the right feet mirror it.
+        offset_min: reach of a foot backward, relative to its neutral position; 0 or negative.
+        offset_max: reach of a foot forward, relative to its neutral position.
+        clearance: distance that a foot keeps from edges no wheel passes.
+        min_separation: least distance between the front and the rear foot of one side.
+        neutral_preference: state cost of one metre off the neutral position when feet are chosen.
+        contact_inward: distance from the foot to the middle of the ground that it feels, toward the body, along x and
+            along y.
+        contact_half_width: half the side of the square of ground that a foot feels; its most uneven cell counts.
     """
 
-    neutral_x: float
-    neutral_y: float
-    offset_min: float
-    offset_max: float
-    clearance: float
-    min_separation: float
-    neutral_preference: float
-    contact_inward: float
-    contact_half_width: float
+    neutral_x: PositiveMetres
+    neutral_y: PositiveMetres
+    offset_min: Metres
+    offset_max: Metres
+    clearance: NotNegativeMetres
+    min_separation: NotNegativeMetres
+    neutral_preference: Annotated[NotNegative, unit("1/m")]
+    contact_inward: NotNegativeMetres
+    contact_half_width: NotNegativeMetres
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        nearest = min(self.neutral_x, self.neutral_y)
+        if self.contact_inward > nearest:
+            need = f"at most {nearest:g} m, the distance of the feet from the middle of the body"
+            raise fault("contact_inward", self.contact_inward, need)
+        if max(abs(self.offset_min), abs(self.offset_max)) < _OFFSETS * RESOLUTION:
+            low, high = offset_steps([self.offset_min, self.offset_max])
+            if low <= 0 <= high and high - low < _OFFSETS:
+                return self
+        need = f"offsets that include 0 and span less than {_OFFSETS * RESOLUTION:g} m"
+        raise fault("offset_max", self.offset_max, f"{need} (offset_min is {self.offset_min:g} m)")
 
 
-@dataclass(frozen=True)
+@checked
 class Rectangle:
-    """A rectangle in the robot frame, m: x in [x_min, x_max], |y| <= half_width."""
+    """A rectangle in the robot frame: x in [x_min, x_max], |y| <= half_width.
 
-    x_min: float
-    x_max: float
-    half_width: float
+    Attributes:
+        x_min: rear end.
+        x_max: front end.
+        half_width: half of its width.
+    """
+
+    x_min: Metres
+    x_max: Metres
+    half_width: PositiveMetres
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not self.x_min < self.x_max:
+            raise fault("x_min", self.x_min, f"less than x_max, {self.x_max:g} m")
+        return self
 
 
-@dataclass(frozen=True)
+@checked
 class Box(Rectangle):
-    """A rectangle over which nothing may rise more than ``above`` metres over the ground: the lower of the ground under
-    the base centre and the mean of that under the neutral feet."""
+    """A rectangle that has to stay free above a height. Heights are measured from the lower one of two grounds: the
+    ground under the base centre, and the mean of the ground under the neutral feet.
 
-    above: float
+    Attributes:
+        above: height above which nothing may rise into the rectangle.
+    """
+
+    above: PositiveMetres
 
 
-@dataclass(frozen=True)
+@checked
 class Body:
+    """The body of the robot.
+
+    Attributes:
+        boxes: rectangles that have to stay free, each above its height.
+    """
+
     boxes: tuple[Box, ...]
 
 
-@dataclass(frozen=True)
+@checked
 class DeviationCost:
-    """Factor on driving by the angle between heading and direction of travel (rad): 1 ahead, ``side`` between
-    ``side_from`` and ``side_to``, ``behind`` at pi, linear in between."""
+    """Factor on the cost of driving by the angle between heading and direction of travel, linear between its knots.
 
-    ahead: float
-    side: float
-    behind: float
-    side_from: float
-    side_to: float
+    Attributes:
+        ahead: factor straight ahead.
+        side: factor at all angles between side_from and side_to.
+        behind: factor straight back.
+        side_from: angle from which on the factor is the one of driving sideways.
+        side_to: angle up to which the factor is the one of driving sideways.
+    """
+
+    ahead: Positive
+    side: Positive
+    behind: Positive
+    side_from: Deviation
+    side_to: Deviation
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.side_from > self.side_to:
+            raise fault("side_from", self.side_from, f"at most side_to, {self.side_to:g}")
+        return self
 
     def __call__(self, deviation: float) -> float:
         knots = [0.0, self.side_from, self.side_to, math.pi]
         return float(np.interp(deviation, knots, [self.ahead, self.side, self.side, self.behind]))
 
 
-@dataclass(frozen=True)
+@checked
 class Drive:
-    max_height_difference: float
-    unevenness_radius: float
-    unevenness_cost: float
-    straight_deviation: float
-    level: float
+    """Driving, and the ground on which wheels can.
+
+    Attributes:
+        max_height_difference: largest height difference between neighbouring cells that a wheel passes.
+        unevenness_radius: distance from a foot within which height differences make it uneven.
+        unevenness_cost: rise of the cost factor per metre of summed height differences.
+        straight_deviation: largest angle between heading and direction of travel on feet that are not level.
+        level: largest height difference between feet that are level.
+        deviation_cost: factor by the direction of travel.
+    """
+
+    max_height_difference: PositiveMetres
+    unevenness_radius: PositiveMetres
+    unevenness_cost: Annotated[Positive, unit("1/m")]
+    straight_deviation: NotNegativeRadians
+    level: NotNegativeMetres
     deviation_cost: DeviationCost
 
 
-@dataclass(frozen=True)
+@checked
 class Turn:
-    cost: float
-    unevenness_cost: float
-
-
-@dataclass(frozen=True)
-class FootMove:
-    cost_per_metre: float
-
-
-@dataclass(frozen=True)
-class BaseShift:
-    cost_per_metre: float
-    backward: bool
-
-
-@dataclass(frozen=True)
-class Step:
-    backward: bool
-    max_length: float
-    max_height: float
-    max_clearance: float
-    cost: float
-    cost_per_metre: float
-    cost_per_height: float
-    support_margin: float
-
-
-@dataclass(frozen=True)
-class Legs:
-    """Hips in the frame of the base (m; those of the rear and right legs mirror these), and how long legs can be (m,
-    from the hip to where the foot touches the ground)."""
-
-    hip_x: float
-    hip_y: float
-    min_length: float
-    max_length: float
-
-
-@dataclass(frozen=True)
-class Stance:
-    """How a plan is made a motion (``hdsp.detailed.motion.refinement``); metres and radians.
+    """Turning on the spot.
 
     Attributes:
-        base_height: of the hips above the ground on neutral feet; ``Box.above`` is measured on a robot that stands so.
-        max_roll, max_pitch: how far the base may lean.
-        reach_x, reach_y: how far the base may move over resting feet, ahead or behind and sideways.
-        mass_x, mass_z: centre of mass in the frame of the base, which has its origin between the hips.
-        margin: least distance of the centre of mass from the edges of the support polygon, seen from above.
-        swing_clearance: how far above the highest ground on its way a foot swings.
+        cost: cost of one heading step of the detailed lattice (5.625 degrees).
+        unevenness_cost: rise of the cost factor per metre of the summed unevenness of the feet.
     """
 
-    base_height: float
-    max_roll: float
-    max_pitch: float
-    reach_x: float
-    reach_y: float
-    mass_x: float
-    mass_z: float
-    margin: float
-    swing_clearance: float
+    cost: Positive
+    unevenness_cost: Annotated[NotNegative, unit("1/m")]
+
+
+@checked
+class FootMove:
+    """Driving of one foot along x under a base that rests.
+
+    Attributes:
+        cost_per_metre: cost of one metre, times the cost factor of that foot.
+    """
+
+    cost_per_metre: Annotated[Positive, unit("1/m")]
+
+
+@checked
+class BaseShift:
+    """Motion of the base along x over feet that rest.
+
+    Attributes:
+        cost_per_metre: cost of one metre.
+        backward: whether the base also moves backward.
+    """
+
+    cost_per_metre: Annotated[Positive, unit("1/m")]
+    backward: bool
+
+
+@checked
+class Step:
+    """A step of one foot along x.
+
+    Attributes:
+        backward: whether feet also step backward.
+        max_length: largest distance between the two footholds; 0 = the robot does not step.
+        max_height: largest height difference between the two footholds.
+        max_clearance: largest height of the ground between the two footholds, above the lower one.
+        cost: cost of any step.
+        cost_per_metre: cost of one metre of length.
+        cost_per_height: cost of one metre of height difference.
+        support_margin: least distance of the base centre from the edges of the support polygon of the other three feet;
+            negative = outside of it.
+    """
+
+    backward: bool
+    max_length: Annotated[NotNegativeMetres, AfterValidator(_of_an_action)]
+    max_height: NotNegativeMetres
+    max_clearance: NotNegativeMetres
+    cost: NotNegative
+    cost_per_metre: Annotated[NotNegative, unit("1/m")]
+    cost_per_height: Annotated[NotNegative, unit("1/m")]
+    support_margin: Metres
+
+
+@checked
+class Legs:
+    """Hips and lengths of the legs. Plans and labels do not depend on them.
+
+    Attributes:
+        hip_x: hip of the front left leg, ahead of the base centre; the rear legs mirror it.
+        hip_y: hip of the front left leg, to the left of the base centre; the right legs mirror it.
+        min_length: least distance from the hip to the point where the foot touches the ground.
+        max_length: largest distance from the hip to the point where the foot touches the ground.
+    """
+
+    hip_x: NotNegativeMetres
+    hip_y: NotNegativeMetres
+    min_length: NotNegativeMetres
+    max_length: NotNegativeMetres
+
+
+@checked
+class Stance:
+    """Limits of the base when a plan becomes a motion (``hdsp.detailed.motion.refinement``). Plans and labels do not
+    depend on them.
+
+    Attributes:
+        base_height: height of the hips above the ground on neutral feet; ``Box.above`` is measured on a robot that
+            stands so.
+        max_roll: largest roll of the base.
+        max_pitch: largest pitch of the base.
+        reach_x: largest motion of the base over resting feet, ahead or back.
+        reach_y: largest motion of the base over resting feet, sideways.
+        mass_x: centre of mass ahead of the origin of the base, which lies between the hips.
+        mass_z: centre of mass above the origin of the base.
+        margin: least distance of the centre of mass from the edges of the support polygon, seen from above.
+        swing_clearance: height of a swinging foot above the highest ground on its way.
+    """
+
+    base_height: NotNegativeMetres
+    max_roll: NotNegativeRadians
+    max_pitch: NotNegativeRadians
+    reach_x: NotNegativeMetres
+    reach_y: NotNegativeMetres
+    mass_x: Metres
+    mass_z: Metres
+    margin: NotNegativeMetres
+    swing_clearance: NotNegativeMetres
 
 
 #: Parts of a robot on which motions depend, but neither plans nor labels.
 _OF_MOTIONS = ("legs", "stance")
 
 
-@dataclass(frozen=True)
+@checked
 class Robot:
-    """Everything the planner knows about a robot.
+    """All that the planner knows about a robot.
 
-    Convention: metres and radians in the robot frame, x forward, y left; feet in the order of ``FEET``.
+    Convention: metres and radians in the robot frame, x forward, y left; feet in the order of ``FEET``. Costs are
+    unitless.
+
+    Attributes:
+        name: of the robot; trained abstractions go by it.
+        feet: positions of the feet, their room and their ground.
+        body: the space that the body needs.
+        drive: driving, and the ground on which wheels can.
+        turn: turning on the spot.
+        foot_move: driving of one foot along x.
+        base_shift: motion of the base over resting feet.
+        step: steps of single feet.
+        legs: hips and lengths of the legs.
+        stance: limits of the base when a plan becomes a motion.
     """
 
-    name: str
+    name: Name
     feet: Feet
     body: Body
     drive: Drive
@@ -183,6 +319,14 @@ class Robot:
     legs: Legs
     stance: Stance
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        legs, height = self.legs, self.stance.base_height
+        if not legs.min_length <= height <= legs.max_length:
+            reach = f"{legs.min_length:g} to {legs.max_length:g} m (legs.min_length, legs.max_length)"
+            raise fault("stance.base_height", height, f"a height that the legs reach, {reach}")
+        return self
+
     @classmethod
     def load(cls, source: "str | Path | dict | Robot") -> "Robot":
         """A robot from the name of a preset, the path of a YAML file, or a mapping with the same keys.
@@ -190,13 +334,17 @@ class Robot:
         Raises:
             InputError: for an unknown preset, a missing file, an unknown or missing key, or a value out of range.
         """
-        if isinstance(source, Robot):
-            return source
-        if isinstance(source, str | Path):
-            source = _read_yaml(source)
-        robot = _build(cls, source, "robot")
-        _check(robot)
-        return robot
+        if not isinstance(source, str | Path):
+            return load_settings(cls, source, "robot")
+        path = Path(source)
+        if path.suffix in (".yaml", ".yml"):
+            document = read_yaml(path, "robot file")
+        elif str(source) in cls.presets():
+            document = parse_yaml(_PRESETS.joinpath(f"{source}.yaml").read_text(), f"preset {source}")
+        else:
+            presets = ", ".join(cls.presets())
+            raise InputError(f"unknown robot {str(source)!r}: presets are {presets}, or give a .yaml file")
+        return load_settings(cls, document.values, "robot", document)
 
     @staticmethod
     def presets() -> list[str]:
@@ -243,93 +391,3 @@ class Robot:
         x = self.feet.neutral_x + max(self.feet.offset_max, -self.feet.offset_min) + self.step.max_length
         corners = [math.hypot(max(abs(r.x_min), abs(r.x_max)), r.half_width) for r in self.body.boxes]
         return max(math.hypot(x, self.feet.neutral_y), *corners)
-
-
-def _read_yaml(source: str | Path) -> dict:
-    path = Path(source)
-    if path.suffix in (".yaml", ".yml"):
-        if not path.is_file():
-            raise InputError(f"robot file {path} does not exist")
-        text = path.read_text()
-    elif str(source) in Robot.presets():
-        text = _PRESETS.joinpath(f"{source}.yaml").read_text()
-    else:
-        presets = ", ".join(Robot.presets())
-        raise InputError(f"unknown robot {str(source)!r}: presets are {presets}, or give a .yaml file")
-    return yaml.safe_load(text)
-
-
-def _build(kind: type, values: Any, where: str):
-    """Build a (nested) dataclass from plain values, naming any key that does not fit."""
-    if not isinstance(values, dict):
-        raise InputError(f"{where}: need a mapping, got {values!r}")
-    names = {f.name for f in fields(kind)}
-    if unknown := sorted(set(values) - names):
-        raise InputError(f"{where}: unknown key {unknown[0]!r}; allowed are {', '.join(sorted(names))}")
-    if missing := sorted(names - set(values)):
-        raise InputError(f"{where}: key {missing[0]!r} is missing")
-    hints = get_type_hints(kind)
-    return kind(**{name: _convert(hints[name], values[name], f"{where}.{name}") for name in names})
-
-
-def _convert(hint: Any, value: Any, where: str):
-    if is_dataclass(hint):
-        return _build(hint, value, where)
-    if hint == tuple[Box, ...]:
-        if not isinstance(value, list | tuple):
-            raise InputError(f"{where}: need a list of boxes, got {value!r}")
-        return tuple(_build(Box, item, f"{where}[{i}]") for i, item in enumerate(value))
-    if hint is bool:
-        if not isinstance(value, bool):
-            raise InputError(f"{where}: need true or false, got {value!r}")
-        return value
-    if hint is float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise InputError(f"{where}: need a finite number, got {value!r}")
-        return float(value)
-    return hint(value)
-
-
-def _check(robot: Robot) -> None:
-    limits = [(name, 0.0, True) for name in _POSITIVE] + [(name, 0.0, False) for name in _NOT_NEGATIVE]
-    for name, least, above in limits:
-        value = attrgetter(name)(robot)
-        if value < least or (above and value == least):
-            raise InputError(f"robot.{name} is {value:g}; it must {'be positive' if above else 'not be negative'}")
-    if robot.step.max_length > _LONGEST_STEP * RESOLUTION + 1e-9:
-        raise InputError(
-            f"robot.step.max_length is {robot.step.max_length:g} m; it must not exceed {_LONGEST_STEP * RESOLUTION:g} m"
-        )
-    legs, height = robot.legs, robot.stance.base_height
-    if not legs.min_length <= height <= legs.max_length:
-        raise InputError(
-            f"robot.stance.base_height is {height:g} m; legs of {legs.min_length:g} to {legs.max_length:g} m "
-            "(robot.legs.min_length, max_length) must reach the ground from there"
-        )
-    inward, nearest = robot.feet.contact_inward, min(robot.feet.neutral_x, robot.feet.neutral_y)
-    if inward > nearest:
-        raise InputError(
-            f"robot.feet.contact_inward is {inward:g} m; it must not exceed {nearest:g} m, what the feet are off the "
-            "middle of the body"
-        )
-    low, high = robot.offset_range()
-    if not (low <= 0 <= high and high - low < 32):
-        raise InputError(
-            f"robot.feet: offsets {robot.feet.offset_min:g} to {robot.feet.offset_max:g} m must include 0 "
-            f"and span less than {32 * RESOLUTION:g} m"
-        )
-
-
-_POSITIVE = (
-    "feet.neutral_x", "feet.neutral_y", "drive.max_height_difference", "drive.unevenness_radius",
-    "drive.unevenness_cost", "drive.deviation_cost.ahead", "drive.deviation_cost.side", "drive.deviation_cost.behind",
-    "drive.deviation_cost.side_from", "turn.cost", "foot_move.cost_per_metre", "base_shift.cost_per_metre",
-)  # fmt: skip
-_NOT_NEGATIVE = (
-    "feet.clearance", "feet.min_separation", "feet.neutral_preference", "feet.contact_inward",
-    "feet.contact_half_width", "turn.unevenness_cost", "step.max_length", "step.max_height", "step.max_clearance",
-    "step.cost", "step.cost_per_metre", "step.cost_per_height", "legs.hip_x", "legs.hip_y", "legs.min_length",
-    "stance.max_roll", "stance.max_pitch", "stance.reach_x", "stance.reach_y", "stance.margin",
-    "stance.swing_clearance",
-)  # fmt: skip
-_LONGEST_STEP = 15  # cells; what the code of an action can say (hdsp.detailed.states)

@@ -82,7 +82,7 @@ def test_the_reach_covers_feet_steps_and_body():
 
 def test_unknown_presets_and_files_are_named(tmp_path):
     assert_refused("centauro", "centauro", "momaro")
-    assert_refused(tmp_path / "nothing.yaml", "nothing.yaml", "does not exist")
+    assert_refused(tmp_path / "nothing.yaml", "nothing.yaml", "no such file")
 
 
 def test_keys_that_are_unknown_or_missing_are_named():
@@ -111,7 +111,7 @@ def test_values_that_must_be_positive_are_named(key, value):
 @pytest.mark.parametrize("key", ["step.cost", "step.cost_per_metre", "turn.unevenness_cost", "feet.clearance",
                                  "feet.contact_inward", "feet.contact_half_width"])  # fmt: skip
 def test_values_that_must_not_be_negative_are_named(key):
-    assert_refused(changed(key, -0.1), key, "negative")
+    assert_refused(changed(key, -0.1), key, "at least 0")
 
 
 def test_foot_offsets_must_include_neutral_and_fit_their_bits():

@@ -1,0 +1,394 @@
+"""Typed settings: the one way from a file, a mapping or arguments to checked, frozen values.
+
+A settings class is a frozen dataclass with the decorator ``checked``. Its annotations are the rules: types, ranges (the
+shared types below), defaults. Rules between fields are pydantic's model validators, which raise `fault`. Every fault is
+an ``InputError`` of one line with the path of the key (``robot.step.max_length``), its value, and the allowed values.
+
+Convention: no value is converted, with two exceptions: a whole number is accepted as a float, a list as a tuple. A
+number is finite unless its field says otherwise.
+"""
+
+import difflib
+import functools
+import json
+import os
+import re
+import reprlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Annotated, Any, NamedTuple, TypeVar, dataclass_transform
+
+import numpy as np
+import yaml
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic_core import ArgsKwargs, ErrorDetails, PydanticCustomError
+
+from hdsp.base.errors import InputError
+from hdsp.base.files import existing_file
+
+T = TypeVar("T")
+Path = Sequence[str | int]
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+#: A share or a probability, 0 and 1 included.
+Share = Annotated[float, Field(ge=0, le=1)]
+#: A number of things, at least one.
+Count = Annotated[int, Field(ge=1)]
+#: A number of things that may be none; a seed.
+Natural = Annotated[int, Field(ge=0)]
+#: A text that is not empty.
+Name = Annotated[str, Field(min_length=1)]
+
+_CONFIG = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+_TOO_DEEP = "nested too deeply, or a part of itself"
+_LONGEST = 100  # characters of a value in a message
+
+
+def unit(name: str) -> Any:
+    """Annotation of a field's type with its unit, which the JSON schema of the class then states."""
+    return Field(json_schema_extra={"unit": name})
+
+
+def fault(key: str, value: Any, need: str) -> PydanticCustomError:
+    """The error that a validator raises about one key of its class.
+
+    Args:
+        key: name of the field, or a path below it (``boxes[0].above``); empty = the whole class.
+        value: of that key.
+        need: the allowed values; the message is "KEY is VALUE; need NEED".
+    """
+    return PydanticCustomError("fault", "{text}", {"key": key, "text": f"is {shown(value)}; need {need}"})
+
+
+def _rising(values: tuple) -> tuple:
+    if not values[0] <= values[1]:
+        raise fault("", values, "the smaller number first")
+    return values
+
+
+#: Two numbers, the smaller one first: the ends of a range.
+Range = Annotated[tuple[Positive, Positive], AfterValidator(_rising)]
+RangeFromZero = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_rising)]
+CountRange = Annotated[tuple[Count, Count], AfterValidator(_rising)]
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(field, Field))
+def checked(cls: type[T]) -> type[T]:
+    """Makes a class of settings: a frozen dataclass whose values are checked, however it is made.
+
+    Arguments of its constructor and mappings (`load_settings`) follow the same rules. Lists become tuples, numbers of
+    numpy become those of Python. ``dataclasses.replace``, ``asdict`` and ``fields`` work as for any dataclass.
+    """
+
+    def prepared(own: type, values: Any) -> Any:
+        given = values.kwargs if isinstance(values, ArgsKwargs) else values
+        if not isinstance(given, Mapping):
+            return values
+        _check_keys(own, given)
+        frozen = {key: _frozen(value) for key, value in given.items()}
+        return ArgsKwargs((), frozen) if isinstance(values, ArgsKwargs) else frozen
+
+    def schema(own: type, source: Any, handler: Callable[[Any], Any]) -> Any:
+        whole = part = handler(source)
+        while part["type"] != "dataclass":  # it stands inside of the validators
+            part = part["schema"]
+        part["strict"] = False  # strict fields, but a mapping is taken for a dataclass
+        return whole
+
+    def init(self: Any, *args: Any, **kwargs: Any) -> None:
+        names = [entry.name for entry in fields(self)][: len(args)]
+        if len(names) < len(args) or not kwargs.keys().isdisjoint(names):
+            raise TypeError(f"{type(self).__name__} takes each of {', '.join(e.name for e in fields(self))} once")
+        given = ArgsKwargs((), {**dict(zip(names, args, strict=True)), **kwargs})
+        try:
+            _adapter(type(self)).validator.validate_python(given, self_instance=self)
+        except ValidationError as error:
+            raise InputError(_first_fault(error, type(self).__name__)) from None
+
+    # One name in all settings classes: the validator of a subclass takes the place of its parent's.
+    before: Any = model_validator(mode="before")
+    added = {"_prepared": before(classmethod(prepared)), "__get_pydantic_core_schema__": classmethod(schema)}
+    for name, value in {**added, "__pydantic_config__": _CONFIG}.items():
+        setattr(cls, name, value)
+    made = dataclass(frozen=True)(cls)
+    made.__init__ = functools.wraps(made.__init__)(init)  # type: ignore[method-assign]
+    return made
+
+
+class Document(NamedTuple):
+    """Contents of a YAML file.
+
+    Attributes:
+        values: its mapping, plain.
+        name: of the file, for messages.
+        root: the parsed nodes, which know their lines.
+    """
+
+    values: dict[Any, Any]
+    name: str
+    root: yaml.Node
+
+    def line(self, path: Path) -> int:
+        """Line, counted from 1, of the key at a path, or of the innermost part of the path that exists."""
+        node, line = self.root, self.root.start_mark.line
+        for part in path:
+            if isinstance(node, yaml.MappingNode):
+                found = [pair for pair in node.value if pair[0].value == str(part)]
+                if not found:
+                    break
+                line, node = found[-1][0].start_mark.line, found[-1][1]
+            elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
+                node = node.value[part]
+                line = node.start_mark.line
+            else:
+                break
+        return line + 1
+
+
+def load_settings(kind: type[T], values: Any, where: str = "", document: Document | None = None) -> T:
+    """The settings ``kind`` from a mapping with its keys; an instance of ``kind`` is returned as it is.
+
+    Args:
+        kind: a settings class (`checked`).
+        values: plain nested values.
+        where: name of this part of the configuration, the first part of the paths in messages.
+        document: where the values come from; messages then begin with file and line.
+
+    Raises:
+        InputError: names the first key that is unknown, missing or wrong.
+    """
+    if isinstance(values, kind):
+        return values
+    try:
+        return _adapter(kind).validate_python(values)
+    except ValidationError as error:
+        raise InputError(_first_fault(error, where, document)) from None
+    except RecursionError:
+        raise InputError(_joined(where, f": {_TOO_DEEP}")) from None
+
+
+def read_yaml(path: str | os.PathLike, what: str) -> Document:
+    """The mapping in a YAML file; ``what`` is the word for the file in messages.
+
+    Raises:
+        InputError: there is no such file, or it holds no mapping; with the line where reading ends.
+    """
+    return parse_yaml(_read_text(path, what), str(path))
+
+
+def parse_yaml(text: str, name: str) -> Document:
+    """The mapping in a YAML text. A key may stand once in a mapping; numbers such as ``1e-3`` are numbers.
+
+    Args:
+        text: of the file.
+        name: of the file, for messages.
+
+    Raises:
+        InputError: it is no YAML, or no mapping; with the line.
+    """
+    loader = None
+    try:
+        loader = _Loader(text)
+        root = loader.get_single_node()
+        values = None if root is None else loader.construct_document(root)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = mark.line + 1 if mark else 1
+        raise InputError(f"{name}, line {line}: not YAML: {_one_line(error.problem or error.context)}") from None
+    except yaml.reader.ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        raise InputError(f"{name}, line {line}: not YAML: {error.reason}") from None
+    except RecursionError:
+        raise InputError(f"{name}: {_TOO_DEEP}") from None
+    finally:
+        if loader is not None:
+            loader.dispose()
+    if root is None:
+        raise InputError(f"{name}, line 1: the file is empty; need a mapping")
+    if not isinstance(values, dict):
+        raise InputError(f"{name}, line {root.start_mark.line + 1}: need a mapping, got {shown(values)}")
+    return Document(values, name, root)
+
+
+def read_json(path: str | os.PathLike, what: str) -> Any:
+    """The value in a JSON file; ``what`` is the word for the file in messages.
+
+    Raises:
+        InputError: there is no such file, or it is no JSON; with the line.
+    """
+    text = _read_text(path, what)
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}, line {error.lineno}: not JSON: {error.msg}") from None
+    except (RecursionError, ValueError) as error:  # ValueError: a number of thousands of digits
+        raise InputError(f"{path}: not JSON: {_one_line(error)}") from None
+
+
+def unknown_key(key: Any, allowed: Iterable[str]) -> str:
+    """Words about a key that does not exist: the nearest key that does, and all of them."""
+    names = sorted(allowed)
+    if not isinstance(key, str):
+        return f"key {shown(key)} is no text; allowed are {', '.join(names)}"
+    return f"unknown key {shown(key)};{_meant(key, names)} allowed are {', '.join(names) or 'none'}"
+
+
+def shown(value: Any) -> str:
+    """A value in a message: as in Python, lists for tuples, shortened, on one line."""
+    text = _one_line(_SHORT.repr(value))
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 4]} ..."
+
+
+class _Short(reprlib.Repr):
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel, self.maxstring, self.maxother, self.maxlong = 3, 80, 80, 80
+        self.maxdict = self.maxlist = self.maxtuple = 8
+
+    def repr_tuple(self, x: tuple, level: int) -> str:
+        return self.repr_list(list(x), level)
+
+    def repr_int(self, x: int, level: int) -> str:
+        try:
+            return super().repr_int(x, level)
+        except ValueError:  # Python writes no number of thousands of digits
+            return hex(x)[:40] + "..."
+
+
+_SHORT = _Short()
+
+
+class _Loader(yaml.SafeLoader):
+    """As PyYAML's, with numbers without a point, and without keys that stand twice."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep)
+        except (ValueError, OverflowError) as error:  # of dates that do not exist, numbers of thousands of digits
+            raise yaml.constructor.ConstructorError(None, None, str(error), node.start_mark) from None
+
+    def construct_mapping(self, node: yaml.Node, deep: bool = False) -> dict[Any, Any]:
+        lines: dict[tuple[str, Any], int] = {}
+        for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
+            if not isinstance(key, yaml.ScalarNode) or key.tag == "tag:yaml.org,2002:merge":
+                continue
+            if (first := lines.setdefault((key.tag, key.value), key.start_mark.line)) != key.start_mark.line:
+                problem = f"key {shown(key.value)} is there twice, first in line {first + 1}"
+                raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(?:[0-9][0-9_]*\.?[0-9_]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
+    list("-+.0123456789"),
+)
+
+
+def _adapter(kind: type) -> TypeAdapter[Any]:
+    """Built when it is first needed: building the validator of a class takes a millisecond."""
+    if kind not in _ADAPTERS:
+        _ADAPTERS[kind] = TypeAdapter(kind)
+    return _ADAPTERS[kind]
+
+
+_ADAPTERS: dict[type, TypeAdapter[Any]] = {}
+
+
+def _read_text(path: str | os.PathLike, what: str) -> str:
+    try:
+        data = existing_file(path, what).read_bytes()
+    except OSError as error:
+        raise InputError(f"{what} {path} cannot be read: {error.strerror or error}") from None
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(f"{path}, line {line}: no text in UTF-8") from None
+
+
+def _frozen(value: Any) -> Any:
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value
+
+
+def _check_keys(kind: type, values: Mapping[Any, Any]) -> None:
+    allowed = [entry.name for entry in fields(kind)]  # type: ignore[arg-type]
+    for key in values:
+        if key not in allowed:
+            raise PydanticCustomError("unknown_key", "{text}", {"key": key, "text": unknown_key(key, allowed)})
+
+
+def _first_fault(error: ValidationError, where: str, document: Document | None = None) -> str:
+    found = error.errors(include_url=False)[0]
+    kind, path, context = found["type"], list(found["loc"]), found.get("ctx", {})
+    inner = path
+    if kind == "fault":
+        inner = [*path, *(int(part) if part.isdigit() else part for part in re.findall(r"\w+", context["key"]))]
+        path, words = inner, f" {context['text']}"
+    elif kind == "unknown_key":
+        inner, words = [*path, context["key"]], f": {context['text']}"
+    elif kind == "missing" and isinstance(path[-1], str):
+        path, words = path[:-1], f": key {shown(path[-1])} is missing"
+    elif kind == "missing":
+        words = " is missing"
+    elif kind == "value_error":  # of a function that a validator calls
+        words = f": {_one_line(context['error'])}"
+    elif path[-1:] == ["[key]"]:
+        path, words = path[:-2], f": key {shown(path[-2])}; need {_need(found)}"
+    else:
+        words = f" is {shown(found['input'])}; need {_need(found)}"
+    steps = "".join(map(_step, path))
+    text = _joined(where + steps if where else steps.lstrip("."), words)
+    return text if document is None else f"{document.name}, line {document.line(inner)}: {text}"
+
+
+def _need(found: ErrorDetails) -> str:
+    """The allowed values, as an error of pydantic has them."""
+    kind, context = found["type"], found.get("ctx", {})
+    if kind == "greater_than" and context["gt"] == 0:
+        return "a positive number"
+    if kind == "literal_error":
+        allowed = context["expected"]
+        return allowed + _meant(found["input"], re.findall("'([^']*)'", allowed)).rstrip("?")
+    return _NEEDS[kind].format_map(context) if kind in _NEEDS else found["msg"].removeprefix("Input should be ")
+
+
+_NEEDS = {
+    "float_type": "a finite number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "a text",
+    "string_too_short": "a text that is not empty",
+    "dataclass_type": "a mapping",
+    "dict_type": "a mapping",
+    "tuple_type": "a list",
+    "too_short": "a list of at least {min_length}",
+    "too_long": "a list of at most {max_length}",
+    "greater_than": "more than {gt:g}",
+    "greater_than_equal": "at least {ge:g}",
+    "less_than": "less than {lt:g}",
+    "less_than_equal": "at most {le:g}",
+}
+
+
+def _meant(key: Any, names: Iterable[str]) -> str:
+    near = difflib.get_close_matches(key.lower(), list(names), 1) if isinstance(key, str) else []
+    return f" did you mean {near[0]!r}?" if near else ""
+
+
+def _step(part: str | int) -> str:
+    if isinstance(part, int):
+        return f"[{part}]"
+    return f".{part}" if re.fullmatch(r"[\w.\[\]-]+", part) else f"[{shown(part)}]"
+
+
+def _joined(where: str, words: str) -> str:
+    return f"{where}{words}" if where else words.lstrip(": ")
+
+
+def _one_line(value: Any) -> str:
+    return " ".join(str(value).split())
