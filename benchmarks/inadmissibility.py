@@ -123,7 +123,7 @@ def text(result: dict) -> str:
     """Formats the result for the page."""
     rows = []
     for name, found in result["heuristics"].items():
-        for kind, label in (("pairs", "random pairs"), ("with_ways", "and states on their ways")):
+        for kind, label in (("pairs", "random pairs"), ("with_ways", "with states on their paths")):
             row = found[kind]
             quantiles = [row[f"q{100 * q:g}"] for q in QUANTILES]
             rows.append([name, label, row["n"], *quantiles, row["max"], f"{row['above_1']:.1%}"])

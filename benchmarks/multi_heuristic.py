@@ -184,7 +184,10 @@ def text(result: dict, limit: int) -> str:
         ])  # fmt: skip
     tasks = {(run["place"], run["task"]) for run in result["runs"]}
     left_out = len(tasks) - len(solvable(result["runs"]))
-    ends = f"Limit: {limit:,} expansions each; {left_out} of {len(tasks)} tasks, which no search solved, left out."
+    ends = (
+        f"Each search is limited to {limit:,} expansions. The table leaves out {left_out} of {len(tasks)} tasks: no "
+        "search solved them."
+    )
     return f"{table(head, lines)}\n\n{ends}"
 
 
