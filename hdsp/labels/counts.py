@@ -29,7 +29,7 @@ class LabelCounts:
 
     @classmethod
     def of(cls, feasible: np.ndarray, cost: np.ndarray, reason: np.ndarray, dropped: int = 0) -> "LabelCounts":
-        """Counts arrays [n, 22] with the labels of n maps; ``dropped`` further maps have no labels."""
+        """Counts the labels of n maps, arrays [n, 22]; ``dropped`` further maps have no labels."""
         found = cost[feasible].astype(np.float64)
         reasons = np.bincount(reason.ravel(), minlength=256)
         return cls(len(feasible), dropped, reasons, len(found), float(found.sum()), float((found**2).sum()))
@@ -42,7 +42,7 @@ class LabelCounts:
         return int(self.reasons.sum())
 
     def summary(self) -> dict[str, Any]:
-        """Summary by name: tasks, feasible share, mean and standard deviation of cost, share of each reason."""
+        """Summary by name: tasks, feasible share, mean and standard deviation of cost, share per reason."""
         tasks, n = self.tasks, self.feasible
         mean = self.cost_sum / n if n else None
         return {

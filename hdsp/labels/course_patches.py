@@ -68,7 +68,7 @@ class PatchSettings:
 
 @dataclass(frozen=True)
 class PatchRun:
-    """All settings on which the patches depend."""
+    """Settings that determine the patches."""
 
     patches: PatchSettings
     courses: CourseSettings
@@ -85,7 +85,7 @@ class PatchRun:
         return hashlib.sha256(json.dumps(self.inputs(), sort_keys=True).encode()).hexdigest()
 
     def course_hash(self) -> str:
-        """Hash of everything that one course depends on: all settings except the number of courses."""
+        """Hash of everything that determines one course: all settings except the number of courses."""
         return replace(self, patches=replace(self.patches, courses=1)).hash()
 
 

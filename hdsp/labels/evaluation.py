@@ -35,8 +35,7 @@ def evaluate_set(predictors: Mapping[str, TaskPredictor], tasks: TaskSet) -> dic
     Returns:
         `maps`, `tasks`, `feasible`, `detailed_cost_mean`, `detailed_cost_std`; `methods`: the result of
         `evaluate_predictor` for each method; and `categories`: the same entries for each category in the set. All
-            values
-        are plain numbers for JSON; a mean over no task is None.
+        values are plain numbers for JSON; a mean over no task is None.
 
     Raises:
         InputError: if the set is empty, or a prediction has the wrong shape.
@@ -56,9 +55,8 @@ def evaluate_predictor(predictor: TaskPredictor, tasks: TaskSet) -> dict[str, An
 
     Returns:
         `feasibility_accuracy` in [0, 1] over all tasks; `cost_error` (mean absolute cost difference),
-            `abstract_cost_mean`
-        and `compared_cost_mean` (label costs) over the tasks that both judge feasible; the counts `judged_feasible` and
-        `both_feasible`. A mean over no task is None.
+        `abstract_cost_mean` and `compared_cost_mean` (label costs) over the tasks feasible according to both; the
+        counts `judged_feasible` and `both_feasible`. A mean over no task is None.
     """
     return evaluate_set({"it": predictor}, tasks)["methods"]["it"]
 

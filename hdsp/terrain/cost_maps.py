@@ -3,7 +3,7 @@
 docs/cost-model.md describes the model and its evidence. ``dH`` is the height difference of a cell: the largest
 difference to its eight neighbours.
 
-- Unevenness ``S(c)`` sums ``dH`` over all cells within a radius. The weights fall linearly to zero at the radius.
+- Unevenness ``S(c)`` is a weighted sum of ``dH`` over all cells within a radius. The weights fall linearly to zero.
 - A foot can stand and roll on a cell if no cell within its clearance has ``dH`` above the drivable limit.
 - A foot pays for the most uneven cell in its contact, a small square on the inner side of the foot's cell
   (``hdsp.robot.robot``).

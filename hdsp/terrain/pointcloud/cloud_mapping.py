@@ -76,8 +76,7 @@ def height_map(points: np.ndarray, settings: MapSettings | None = None, resoluti
 
     Returns:
         the smallest map that contains all known cells. If levelled, its floor is at 0. Its x and y equal the cloud's x
-            and
-        y after levelling; cell borders are multiples of the resolution.
+        and y after levelling; cell borders are multiples of the resolution.
 
     Raises:
         InputError: if no point is left, or the extent is implausible for metres.

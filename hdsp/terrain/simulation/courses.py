@@ -67,7 +67,7 @@ class CourseSettings:
 
 
 class Place(NamedTuple):
-    """A pose with a decision to take for the robot, and the obstacle there."""
+    """A pose where the robot has a choice, and the kind of obstacle there."""
 
     kind: str
     x: float

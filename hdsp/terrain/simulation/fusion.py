@@ -1,10 +1,10 @@
 """Surface reconstruction: one height for each cell from ranges measured at known sensor positions.
 
-A single range has an error larger than the height of an edge that stops a wheel: centimetres. Noise also puts points in
-front of a wall, and the wall would become wider. Two facts help. A point shows that its column reaches up to the point.
-A ray that crosses a column shows that the column ends below the ray. The surface is the height with the fewest
+A single range has an error of several centimetres, more than the height of an edge that stops a wheel. Noise also puts
+points in front of a wall and would make the wall wider. Two facts help. A point shows that its column reaches up to the
+point. A ray that crosses a column shows that the column ends below the ray. The surface is the height with the fewest
 contradictions: a median that also uses free space. It moves walls neither forward nor back. If all rays come straight
-from above, no ray crosses a neighbouring column, and the surface is up to one standard deviation too high.
+from above, no ray crosses a neighbouring column, and the surface is too high by up to the noise's standard deviation.
 
 Convention: world coordinates, m; cells as in `hdsp.terrain.height_map`.
 """
