@@ -1,4 +1,4 @@
-"""Labels of a map: the patch that a network sees, its 22 goals, and what the detailed planner says of them.
+"""Labels of a map: a patch as network input, its 22 goals, and their labels from the detailed planner.
 
 Source: paper, Sec. V-C.
 """
@@ -20,9 +20,10 @@ __all__ = ["LabelSettings", "MapTasks", "label_map"]
 
 
 class MapTasks(NamedTuple):
-    """The 22 tasks of one start state with their labels.
+    """The 22 tasks from one start state, with their labels.
 
-    Convention: patch and goals in the robot frame; see ``hdsp.terrain.height_map`` and ``hdsp.robot.lattice.robot_frame_goals``.
+    Convention: patch and goals in the robot frame; see ``hdsp.terrain.height_map`` and
+    ``hdsp.robot.lattice.robot_frame_goals``.
 
     Attributes:
         heights: float32 [72, 72], m, NaN = unknown.
@@ -46,19 +47,19 @@ class MapTasks(NamedTuple):
 def label_map(
     terrain: HeightMap, robot: Robot, settings: LabelSettings | None = None, start_heading: int = 0
 ) -> MapTasks | None:
-    """Label the 22 tasks that start in the middle cell of a map.
+    """Labels the 22 tasks that start in the middle cell of a map.
 
     Args:
         terrain: at least 72 x 72 cells; the base starts in cell (nx // 2, ny // 2).
-        robot: whose planner labels.
-        settings: the rules of labelling.
-        start_heading: detailed heading of the start, a multiple of 4 in [0, 64).
+        robot: the robot whose planner makes the labels.
+        settings: labelling rules.
+        start_heading: detailed start heading, a multiple of 4 in [0, 64).
 
     Returns:
         The tasks, or None if no valid start state exists.
 
     Raises:
-        InputError: for a map smaller than a patch or a heading between abstract ones.
+        InputError: if the map is smaller than a patch, or the heading is no abstract heading.
     """
     settings = settings or LabelSettings()
     if min(terrain.shape) < PATCH_CELLS:

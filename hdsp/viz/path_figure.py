@@ -46,20 +46,20 @@ def save_planned_path(
     start=None,
     goal=None,
 ) -> Path:
-    """Draws a plan: base track, the robot every so often, the tracks of the feet, steps, start and goal.
+    """Draws a plan: base and foot tracks, the robot at intervals, steps, start and goal.
 
     Args:
-        terrain: the map it was planned on.
-        plan: with `states` float [n, 7] in world coordinates and `actions` (n - 1 names). Without states (no plan was
-            found) map, start and goal are drawn.
-        robot: whose plan it is.
-        path: of the PNG.
-        title: above the picture.
-        start: pose (x, y, theta) in m and rad; default: the first state of the plan.
-        goal: likewise the last one.
+        terrain: the map of the plan.
+        plan: object with `states` float [n, 7] in world coordinates and `actions` (n - 1 names). Without states (no
+            plan was found), only map, start and goal are drawn.
+        robot: the plan's robot.
+        path: PNG path.
+        title: figure title.
+        start: pose (x, y, theta) in m and rad; default: the plan's first state.
+        goal: pose (x, y, theta) in m and rad; default: the plan's last state.
 
     Raises:
-        InputError: there is neither a path nor a start to draw.
+        InputError: if there is neither a path nor a start to draw.
     """
     return save(planned_path_figure(terrain, plan, robot, title, start, goal), path)
 
@@ -98,18 +98,18 @@ def save_planned_paths(
     path: str | os.PathLike,
     title: str | None = None,
 ) -> Path:
-    """Draws the plans of several tasks on one map, each in a colour of its own: base tracks, landings of steps, goals.
+    """Draws the plans for several tasks on one map, each in its own colour: base tracks, step landings, goals.
 
     Args:
-        terrain: the map they were planned on.
-        plans: by the name of the task; one without states is named in the legend as having no path.
+        terrain: the map of the plans.
+        plans: plans by task name; the legend marks a plan without states as having no path.
         tasks: (start, goal) by name; poses (x, y, theta) in m and rad.
-        robot: whose plans they are.
-        path: of the PNG.
-        title: above the picture.
+        robot: the plans' robot.
+        path: PNG path.
+        title: figure title.
 
     Raises:
-        InputError: there is no task.
+        InputError: if there is no task.
     """
     if not tasks:
         raise InputError("picture of paths: there is no task")
@@ -120,7 +120,7 @@ def save_planned_paths(
         color = _TRACKS[number % len(_TRACKS)]
         states = np.asarray(plans[name].states, float).reshape(-1, 7)
         label = f"{name}: cost {plans[name].cost:.2f}" if len(states) else f"{name}: no path"
-        # A hair aside, so that paths on the same ground can be told apart.
+        # A small offset separates paths over the same ground.
         axes.plot(*(states[:, :2].T + 0.012 * (number % 3 - 1)), color=color, linewidth=1.8, zorder=4, label=label)
         feet = robot.foot_positions(states)
         for index, action in enumerate(plans[name].actions):
@@ -143,10 +143,10 @@ def save_planned_paths(
 
 
 def draw_path(axes, states: np.ndarray, actions: list[str], robot: Robot, spacing: float = 0.6) -> None:
-    """Draws a path of detailed states [n, 7] with its n - 1 actions on axes in world metres.
+    """Draws a path, detailed states [n, 7] with n - 1 actions, on axes in world metres.
 
-    The robot is drawn about every `spacing` metres of its way, a half turn counting as much, and before each group of
-    steps.
+    The robot is drawn about every `spacing` metres of the path and before each group of steps. A half turn counts like
+    `spacing` metres.
     """
     feet = robot.foot_positions(states)
     for foot, (color, name) in enumerate(zip(FEET, FOOT_NAMES, strict=True)):
@@ -173,7 +173,7 @@ def draw_path(axes, states: np.ndarray, actions: list[str], robot: Robot, spacin
 
 
 def _shown(states: np.ndarray, actions: list[str], spacing: float) -> list[int]:
-    """Indices of the states at which the robot is drawn."""
+    """Indices of states at which the robot is drawn."""
     moved = np.hypot(*np.diff(states[:, :2], axis=0).T)
     turned = np.abs(np.angle(np.exp(1j * np.diff(states[:, 2])))) * (spacing / np.pi)
     way = np.concatenate([[0.0], np.cumsum(moved + turned)])

@@ -1,6 +1,6 @@
-"""What a worker does for a label run: labels some maps, counts, and writes a shard.
+"""Work of a label worker: it labels maps, counts the labels, and writes a shard.
 
-Kept apart so that a worker imports this, the label function and nothing of what the scheduling side needs.
+The module is separate so that a worker imports only this module and the label function, without the scheduling code.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,14 +30,14 @@ def label_maps(run: LabelRun, label: LabelMap | None, code: str, numbers: Sequen
     """Labels maps of a split.
 
     Args:
-        run: the split and all its labels depend on.
-        label: labels one map; None = `hdsp.labels.rules.label_map`.
-        code: `labels_code` of the process that asks.
-        numbers: of the maps.
+        run: the split, with everything on which its labels depend.
+        label: function that labels one map; None = `hdsp.labels.rules.label_map`.
+        code: `labels_code` of the requesting process.
+        numbers: map numbers.
 
     Raises:
-        InputError: if this process has other code than the one that asks: shards would not be what they say they are.
-        RuntimeError: names the map on which labelling failed.
+        InputError: if this process has other code than the requesting process, because the shard's hash would be wrong.
+        RuntimeError: if labelling fails; the message names the map.
     """
     if _own_code() != code:
         raise InputError("a worker has another version of hdsp than the process that asks it for labels")
@@ -84,7 +84,7 @@ def label_unstandable(
 
 
 def count_labels(labels: Labels) -> LabelCounts:
-    """Counts of the maps of a part."""
+    """Counts the labels of a part."""
     kept = [tasks for tasks in labels if tasks is not None]
     if not kept:
         return LabelCounts(dropped=len(labels))
@@ -93,10 +93,10 @@ def count_labels(labels: Labels) -> LabelCounts:
 
 
 def store_shard(run: LabelRun, place: Place, shard: ShardPlan, parts: list[Labels]) -> dict[str, LabelCounts]:
-    """Writes the labels of a shard's maps, in parts, to the folder ``place``; returns the counts of each category.
+    """Writes a shard from the parts with its labels to folder ``place``; returns counts by category.
 
     Raises:
-        InputError: if it cannot be written.
+        InputError: if the shard cannot be written.
     """
     tasks = _task_set(run, shard.maps, [labels for part in parts for labels in part])
     attributes = {

@@ -1,7 +1,7 @@
-"""Which maps a split consists of, which shard holds which, and all that their labels depend on.
+"""Splits: their maps, the distribution of maps over shards, and everything on which the labels depend.
 
-Map number t of a split is map ``t // categories`` of category ``t % categories``; a shard holds the labels of
-consecutive maps. Its name contains a hash of everything its labels depend on, code included.
+Map number t in a split is map ``t // categories`` of category ``t % categories``; a shard contains the labels for
+consecutive maps. A shard's name contains a hash of everything its labels depend on, including code.
 """
 
 import hashlib
@@ -28,30 +28,30 @@ if TYPE_CHECKING:
 #: Raised when this module gives maps other numbers, headings or sizes; the rest of the code is hashed.
 LABELS_VERSION = 1
 
-#: Side of the map around a start that does not head along x: it holds the patch at every heading.
+#: Side of the map around a start with a heading other than 0, in cells: the map contains the patch at every heading.
 TURNED_MAP_CELLS = 104
 
-#: What the names of shards of any split and any settings look like.
+#: Pattern of all shard names, for any split and settings.
 SHARD_NAME = re.compile(rf"\d{{5,}}-[0-9a-f]{{12}}{re.escape(SUFFIX)}")
 
 
 @dataclass(frozen=True)
 class SplitSettings:
-    """Which maps a split consists of.
+    """Maps of a split.
 
     Attributes:
-        seed: of its random maps.
-        maps_per_category: before those without a valid start are dropped.
-        heading_residues: abstract headings, [0, 16), that maps start with in turn. Goals in the robot frame
-            repeat at every quarter turn, so [0, 1, 2, 3] covers all that a planner asks for.
-        categories: of terrain.
-        maps_per_shard: before dropping.
-        sensing: whether maps are made such as sensors see them, before they are labelled (`hdsp.terrain.sensor_model`).
-        standable: which maps are kept: those at whose start the robot can stand, or (false) those where it cannot. Of
-            the latter all tasks are infeasible; a network that learnt from the former alone makes something up there.
+        seed: seed for the random maps.
+        maps_per_category: number of maps before maps without a valid start are dropped.
+        heading_residues: abstract start headings, [0, 16), used in turn. Goals in the robot frame repeat at every
+            quarter turn, so [0, 1, 2, 3] covers all goals that a planner needs.
+        categories: terrain categories.
+        maps_per_shard: number of maps per shard, including maps dropped later.
+        sensing: whether maps pass through the sensor model before they are labelled (`hdsp.terrain.sensor_model`).
+        standable: true keeps the maps where the robot can stand at the start, false keeps the others. All tasks on the
+            other maps are infeasible; a network trained without them gives arbitrary predictions there.
 
     Raises:
-        InputError: for a number out of range or an unknown category.
+        InputError: if a number is out of range, or a category is unknown.
     """
 
     seed: int
@@ -85,7 +85,7 @@ class SplitSettings:
 
 
 class ShardPlan(NamedTuple):
-    """A shard to be: the name of its file, and the numbers of its maps."""
+    """A planned shard: its file name, and its map numbers."""
 
     name: str
     maps: range
@@ -93,7 +93,7 @@ class ShardPlan(NamedTuple):
 
 @dataclass(frozen=True)
 class LabelRun:
-    """All that the labels of a split depend on, apart from the number of maps."""
+    """Everything that determines the labels of a split, except the number of maps."""
 
     split: SplitSettings
     robot: Robot
@@ -102,10 +102,10 @@ class LabelRun:
     sensing: SensingSettings = field(default_factory=SensingSettings)
 
     def inputs(self) -> dict[str, Any]:
-        """Plain values by name; the code as a fingerprint."""
+        """Plain values by name; a fingerprint represents the code."""
         split = asdict(self.split)
-        del split["maps_per_category"]  # more maps add shards and leave those that are there as they are
-        if self.split.standable:  # as it was before there was a choice: shards of then still hold
+        del split["maps_per_category"]  # more maps add shards, but do not change existing ones
+        if self.split.standable:  # the default is not hashed, so older shards stay valid
             del split["standable"]
         return {
             "schema_version": SCHEMA_VERSION,
@@ -129,7 +129,7 @@ class LabelRun:
         return hashlib.sha256(self.inputs_text.encode()).hexdigest()
 
     def shards(self) -> list[ShardPlan]:
-        """The shards of the split, in order."""
+        """Planned shards of the split, in order."""
         step, maps = self.split.maps_per_shard, self.split.maps
         return [
             ShardPlan(f"{k:05d}-{self.labels_hash[:12]}{SUFFIX}", range(first, min(first + step, maps)))
@@ -137,27 +137,27 @@ class LabelRun:
         ]
 
     def map_of(self, number: int) -> tuple[str, int, int]:
-        """(category, index, detailed start heading) of map ``number`` of the split."""
+        """(category, index, detailed start heading) of map ``number`` in the split."""
         index, category = divmod(number, len(self.split.categories))
         residues = self.split.heading_residues
         return self.split.categories[category], index, residues[index % len(residues)] * HEADINGS_PER_ABSTRACT
 
     def terrain_of(self, number: int) -> HeightMap:
-        """The height map of map ``number``."""
+        """Makes the height map with number ``number``."""
         category, index, heading = self.map_of(number)
         cells = PATCH_CELLS if heading == 0 else TURNED_MAP_CELLS
         terrain = random_map(self.split.seed, category, index, self.terrain, cells, heading)
         if not self.split.sensing:
             return terrain
-        # A stream of its own: the scene of a map is the same with and without.
+        # A separate random stream: a map has the same scene with and without sensing.
         numbers = [self.split.seed, ALL_CATEGORIES.index(category), index, 1]
         return sensed(terrain, self.sensing, np.random.default_rng(np.random.SeedSequence(numbers)))
 
     def describe(self, number: int) -> str:
-        """Names map ``number``, so that it can be made again."""
+        """Describes map ``number`` so that a reader can make it again."""
         return "the map with seed {}, category {}, index {}, heading {}".format(self.split.seed, *self.map_of(number))
 
 
 def labels_code() -> str:
-    """Fingerprint of the code that labels depend on."""
+    """Fingerprint of the code on which labels depend."""
     return code_fingerprint(["hdsp.labels.rules", "hdsp.terrain.scenes"])
