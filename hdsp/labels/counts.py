@@ -77,7 +77,7 @@ def add_up(parts: Iterable[Mapping[str, LabelCounts]], categories: Iterable[str]
 
 
 def split_summary(by_category: Mapping[str, LabelCounts], maps_per_category: int) -> dict[str, Any]:
-    """Summary of a labelled split; it depends on the labels alone."""
+    """Summary for a labelled split; it depends on the labels alone."""
     kept = {category: counts.maps for category, counts in by_category.items()}
     total = sum(by_category.values(), LabelCounts())
     return {

@@ -45,8 +45,8 @@ class PatchSettings:
         courses: number of courses.
         patches_per_course: largest number of patches per course. A place without a valid start gives no patch; if
             places are fewer than this number, one place may give several patches.
-        heading_residues: abstract headings within a quarter turn, [0, 4), used by the starts in turn. 0 means only
-            multiples of 90 degrees, for which all goals lie on the abstract state grid.
+        heading_residues: abstract headings within a quarter turn, [0, 4), used by the starts in turn. With 0 alone, all
+            headings are multiples of 90 degrees, and all goals lie on the abstract state grid.
 
     Raises:
         InputError: if a number is out of range.
@@ -112,7 +112,7 @@ def simulated_courses(
     """Yields courses in order, each scanned, cut and labelled.
 
     Args:
-        run: settings of the courses and patches.
+        run: settings for courses and patches.
         cluster: processes for the work; None = this process.
         numbers: course numbers; None = all.
 

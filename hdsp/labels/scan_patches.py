@@ -69,7 +69,7 @@ def draw_starts(terrain: HeightMap, robot: Robot, settings: PatchSettings) -> np
     """Draws valid base states uniformly over known ground, and limits the share of bare floor.
 
     Args:
-        terrain: height map with the cell size of the detailed lattice.
+        terrain: height map with the detailed lattice's cell size.
         robot: the robot that must be able to stand there.
         settings: number and density of the starts.
 
@@ -120,7 +120,7 @@ def label_scan(
     path: str | os.PathLike,
     about: Mapping[str, str],
 ) -> TaskSet:
-    """Labels the patches of a map into a shard; a valid shard from the same inputs is kept.
+    """Labels a map's patches into a shard; a valid shard from the same inputs is kept.
 
     Args:
         terrain: the scan's height map.
@@ -128,7 +128,7 @@ def label_scan(
         patches: start states to draw.
         settings: labelling rules.
         path: shard path.
-        about: texts by name, stored in the shard; ``place`` becomes the category of its tasks.
+        about: texts by name, stored in the shard; ``place`` becomes the tasks' category.
 
     Returns:
         the tasks; ``index`` is the patch number in the scan.

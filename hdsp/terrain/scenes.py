@@ -60,7 +60,7 @@ class TerrainSettings:
         ramp_length, ramp_width, ramp_height: m; one end of a ramp is a drop.
         tiles_extent, tile_side: side lengths of a tile field and of one tile, m.
         tile_height, tile_slope: height at a tile's middle, m; its largest slope along either side.
-        clutter_side, clutter_height: dimensions of clutter (small free-standing blocks), m.
+        clutter_side, clutter_height: clutter dimensions (small free-standing blocks), m.
 
     Raises:
         InputError: if a range is empty or not positive.

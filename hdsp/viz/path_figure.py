@@ -189,6 +189,6 @@ def _shown(states: np.ndarray, actions: list[str], spacing: float) -> list[int]:
 
 
 def _page(length: float, width: float) -> tuple[float, float]:
-    """Size in inches for a map of a size in metres: the longer side 7 in, and room for bar and legend."""
+    """Figure size in inches for a map size in metres: 7 in for the longer side, plus space for bar and legend."""
     scale = 7 / max(length, width)
     return max(length * scale, 3.5) + 1.4, max(width * scale, 2.5) + 1.2

@@ -9,11 +9,10 @@ from hdsp.robot.lattice import N_ABSTRACT_ACTIONS
 class TaskProgress:
     """A progress bar; a context manager.
 
-    The bar shows tasks per second, the time left, the share of infeasible tasks by reason, and the number of dropped
-    maps.
+    The bar shows tasks per second, time left, the share of infeasible tasks by reason, and the number of dropped maps.
 
     Args:
-        name: name of the labelled split.
+        name: name shown before the bar.
         total: number of maps.
         show: False shows messages, but no bar.
     """

@@ -45,7 +45,7 @@ class SplitSettings:
         heading_residues: abstract start headings, [0, 16), used in turn. Goals in the robot frame repeat at every
             quarter turn, so [0, 1, 2, 3] covers all goals that a planner needs.
         categories: terrain categories.
-        maps_per_shard: number of maps per shard, including maps dropped later.
+        maps_per_shard: maps per shard, including maps dropped later.
         sensing: whether maps pass through the sensor model before they are labelled (`hdsp.terrain.sensor_model`).
         standable: true keeps the maps where the robot can stand at the start, false keeps the others. All tasks on the
             other maps are infeasible; a network trained without them gives arbitrary predictions there.
@@ -129,7 +129,7 @@ class LabelRun:
         return hashlib.sha256(self.inputs_text.encode()).hexdigest()
 
     def shards(self) -> list[ShardPlan]:
-        """Planned shards of the split, in order."""
+        """The split's planned shards, in order."""
         step, maps = self.split.maps_per_shard, self.split.maps
         return [
             ShardPlan(f"{k:05d}-{self.labels_hash[:12]}{SUFFIX}", range(first, min(first + step, maps)))
@@ -137,7 +137,7 @@ class LabelRun:
         ]
 
     def map_of(self, number: int) -> tuple[str, int, int]:
-        """(category, index, detailed start heading) of map ``number`` in the split."""
+        """(category, index, detailed start heading) for map ``number``."""
         index, category = divmod(number, len(self.split.categories))
         residues = self.split.heading_residues
         return self.split.categories[category], index, residues[index % len(residues)] * HEADINGS_PER_ABSTRACT
