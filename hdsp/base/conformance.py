@@ -1,0 +1,104 @@
+"""Contracts with named rules, for checkers of implementations that users write.
+
+A checker calls an implementation with small inputs. The first broken rule ends the check with a ``ConformanceError``,
+which names the rule and the value that breaks it.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+
+class ConformanceError(AssertionError):
+    """Raised when an implementation breaks a rule of its contract.
+
+    The error is an ``AssertionError`` and no ``InputError``: the fault lies in code, and a test is the place where a
+    checker runs. The message is a single line.
+
+    Attributes:
+        rule: name of the broken rule.
+    """
+
+    def __init__(self, contract: str, rule: str, sentence: str, found: str):
+        super().__init__(contract, rule, sentence, found)
+        self.rule = rule
+
+    def __str__(self) -> str:
+        contract, rule, sentence, found = self.args
+        return f"{contract}, rule {rule}: {sentence}; found: {found}"
+
+
+class Contract:
+    """The rules of a contract, and those that were checked.
+
+    Args:
+        name: of the contract, for messages.
+        rules: a sentence for each rule, by the name of the rule.
+    """
+
+    def __init__(self, name: str, rules: Mapping[str, str]):
+        self.name, self.rules = name, rules
+        self._checked: dict[str, None] = {}
+
+    @property
+    def checked(self) -> tuple[str, ...]:
+        """Names of the rules that were checked so far, in the order of their first check."""
+        return tuple(self._checked)
+
+    def require(self, rule: str, holds: object, found: str) -> None:
+        """Note that a rule was checked.
+
+        Args:
+            rule: name of the rule.
+            holds: whether the rule holds, as a truth value.
+            found: the value that breaks the rule, in words.
+
+        Raises:
+            ConformanceError: the rule does not hold.
+        """
+        self._checked[rule] = None
+        if not holds:
+            raise ConformanceError(self.name, rule, self.rules[rule], " ".join(found.split()))
+
+    def require_equal(
+        self, rule: str, found: np.ndarray, expected: np.ndarray, words: str, tolerance: float = 0.0
+    ) -> None:
+        """Require that two arrays agree.
+
+        Args:
+            rule: name of the rule.
+            found, expected: arrays of one shape; NaN equals NaN, and inf equals inf alone.
+            words: what the arrays are, for the message.
+            tolerance: largest difference between two finite values.
+
+        Raises:
+            ConformanceError: the arrays differ; names the first element that differs and both values.
+        """
+        self.require(rule, found.shape == expected.shape, f"{words}: shapes {found.shape} and {expected.shape}")
+        same = (found == expected) | (np.isnan(found) & np.isnan(expected))
+        if tolerance > 0:
+            same |= np.isclose(found, expected, rtol=0.0, atol=tolerance)
+        if not same.all():
+            at = tuple(np.argwhere(~same)[0].tolist())
+            self.require(rule, False, f"{words}: {found[at]} instead of {expected[at]} at {list(at)}")
+
+    def require_error(self, rule: str, error: type[Exception], call, words: str) -> None:
+        """Require that a call raises an error of a type.
+
+        Args:
+            rule: name of the rule.
+            error: type of the error.
+            call: function without arguments.
+            words: what the call asks for, for the message.
+
+        Raises:
+            ConformanceError: the call returns, or raises an error of another type.
+        """
+        try:
+            call()
+        except error:
+            self.require(rule, True, "")
+        except Exception as other:
+            self.require(rule, False, f"{words} raises {type(other).__name__}: {other}")
+        else:
+            self.require(rule, False, f"{words} raises no error")
