@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from hdsp.learning.hardware import HardwareSettings
     from hdsp.learning.learned_costs import LearnedCosts
     from hdsp.learning.module import AbstractionModule
+    from hdsp.learning.network_conformance import check_network
     from hdsp.learning.networks import ARCHITECTURES, ModelSettings, TaskNetwork, build_network, count_parameters
     from hdsp.learning.task_data import TaskStream, task_loader
     from hdsp.learning.training import TrainingConfig, TrainResult, train
@@ -33,6 +34,7 @@ __all__ = [
     "TrainResult",
     "TrainingConfig",
     "build_network",
+    "check_network",
     "count_parameters",
     "example_input",
     "task_loader",
@@ -56,6 +58,7 @@ _MODULES = {
     "TrainResult": "training",
     "TrainingConfig": "training",
     "build_network": "networks",
+    "check_network": "network_conformance",
     "count_parameters": "networks",
     "example_input": "abstraction",
     "task_loader": "task_data",

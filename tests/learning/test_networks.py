@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from hdsp.base.errors import InputError
-from hdsp.learning.networks import ARCHITECTURES, build_network, count_parameters
+from hdsp.learning.networks import build_network, count_parameters
 from hdsp.learning.networks.swept import sample
 from hdsp.robot.lattice import robot_frame_goals
 
@@ -71,28 +71,6 @@ def test_klamt2019_with_shared_trunk_equals_the_textbook_network_task_by_task(pa
                 twin_cost, twin_probability = twin(patches[i, 0], goals[i, j])
                 assert abs(cost[i, j] - twin_cost) < 1e-4
                 assert abs(logits[i, j].sigmoid() - twin_probability) < 1e-4
-
-
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
-def test_shared_evaluation_equals_one_task_at_a_time(architecture, patches, goals):
-    network = build_network({"architecture": architecture}).eval()
-    with torch.no_grad():
-        shared = torch.stack(network(patches, goals))
-        single = torch.stack(
-            [torch.stack(network(patches[i : i + 1], goals[i : i + 1, j : j + 1])) for i in range(3) for j in range(22)]
-        )
-    torch.testing.assert_close(shared.reshape(2, 66).T, single.reshape(66, 2), atol=1e-4, rtol=0)
-
-
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
-def test_every_parameter_learns(architecture, patches, goals):
-    network = build_network({"architecture": architecture})
-    with torch.no_grad():  # the offset keeps some rectifiers of a random network active
-        for parameter in network.parameters():
-            parameter.add_(0.01)
-    cost, logits = network(patches, goals)
-    (cost.square().sum() + logits.square().sum()).backward()
-    assert all(parameter.grad.abs().sum() > 0 for parameter in network.parameters())
 
 
 def test_he_initialisation_makes_the_trunk_depend_on_the_map():
