@@ -34,7 +34,7 @@ from hdsp.planning.planner import Plan, Planner
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, robot_frame_goals
 from hdsp.terrain.arenas import random_arena
 
-AS_SAID, REFERENCE = "as the network says", "geometric"
+PREDICTED, REFERENCE = "predicted", "geometric"
 
 
 class KnownCosts:
@@ -103,7 +103,7 @@ def prepared(abstraction: LearnedAbstraction, seed: int, arguments: argparse.Nam
     """Returns a planner for each heuristic on one random arena; the reference comes first."""
     reference = Planner(random_arena(seed, arguments.size))
     edges = LearnedCosts(abstraction).edges(reference.terrain, mask=standing_states(reference.world))
-    levels = {AS_SAID: edges} | {
+    levels = {PREDICTED: edges} | {
         f"quantile {level:g}": at_level(abstraction, edges, level) for level in arguments.quantiles
     }
     guided = {name: Planner(reference.terrain, heuristic=KnownCosts(costs)) for name, costs in levels.items()}
@@ -160,10 +160,10 @@ def summary(runs: list[dict]) -> dict:
     rows = []
     for heuristic, weight in dict.fromkeys((run["heuristic"], run["weight"]) for run in runs):
         solved = [task for task in tasks if at[task, heuristic, weight]["solved"]]
-        both = [task for task in solved if at[task, AS_SAID, weight]["solved"]]
+        both = [task for task in solved if at[task, PREDICTED, weight]["solved"]]
         costs = [at[task, heuristic, weight]["cost"] / best[task] for task in solved]
         efforts = [
-            max(at[task, heuristic, weight]["expansions"], 1) / max(at[task, AS_SAID, weight]["expansions"], 1)
+            max(at[task, heuristic, weight]["expansions"], 1) / max(at[task, PREDICTED, weight]["expansions"], 1)
             for task in both
         ]
         rows.append({
@@ -187,13 +187,13 @@ def text(result: dict) -> str:
     ]  # fmt: skip
     head = [
         "costs", "states with h > h*", "h / h*: 50%", "95%", "W", "solved",
-        "expansions / those with costs as the network says", "cost / best known", "largest",
+        "expansions / expansions with predicted costs", "cost / best known", "largest",
     ]  # fmt: skip
     states = max((found["n"] for found in result["above"].values()), default=0)
     counted = (
-        f"Model {result['model']}; random arenas: {result['arenas']}; tasks: {result['tasks']}, of which no search "
-        f"solved {result['solved_by_none']}; states with known h*: {states}; limit: {result['expansions_limit']:,} "
-        "expansions each."
+        f"Model {result['model']}; random arenas: {result['arenas']}; tasks: {result['tasks']}, "
+        f"{result['solved_by_none']} without a plan from any search; states with known h*: {states}; limit per search: "
+        f"{result['expansions_limit']:,} expansions."
     )
     return f"{table(head, rows)}\n\n{counted}"
 
