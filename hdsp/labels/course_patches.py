@@ -25,6 +25,7 @@ from hdsp.labels.tasks import TaskSet
 from hdsp.robot.lattice import HEADINGS, HEADINGS_PER_ABSTRACT, PATCH_CELLS, Grid, heading_index
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.patches import ROTATED_MAP_CELLS
 from hdsp.terrain.simulation.courses import Course, CourseSettings, Place, random_course
 from hdsp.terrain.simulation.lidar import Lidar
 from hdsp.terrain.simulation.lidar_mapping import scanned_map
@@ -33,7 +34,6 @@ _QUARTER = HEADINGS // 4
 _SHIFT = 0.15  # m, standard deviation of the distance between a place of interest and the start of its patch
 _TRIES = 20
 _CLOSEST = 0.4  # m between the starts of two patches with the same heading
-_TURNED_CELLS = 104  # side of a map that contains a patch at every heading
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def scan_course(run: PatchRun, index: int) -> ScannedCourse:
         if start is None:
             continue
         # Quarter turns permute cells exactly; they bring the start heading between 0 and 90 degrees.
-        cells = PATCH_CELLS if residue == 0 else _TURNED_CELLS
+        cells = PATCH_CELLS if residue == 0 else ROTATED_MAP_CELLS
         heading = residue * HEADINGS_PER_ABSTRACT
         around = terrain.crop_cells(*start[:2], start[2] - heading, cells)
         tasks = label_map(around, run.robot, run.labels, heading)

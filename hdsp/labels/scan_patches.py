@@ -17,12 +17,12 @@ from hdsp.base.errors import InputError
 from hdsp.base.provenance import code_fingerprint
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.rules import LabelSettings, MapTasks, label_map
-from hdsp.labels.run.splits import TURNED_MAP_CELLS
 from hdsp.labels.shards import SCHEMA_VERSION, read_shard, write_shard
 from hdsp.labels.tasks import TaskSet
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, RESOLUTION, cells
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.patches import ROTATED_MAP_CELLS
 
 #: Largest number of positions and headings tried on a map.
 _ATTEMPTS = 20_000
@@ -82,7 +82,7 @@ def draw_starts(terrain: HeightMap, robot: Robot, settings: PatchSettings) -> np
     if abs(terrain.resolution - RESOLUTION) > 1e-9:
         raise InputError(f"patches: cells of {terrain.resolution} m; need {RESOLUTION} m")
     # Unknown cells surround the map, as in the labelled cut-out: feet keep their clearance to the border of the map.
-    margin = TURNED_MAP_CELLS // 2
+    margin = ROTATED_MAP_CELLS // 2
     around = HeightMap(np.pad(terrain.heights, margin, constant_values=np.nan))
     world = build_world(around, robot)
     known = np.argwhere(np.isfinite(terrain.heights))
@@ -139,7 +139,7 @@ def label_scan(
         return kept
     starts = draw_starts(terrain, robot, patches)
     labels = [
-        label_map(terrain.crop_cells(ix, iy, 0, TURNED_MAP_CELLS), robot, settings, heading)
+        label_map(terrain.crop_cells(ix, iy, 0, ROTATED_MAP_CELLS), robot, settings, heading)
         for ix, iy, heading in starts.tolist()
     ]
     tasks = _task_set(labels, starts, about["place"], patches.seed)

@@ -11,7 +11,8 @@ from hdsp.base.errors import InputError
 from hdsp.learning.abstraction import LearnedAbstraction
 from hdsp.learning.rotated_maps import TurnedMap
 from hdsp.robot import lattice
-from hdsp.terrain.height_map import HeightMap, crop_patches
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.patches import crop_patches
 
 #: Patches cropped at once; 85 MB.
 CHUNK = 4096

@@ -1,6 +1,6 @@
 """Maps rotated to a robot heading, so that the patches for all states are windows into one array.
 
-`hdsp.terrain.height_map.crop_patches` cuts each patch at its own base and rounds each cell separately, so overlapping
+`hdsp.terrain.patches.crop_patches` cuts each patch at its own base and rounds each cell separately, so overlapping
 patches share no cells. Here the whole map is rotated on one grid, and every base moves to the centre of its grid cell.
 Both methods are equal at multiples of 90 degrees. At other headings the base moves by up to half a cell along each
 axis, an eighth of an abstract cell. In return, a network can be evaluated once per cell instead of once per patch.
@@ -11,7 +11,7 @@ import numpy as np
 from hdsp.base.jit import njit
 from hdsp.robot import lattice
 from hdsp.robot.lattice import ABSTRACT_HEADINGS
-from hdsp.terrain.height_map import TIE
+from hdsp.terrain.patches import TIE
 
 
 class TurnedMap:

@@ -16,7 +16,7 @@ from hdsp.base.files import replacing
 from hdsp.robot.robot import FEET
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.map_files import is_map
-from hdsp.terrain.pointcloud import FORMATS, FloorSettings, MapSettings, fit_floor, height_map, read_points
+from hdsp.terrain.pointcloud import FORMATS, FloorSettings, MapSettings, fit_floor, map_points, read_points
 
 #: Exit status where there is no plan.
 NO_PLAN = 3
@@ -109,9 +109,10 @@ def _map(chosen: argparse.Namespace) -> None:
     picked["box"] = tuple(picked["box"]) if picked["box"] else None
     settings = MapSettings(**picked, floor=_floor_settings(chosen))
     resolution = {} if chosen.resolution is None else {"resolution": chosen.resolution}
-    terrain = height_map(points, settings, **resolution)
+    mapped = map_points(points, settings, **resolution)
+    terrain = HeightMap(mapped.heights, mapped.origin, mapped.resolution)
     terrain.save(chosen.out)
-    print(f"{chosen.out}: {_about_map(terrain)}")
+    print(f"{chosen.out}: {_about_map(terrain)}; of {mapped.report}")
     if chosen.picture:
         from hdsp.viz import save_map
 

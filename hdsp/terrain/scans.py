@@ -24,7 +24,6 @@ from hdsp.terrain.pointcloud import (
     MapSettings,
     depth_points,
     fit_floor,
-    height_map,
     level,
     read_points,
 )
@@ -162,7 +161,7 @@ def build_map(scan: Scan, paths: list[Path]) -> HeightMap:
             if file.guess is not None and k > 0:
                 motion = register_clouds(clouds[k], clouds[0], _motion(*file.guess))
                 clouds[k] = clouds[k] @ motion[:3, :3].T + motion[:3, 3]
-        return height_map(np.concatenate(clouds), scan.map)
+        return HeightMap.from_points(np.concatenate(clouds), scan.map)
     except InputError as error:
         raise InputError(f"scan {scan.name}: {error}") from None
 

@@ -4,7 +4,8 @@ import pytest
 from hdsp.abstract import AbstractCosts, FlatCosts, LocalCosts, ManualCosts, ManualSettings, TaskPredictor, cost_to_go
 from hdsp.base.errors import InputError
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, abstract_anchor, robot_frame_goals
-from hdsp.terrain.height_map import HeightMap, crop_patches
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.patches import crop_patches
 from tests import ROOT
 
 AHEAD, BACK, LEFT, RIGHT, TURN_LEFT, TURN_RIGHT = (

@@ -10,7 +10,7 @@ from hdsp.base.errors import InputError
 from hdsp.learning import HardwareSettings, LearnedCosts
 from hdsp.learning.rotated_maps import TurnedMap
 from hdsp.robot.lattice import abstract_anchor
-from hdsp.terrain.height_map import crop_patches
+from hdsp.terrain.patches import crop_patches
 
 
 def abstraction(**settings):

@@ -24,7 +24,8 @@ def test_a_cloud_becomes_a_map_and_a_picture(tmp_path, cloud, capsys):
     assert abs(np.nanmedian(terrain.heights)) < 0.01
     assert np.nanmax(terrain.heights) < 0.4
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert "cells of 0.025 m" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "cells of 0.025 m" in told and "floor tilted by 3.0 degrees, levelled" in told
 
 
 def test_several_clouds_are_fused_and_options_reach_the_map(tmp_path, cloud):

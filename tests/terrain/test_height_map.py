@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hdsp.base.errors import InputError
-from hdsp.robot.lattice import HEADINGS, heading_angle
-from hdsp.terrain.height_map import HeightMap, crop_patches, patch_offsets
+from hdsp.terrain.height_map import HeightMap
 from tests import naive_terrain
 
 RESOLUTION = 0.025
@@ -143,14 +142,6 @@ def test_at_quarter_turns_a_patch_is_an_exact_permutation_of_cells(ix, iy, quart
             assert patch[i, j] == terrain.heights[x, y] if inside else np.isnan(patch[i, j])
 
 
-@given(st.integers(0, HEADINGS - 1), st.sampled_from([72, 71, 8]))
-def test_offsets_turn_exactly_with_every_quarter_turn(heading, cells):
-    dx, dy = patch_offsets(float(heading_angle(heading)), cells)
-    turned_x, turned_y = patch_offsets(float(heading_angle(heading + HEADINGS // 4)), cells)
-    np.testing.assert_array_equal(turned_x, -dy)
-    np.testing.assert_array_equal(turned_y, dx)
-
-
 @settings(max_examples=30, deadline=None)
 @given(x=st.floats(-0.2, 1.2), y=st.floats(-0.2, 0.9), theta=st.floats(-7, 7))
 def test_a_patch_at_any_pose_equals_its_definition(x, y, theta):
@@ -159,36 +150,6 @@ def test_a_patch_at_any_pose_equals_its_definition(x, y, theta):
     expected = naive_terrain.crop(terrain.heights, terrain.origin, RESOLUTION, (x, y, theta), 12)
     # The definition does not assign a sample on the border between two cells to one of them.
     assert (np.isclose(patch, expected, atol=0, equal_nan=True)).mean() > 0.98
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    st.lists(st.tuples(st.integers(-3, 143), st.integers(-3, 123), st.integers(0, 63)), min_size=1, max_size=6),
-    st.sampled_from([72, 9]),
-)
-def test_batched_patches_equal_single_ones(states, cells):
-    terrain = HeightMap(np.random.default_rng(2).random((140, 120)), origin=(5.0, -3.0))
-    states = np.array(states)
-    patches = crop_patches(terrain.heights, states[:, :2], states[:, 2], cells)
-    assert patches.dtype == np.float32
-    for patch, (ix, iy, heading) in zip(patches, states, strict=True):
-        np.testing.assert_array_equal(patch, terrain.crop_cells(ix, iy, heading, cells).heights)
-        np.testing.assert_array_equal(
-            patch, terrain.crop(pose_of(terrain, ix, iy, heading_angle(heading)), cells).heights
-        )
-
-
-def test_one_heading_serves_all_patches_and_wrong_shapes_are_refused():
-    heights = numbered(120, 120).heights
-    bases = np.array([[60, 60], [59, 61]])
-    np.testing.assert_array_equal(crop_patches(heights, bases, 16), crop_patches(heights, bases, [16, 80]))
-    out = np.zeros((2, 72, 72), np.float32)
-    assert crop_patches(heights, bases, 16, out=out) is out
-    np.testing.assert_array_equal(out, crop_patches(heights, bases, 16))
-    with pytest.raises(InputError, match="out is float32"):
-        crop_patches(heights, bases, 16, out=out[:1])
-    with pytest.raises(InputError, match=r"bases \(2,\)"):
-        crop_patches(heights, np.array([60, 60]), 0)
 
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0), (0.0, math.nan, 0.0), ("a", 0, 0)])
@@ -200,27 +161,27 @@ def test_a_pose_that_is_none_is_refused(pose):
 @given(st.integers(1, 9), st.integers(1, 9), st.integers(-5, 5))
 def test_four_quarter_turns_bring_a_map_back(nx, ny, quarters):
     terrain = numbered(nx, ny, origin=(1.0, 2.0))
-    turned = terrain.rotate(quarters * math.pi / 2)
-    assert sorted(turned.heights.ravel()) == sorted(terrain.heights.ravel())
-    np.testing.assert_allclose(turned.center, terrain.center)
-    back = turned.rotate(-quarters * math.pi / 2)
+    rotated = terrain.rotate(quarters * math.pi / 2)
+    assert sorted(rotated.heights.ravel()) == sorted(terrain.heights.ravel())
+    np.testing.assert_allclose(rotated.center, terrain.center)
+    back = rotated.rotate(-quarters * math.pi / 2)
     np.testing.assert_array_equal(back.heights, terrain.heights)
     np.testing.assert_allclose(back.origin, terrain.origin, atol=1e-12)
 
 
 def test_a_quarter_turn_goes_from_x_to_y():
-    turned = numbered(3, 2).rotate(math.pi / 2)
+    rotated = numbered(3, 2).rotate(math.pi / 2)
     # Cells ahead of the centre, at +x, are now to its left, at +y.
-    np.testing.assert_array_equal(turned.heights[:, -1], numbered(3, 2).heights[-1, ::-1])
+    np.testing.assert_array_equal(rotated.heights[:, -1], numbered(3, 2).heights[-1, ::-1])
 
 
 @given(st.floats(-4, 4))
-def test_a_turned_map_has_every_height_where_the_turn_takes_it(angle):
+def test_a_rotated_map_has_every_height_where_the_turn_takes_it(angle):
     terrain = numbered(31, 23)
-    turned = terrain.rotate(angle)
+    rotated = terrain.rotate(angle)
     c, s = math.cos(angle), math.sin(angle)
     for ix, iy in [(15, 11), (3, 4), (29, 20), (2, 19)]:
         x, y = np.array(pose_of(terrain, ix, iy)[:2]) - terrain.center
-        found = turned.height_at(turned.center[0] + c * x - s * y, turned.center[1] + s * x + c * y)
+        found = rotated.height_at(rotated.center[0] + c * x - s * y, rotated.center[1] + s * x + c * y)
         jx, jy = divmod(int(found), 23)
         assert abs(jx - ix) <= 1 and abs(jy - iy) <= 1

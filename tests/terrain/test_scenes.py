@@ -7,7 +7,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hdsp.base.errors import InputError
-from hdsp.terrain.height_map import crop_patches
+from hdsp.terrain.patches import crop_patches
 from hdsp.terrain.scenes import CATEGORIES, Block, Scene, Staircase, TerrainSettings, random_map, random_scene
 from tests import naive_terrain
 

@@ -19,6 +19,7 @@ from hdsp.labels.shards import SCHEMA_VERSION, SUFFIX
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, PATCH_CELLS
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.patches import ROTATED_MAP_CELLS
 from hdsp.terrain.scenes import ALL_CATEGORIES, CATEGORIES, TerrainSettings, random_map
 from hdsp.terrain.sensor_model import SensingSettings, sensed
 
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
 
 #: Raised when this module gives maps other numbers, headings or sizes; the rest of the code is hashed.
 LABELS_VERSION = 1
-
-#: Side of the map around a start with a heading other than 0, in cells: the map contains the patch at every heading.
-TURNED_MAP_CELLS = 104
 
 #: Pattern of all shard names, for any split and settings.
 SHARD_NAME = re.compile(rf"\d{{5,}}-[0-9a-f]{{12}}{re.escape(SUFFIX)}")
@@ -145,7 +143,7 @@ class LabelRun:
     def terrain_of(self, number: int) -> HeightMap:
         """Makes the height map with number ``number``."""
         category, index, heading = self.map_of(number)
-        cells = PATCH_CELLS if heading == 0 else TURNED_MAP_CELLS
+        cells = PATCH_CELLS if heading == 0 else ROTATED_MAP_CELLS
         terrain = random_map(self.split.seed, category, index, self.terrain, cells, heading)
         if not self.split.sensing:
             return terrain

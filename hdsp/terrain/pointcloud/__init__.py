@@ -1,7 +1,7 @@
 """From measured points to a height map: files, levelling on the floor, registration, rasterisation.
 
     points = read_points("scan.pcd")
-    terrain = height_map(points)                        # = hdsp.HeightMap.from_points(points)
+    terrain = hdsp.HeightMap.from_points(points)        # map_points(points) with its report
 
 Convention: points are float64 [n, 3] in metres, z up, NaN-free. A levelled cloud has its floor at z = 0. The package
 loads no file library on import; the first file in a format loads the library for this format.
@@ -9,7 +9,7 @@ loads no file library on import; the first file in a format loads the library fo
 
 from hdsp.terrain.pointcloud.alignment import FloorSettings, Plane, fit_floor, level, register
 from hdsp.terrain.pointcloud.cloud_files import FORMATS, read_points
-from hdsp.terrain.pointcloud.cloud_mapping import MapSettings, height_map
+from hdsp.terrain.pointcloud.cloud_mapping import MappedCloud, MappingReport, MapSettings, map_points
 from hdsp.terrain.pointcloud.depth import Camera, depth_points
 
 __all__ = [
@@ -17,11 +17,13 @@ __all__ = [
     "Camera",
     "FloorSettings",
     "MapSettings",
+    "MappedCloud",
+    "MappingReport",
     "Plane",
     "depth_points",
     "fit_floor",
-    "height_map",
     "level",
+    "map_points",
     "read_points",
     "register",
 ]

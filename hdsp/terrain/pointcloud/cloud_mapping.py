@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.filling import filled, smoothed
-from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.pointcloud.alignment import FloorSettings, fit_floor, level, thinned
+from hdsp.terrain.pointcloud.alignment import FloorSettings, Plane, fit_floor, level, thinned
 
 _LARGEST_MAP = 100_000_000  # cells; a larger scan is probably not in metres
 _SMALLEST_EXTENT = 0.2  # m
@@ -66,26 +66,62 @@ class MapSettings:
             raise InputError(f"map settings: box is {self.box}; need x_min, y_min, x_max, y_max")
 
 
-def height_map(points: np.ndarray, settings: MapSettings | None = None, resolution: float = RESOLUTION) -> HeightMap:
-    """Makes a height map from a cloud.
+class MappingReport(NamedTuple):
+    """How a cloud became a map.
+
+    Attributes:
+        points: finite points of the cloud.
+        kept: points that are left after cuts, thinning and removal of lone ones.
+        floor: the plane on which the cloud was levelled; None = it was not.
+        filled: share of the known cells of the map without a point of their own.
+    """
+
+    points: int
+    kept: int
+    floor: Plane | None
+    filled: float
+
+    def __str__(self) -> str:
+        floor = "" if self.floor is None else f"; floor tilted by {np.rad2deg(self.floor.tilt):.1f} degrees, levelled"
+        return f"{self.kept:,} of {self.points:,} points{floor}; {100 * self.filled:.0f}% of the known cells filled"
+
+
+class MappedCloud(NamedTuple):
+    """The height map of a cloud, as arrays.
+
+    Attributes:
+        heights: float32 [nx, ny], m, NaN = unknown, just large enough for all known cells; the floor is at 0 if the
+            cloud was levelled.
+        origin: (x, y) of the lower corner of cell (0, 0) in the frame of the cloud after levelling, m; whole multiples
+            of the resolution.
+        resolution: side of a cell, m.
+        report: how it was made.
+    """
+
+    heights: np.ndarray
+    origin: tuple[float, float]
+    resolution: float
+    report: MappingReport
+
+
+def map_points(points: np.ndarray, settings: MapSettings | None = None, resolution: float = RESOLUTION) -> MappedCloud:
+    """The heights of a cloud; `hdsp.HeightMap.from_points` makes a map of them.
 
     Args:
         points: float [n, 3], m, z up; points that are not finite are dropped.
         settings: settings for the conversion.
         resolution: cell size, m.
 
-    Returns:
-        the smallest map that contains all known cells. If levelled, its floor is at 0. Its x and y equal the cloud's x
-        and y after levelling; cell borders are multiples of the resolution.
-
     Raises:
         InputError: if no point is left, or the extent is implausible for metres.
     """
     settings = settings or MapSettings()
     points = _finite(points)
+    given, floor = len(points), None
     _check_extent(points, resolution)
     if settings.level:
-        points = level(points, fit_floor(points, settings.floor))
+        floor = fit_floor(points, settings.floor)
+        points = level(points, floor)
     points = _cut(points, settings)
     if len(points) == 0:
         raise InputError("height map of points: none is left in the box, between lowest and highest; check the axes")
@@ -94,12 +130,15 @@ def height_map(points: np.ndarray, settings: MapSettings | None = None, resoluti
     points = _without_lone_points(points, settings)
     cells = np.floor(points[:, :2] / resolution + 1e-6).astype(np.int64)
     low = cells.min(axis=0)
-    heights = _surface(cells - low, points[:, 2], settings)
-    if settings.fill or settings.smooth:
-        heights = filled(heights, settings.fill)
-        heights = smoothed(heights, settings.smooth)
-    heights, shift = _trimmed(_without_islands(heights, settings.island))
-    return HeightMap(heights, tuple((low + shift) * resolution), resolution)
+    measured = _surface(cells - low, points[:, 2], settings)
+    heights = smoothed(filled(measured, settings.fill), settings.smooth)
+    heights = _without_islands(heights, settings.island)
+    known = np.isfinite(heights)
+    share = float((known & np.isnan(measured)).sum() / known.sum())
+    heights, shift = _trimmed(heights)
+    x, y = ((low + shift) * resolution).tolist()
+    report = MappingReport(given, len(points), floor, share)
+    return MappedCloud(heights.astype(np.float32), (x, y), resolution, report)
 
 
 def _finite(points: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.arenas import Arena
 from hdsp.terrain.cost_maps import cost_maps
 from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.pointcloud import MapSettings, height_map
+from hdsp.terrain.pointcloud import MapSettings
 from hdsp.terrain.simulation.fusion import fuse, smooth
 from hdsp.terrain.simulation.lidar import Lidar, scan
 from hdsp.terrain.simulation.mujoco_world import World
@@ -51,7 +51,7 @@ def _as_map(heights: np.ndarray) -> HeightMap:
     """Makes a height map from the surface and fills small holes; the map keeps all cells, including unseen ones."""
     x, y = np.moveaxis(Grid((0.0, 0.0), heights.shape).center(np.stack(np.indices(heights.shape), -1)), -1, 0)
     known = np.isfinite(heights)
-    seen = height_map(np.column_stack([x[known], y[known], heights[known]]), _FUSED)
+    seen = HeightMap.from_points(np.column_stack([x[known], y[known], heights[known]]), _FUSED)
     whole = np.full(heights.shape, np.nan, np.float32)
     low = Grid((0.0, 0.0), heights.shape).cell(seen.origin)
     whole[low[0] : low[0] + seen.shape[0], low[1] : low[1] + seen.shape[1]] = seen.heights

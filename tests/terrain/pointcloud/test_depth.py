@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from hdsp.base.errors import InputError
-from hdsp.terrain.pointcloud import Camera, depth_points, height_map
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.pointcloud import Camera, depth_points
 from hdsp.terrain.pointcloud.depth import elevation_points, read_image
 
 CAMERA = Camera(fx=100.0, fy=100.0, cx=80.0, cy=60.0, depth_scale=0.001)
@@ -37,7 +38,7 @@ def test_a_picture_of_heights_becomes_a_map_with_its_steps():
     image = np.full((40, 60), 102, np.uint8)
     image[:20] = 204  # the upper half of the image is ahead
     image[:, :10] = 0  # the left part of the image is to the left
-    terrain = height_map(elevation_points(image, highest=1.25, pixel=0.04))
+    terrain = HeightMap.from_points(elevation_points(image, highest=1.25, pixel=0.04))
     assert terrain.size == pytest.approx((1.575, 1.975), abs=0.05)
     assert terrain.height_at(terrain.origin[0] + 0.3, terrain.origin[1] + 1) == pytest.approx(0.0, abs=0.01)
     assert terrain.height_at(terrain.origin[0] + 1.3, terrain.origin[1] + 1) == pytest.approx(0.5, abs=0.01)

@@ -1,0 +1,126 @@
+"""Patches: squares of a height map in the frame of the robot, as networks see them.
+
+Convention: cell ``(i, j)`` of a patch is the height at ``base + R(theta) * (i - c, j - c) * resolution``, where ``c``
+is half the number of patch cells: the x axis of the patch is the heading of the base, which stands at the centre of
+patch cell ``(c, c)``. Sampling takes the nearest cell; outside the map heights are NaN.
+"""
+
+import functools
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.base.jit import njit
+from hdsp.robot import lattice
+from hdsp.robot.lattice import PATCH_CELLS
+
+#: Positions this close (in cells) to the border between two cells count as on the border, whatever rounding error says.
+TIE = 1e-6
+#: Side of a map that holds the patch around its middle cell at every heading.
+ROTATED_MAP_CELLS = 104
+
+
+def crop_patches(
+    heights: np.ndarray, bases: np.ndarray, headings, cells: int = PATCH_CELLS, out: np.ndarray | None = None
+) -> np.ndarray:
+    """Many patches at once, each equal to `HeightMap.crop_cells` at its base.
+
+    Args:
+        heights: float32 [nx, ny], metres.
+        bases: int [n, 2], cells (ix, iy) at whose centres the bases stand; they may lie outside the map.
+        headings: int [n], or one for all: detailed headings, index in [0, 64).
+        cells: side of the patches.
+        out: float32 [n, cells, cells] to write to; memory used again is several times faster than new memory.
+
+    Returns:
+        float32 [n, cells, cells], NaN outside the map; ``out`` if given.
+    """
+    heights = np.ascontiguousarray(heights, dtype=np.float32)
+    bases = np.ascontiguousarray(bases, dtype=np.int64)
+    if heights.ndim != 2 or bases.ndim != 2 or bases.shape[1] != 2:
+        raise InputError(f"crop_patches: heights {heights.shape} and bases {bases.shape}; need [nx, ny] and [n, 2]")
+    headings = np.broadcast_to(np.mod(np.asarray(headings, np.int64), lattice.HEADINGS), len(bases))
+    shape = (len(bases), checked_side(cells), cells)
+    patches = np.empty(shape, np.float32) if out is None else out
+    if patches.shape != shape or patches.dtype != np.float32 or not patches.flags.c_contiguous:
+        raise InputError(f"crop_patches: out is {patches.dtype} {patches.shape}; need contiguous float32 {shape}")
+    _crop_kernel(*map(_read_only, (heights, bases, headings.copy(), _offsets_of_headings(cells))), patches)
+    return patches
+
+
+def patch_offsets(theta: float, cells: int = PATCH_CELLS, shift_x: float = 0.0, shift_y: float = 0.0):
+    """Offsets (dx, dy) in map cells, float64 [cells, cells] of whole numbers, from the base's cell to each patch cell.
+
+    ``shift_x, shift_y`` (in cells) is where the base stands relative to the centre of its cell. Halves are rounded away
+    from zero, so that without a shift a quarter turn of the patch turns the offsets exactly.
+    """
+    steps = np.arange(cells) - cells // 2
+    rotation = lattice.rotation(theta)
+    return tuple(
+        nearest_cell(row[0] * steps[:, None] + row[1] * steps[None, :] + shift)
+        for row, shift in zip(rotation, (shift_x, shift_y), strict=True)
+    )
+
+
+@functools.lru_cache(maxsize=8)
+def _offsets_of_headings(cells: int) -> np.ndarray:
+    """int32 [64, 2, cells, cells]: `patch_offsets` of every detailed heading."""
+    angles = lattice.heading_angle(np.arange(lattice.HEADINGS))
+    return np.array([patch_offsets(float(angle), cells) for angle in angles]).astype(np.int32)
+
+
+@njit(nogil=True)
+def _crop_kernel(heights, bases, headings, offsets, patches):
+    nx, ny = heights.shape
+    n, side, _ = patches.shape
+    flat = heights.reshape(-1)
+    # Where all of a patch lies on the map, one flat offset per cell is enough.
+    flat_offsets = offsets[:, 0] * np.int32(ny) + offsets[:, 1]
+    # No rotated patch cell is further than this from the base in x or in y.
+    reach = np.int64(side * 0.7072 + 2)
+    for p in range(n):
+        x, y = bases[p]
+        heading = headings[p]
+        if reach <= x < nx - reach and reach <= y < ny - reach:
+            around = flat[(x - reach) * ny : (x + reach + 1) * ny]
+            base = np.int32(reach * ny + y)
+            for i in range(side):
+                row, taken = flat_offsets[heading, i], patches[p, i]
+                for j in range(side):
+                    taken[j] = around[np.uint32(base + row[j])]
+        else:
+            dx, dy = offsets[heading, 0], offsets[heading, 1]
+            for i in range(side):
+                for j in range(side):
+                    u, v = x + dx[i, j], y + dy[i, j]
+                    inside = 0 <= u < nx and 0 <= v < ny
+                    patches[p, i, j] = heights[u, v] if inside else np.nan
+
+
+def nearest_cell(values):
+    """Nearest whole numbers, as floats; halves (up to `TIE`) go away from zero."""
+    values = np.asarray(values, dtype=float)
+    return np.copysign(np.floor(np.abs(values) + (0.5 + TIE)), values)
+
+
+def gather(heights: np.ndarray, ix, iy) -> np.ndarray:
+    """Heights of cells given as whole-numbered floats; NaN outside, and where a coordinate is NaN."""
+    ix, iy = np.broadcast_arrays(ix, iy)
+    inside = (ix >= 0) & (ix < heights.shape[0]) & (iy >= 0) & (iy < heights.shape[1])
+    taken = np.full(inside.shape, np.nan, np.float32)
+    taken[inside] = heights[ix[inside].astype(np.int64), iy[inside].astype(np.int64)]
+    return taken
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """The same array, not to be written to: numba compiles once per mutability, so one kind is passed always."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def checked_side(cells: int) -> int:
+    """The side of a patch in cells; raises InputError below 1."""
+    if cells < 1:
+        raise InputError(f"patch of {cells} cells; need at least 1")
+    return cells
