@@ -14,14 +14,14 @@ from pipeline.task_sets import ABSENT
 
 def import_scans(config: DictConfig, folders: Folders) -> None:
     from hdsp.labels.rules import LabelSettings
-    from hdsp.labels.scan_patches import PatchSettings, draw_starts, label_scan
+    from hdsp.labels.scan_patches import ScanPatchSettings, draw_starts, label_scan
     from hdsp.robot.robot import Robot
     from hdsp.terrain.scans import Scan, build_map, find_files
     from hdsp.viz import ScanPicture, save_scan_sheet
 
     robot = Robot.load(plain(config.robot))
     rules = settings(LabelSettings, config.labelling.settings, "labelling.settings")
-    patches = settings(PatchSettings, config.scans.patches, "scans.patches")
+    patches = settings(ScanPatchSettings, config.scans.patches, "scans.patches")
     scans = [Scan.from_dict(name, values) for name, values in plain(config.scans.sources).items()]
 
     folder = folders.write("data", "real")

@@ -70,7 +70,7 @@ def scan_paper_arena(config: DictConfig, folders: Folders, robot: Robot, lidar) 
 def scan_courses(config: DictConfig, folders: Folders, robot: Robot, lidar) -> dict[str, Any]:
     """Writes the simulated patch set and its picture; returns the number of patches per kind."""
     from hdsp.base.workers import ClusterSettings
-    from hdsp.labels.course_patches import PatchRun, PatchSettings, simulated_courses, task_set
+    from hdsp.labels.course_patches import CoursePatchSettings, PatchRun, simulated_courses, task_set
     from hdsp.labels.rules import LabelSettings
     from hdsp.labels.shards import write_shard
     from hdsp.robot.lattice import heading_angle
@@ -78,7 +78,7 @@ def scan_courses(config: DictConfig, folders: Folders, robot: Robot, lidar) -> d
     from hdsp.viz import save_courses
 
     run = PatchRun(
-        settings(PatchSettings, config.simulation.patches, "simulation.patches"),
+        settings(CoursePatchSettings, config.simulation.patches, "simulation.patches"),
         settings(CourseSettings, config.simulation.courses, "simulation.courses"),
         lidar,
         robot,
@@ -101,10 +101,10 @@ def scan_courses(config: DictConfig, folders: Folders, robot: Robot, lidar) -> d
 
 def _picture(arena) -> np.ndarray | None:
     """Renders the arena; None if the machine cannot draw."""
-    from hdsp.terrain.simulation.mujoco_world import World
+    from hdsp.terrain.simulation.mujoco_world import MujocoWorld
 
     try:
-        return World(arena).picture()
+        return MujocoWorld(arena).picture()
     except InputError as error:
         print(f"no picture of the arena: {error}")
         return None

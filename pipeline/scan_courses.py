@@ -19,7 +19,7 @@ def scan_courses(config: DictConfig, folders: Folders, split: str) -> None:
     from tqdm import tqdm
 
     from hdsp.base.workers import ClusterSettings
-    from hdsp.labels.course_patches import PatchRun, PatchSettings, simulated_courses, task_set
+    from hdsp.labels.course_patches import CoursePatchSettings, PatchRun, simulated_courses, task_set
     from hdsp.labels.rules import LabelSettings
     from hdsp.labels.shards import SUFFIX, write_shard
     from hdsp.robot.robot import Robot
@@ -30,7 +30,7 @@ def scan_courses(config: DictConfig, folders: Folders, split: str) -> None:
     if split not in splits:
         raise InputError(f"unknown split {split!r}; simulation.splits has {', '.join(splits) or 'none'}")
     run = PatchRun(
-        settings(PatchSettings, splits[split], f"simulation.splits.{split}"),
+        settings(CoursePatchSettings, splits[split], f"simulation.splits.{split}"),
         settings(CourseSettings, config.simulation.courses, "simulation.courses"),
         settings(Lidar, config.simulation.lidar, "simulation.lidar"),
         Robot.load(plain(config.robot)),

@@ -64,13 +64,13 @@ def read_evaluation_set(
     if "tasks" in entry:
         return read_set(set_place(entry, folders))
     from hdsp.labels.rules import LabelSettings
-    from hdsp.labels.scan_patches import PatchSettings
+    from hdsp.labels.scan_patches import ScanPatchSettings
     from hdsp.labels.scan_sets import read_scan_folder
 
     found = read_scan_folder(
         entry["scans"],
         Robot.load(plain(config.robot)),
-        settings(PatchSettings, config.scans.patches, "scans.patches"),
+        settings(ScanPatchSettings, config.scans.patches, "scans.patches"),
         settings(LabelSettings, config.labelling.settings, "labelling.settings"),
         folders.write("data", "scans", name),
         config.runtime.data_dir,

@@ -152,7 +152,9 @@ class PreparedGraph:
                 f"heading < {ABSTRACT_HEADINGS}, none negative"
             )
         width, buckets = self._buckets()
-        queue = _Queue.starting_at((heading * nx + ix) * ny + iy, ABSTRACT_HEADINGS * nx * ny, self._margin, buckets)
+        queue = _BucketQueue.starting_at(
+            (heading * nx + ix) * ny + iy, ABSTRACT_HEADINGS * nx * ny, self._margin, buckets
+        )
         while not _search(self.incoming.reshape(-1), self._offsets, queue, self._margin, 1.0 / width):
             queue = queue.with_more_room()
         inside = queue.distance[self._margin : len(queue.distance) - self._margin]
@@ -199,7 +201,7 @@ class PreparedGraph:
         return width, 1 << (int(self.dearest / width) + 2).bit_length()
 
 
-class _Queue(NamedTuple):
+class _BucketQueue(NamedTuple):
     """State of a search. Flat arrays over states begin and end with a margin of states that are never reached."""
 
     distance: np.ndarray  # float64 [margin + states + margin]
@@ -209,7 +211,7 @@ class _Queue(NamedTuple):
     current: np.ndarray  # int64 [1], the bucket being emptied
 
     @classmethod
-    def starting_at(cls, goal: int, states: int, margin: int, buckets: int) -> _Queue:
+    def starting_at(cls, goal: int, states: int, margin: int, buckets: int) -> _BucketQueue:
         distance = np.full(states + 2 * margin, np.inf)
         distance[goal + margin] = 0.0
         entries = np.empty((buckets, max(2 * N_ABSTRACT_ACTIONS, 2 * states // buckets)), np.uint32)
@@ -218,7 +220,7 @@ class _Queue(NamedTuple):
         filled[0] = 1
         return cls(distance, np.zeros(len(distance), np.bool_), entries, filled, np.zeros(1, np.int64))
 
-    def with_more_room(self) -> _Queue:
+    def with_more_room(self) -> _BucketQueue:
         return self._replace(entries=np.concatenate([self.entries, np.empty_like(self.entries)], axis=1))
 
 

@@ -83,7 +83,7 @@ class Features(NamedTuple):
     top: np.ndarray
 
 
-class _Poses(NamedTuple):
+class _PoseTerrain(NamedTuple):
     """Terrain at poses, each [...]; one row per foot where noted."""
 
     blocked: np.ndarray
@@ -169,7 +169,7 @@ class ManualCosts:
             cost = np.where(which == index, self._cost(goal, met)[:, None], cost)
         return np.isfinite(cost), cost.astype(np.float32)
 
-    def _cost(self, goal: np.ndarray, met: list[_Poses]) -> np.ndarray:
+    def _cost(self, goal: np.ndarray, met: list[_PoseTerrain]) -> np.ndarray:
         """Costs [...] for `goal` (robot frame, abstract steps) through poses [...]; inf = infeasible."""
         settings = self.settings
         dx, dy, turn = goal
@@ -184,10 +184,10 @@ class ManualCosts:
         cost = self._flat.costs(goal) * (1 + settings.unevenness_cost * uneven)
         return np.where(infeasible, np.inf, cost + settings.step_cost * stepping.sum(axis=0))
 
-    def _poses(self, features: Features, heading: int) -> _Poses:
+    def _poses(self, features: Features, heading: int) -> _PoseTerrain:
         """Terrain under the robot with its base in each cell, at one heading (index of 16)."""
         robot, settings = self.robot, self.settings
-        turned = rotation(float(heading_angle(heading, ABSTRACT_HEADINGS)))
+        rotated = rotation(float(heading_angle(heading, ABSTRACT_HEADINGS)))
         margin = _Margin(features, self._pose_reach())
 
         walls = margin.of(_is_wall(features, robot), outside=True)
@@ -197,20 +197,20 @@ class ManualCosts:
 
         blocked = np.zeros(features.ground.shape, bool)
         for box in robot.body.boxes:
-            for cell in _cells_in(box.x_min, box.x_max, box.half_width, turned):
+            for cell in _cells_in(box.x_min, box.x_max, box.half_width, rotated):
                 blocked |= margin.shifted(tops, cell) - features.ground > box.above
         feet = robot.neutral_feet()
         on_wall, on_step = [], []
         reach = np.array([settings.foot_reach, 0.0])
         for foot in feet:
-            here, *near = (_cell(turned @ place) for place in (foot, foot + reach, foot - reach))
+            here, *near = (_cell(rotated @ place) for place in (foot, foot + reach, foot - reach))
             on_wall.append(margin.shifted(walls, here))
             on_step.append(margin.shifted(edges, here) & ~on_wall[-1])
             blocked |= on_step[-1] & np.all([margin.shifted(edges, cell) for cell in near], axis=0)
         length, width = np.abs(feet).max(axis=0) + settings.margin
-        around = _cells_in(-length, length, width, turned)
+        around = _cells_in(-length, length, width, rotated)
         uneven = sum(margin.shifted(ranges, cell) for cell in around) / len(around)
-        return _Poses(blocked, np.array(on_step), np.array(on_wall), uneven)
+        return _PoseTerrain(blocked, np.array(on_step), np.array(on_wall), uneven)
 
 
 def coarse_features(heights: np.ndarray) -> Features:
@@ -247,11 +247,11 @@ def _nearest_to(value: float) -> set[int]:
     return {int(np.ceil(value - 0.5)), int(np.floor(value + 0.5))}
 
 
-def _cells_in(x_min: float, x_max: float, half_width: float, turned: np.ndarray) -> list[tuple[int, int]]:
-    """Relative cells with their centres in a robot-frame rectangle (m), rotated by the matrix ``turned``."""
+def _cells_in(x_min: float, x_max: float, half_width: float, rotated: np.ndarray) -> list[tuple[int, int]]:
+    """Relative cells with their centres in a robot-frame rectangle (m), rotated by the matrix ``rotated``."""
     reach = math.ceil(_in_cells(math.hypot(max(abs(x_min), abs(x_max)), half_width)))
     cells = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
-    x, y = (cells @ turned).T
+    x, y = (cells @ rotated).T
     least, most, half = (_in_cells(length) for length in (x_min, x_max, half_width))
     inside = (x >= least - 1e-9) & (x <= most + 1e-9) & (np.abs(y) <= half + 1e-9)
     return [tuple(cell) for cell in cells[inside].tolist()]
@@ -276,8 +276,8 @@ def _margin_cells(reach: float) -> int:
     return math.ceil(_in_cells(reach)) + 1
 
 
-def _take(poses: _Poses, take, *arguments) -> _Poses:
-    return _Poses(*(take(values, *arguments) for values in poses))
+def _take(poses: _PoseTerrain, take, *arguments) -> _PoseTerrain:
+    return _PoseTerrain(*(take(values, *arguments) for values in poses))
 
 
 class _Margin:

@@ -37,7 +37,7 @@ _CLOSEST = 0.4  # m between the starts of two patches with the same heading
 
 
 @dataclass(frozen=True)
-class PatchSettings:
+class CoursePatchSettings:
     """Number and kind of patches.
 
     Attributes:
@@ -70,7 +70,7 @@ class PatchSettings:
 class PatchRun:
     """Settings that determine the patches."""
 
-    patches: PatchSettings
+    patches: CoursePatchSettings
     courses: CourseSettings
     lidar: Lidar
     robot: Robot

@@ -31,7 +31,7 @@ FLAT = 0.05
 
 
 @dataclass(frozen=True)
-class PatchSettings:
+class ScanPatchSettings:
     """Start states to draw from a map.
 
     Attributes:
@@ -65,7 +65,7 @@ class PatchSettings:
             )
 
 
-def draw_starts(terrain: HeightMap, robot: Robot, settings: PatchSettings) -> np.ndarray:
+def draw_starts(terrain: HeightMap, robot: Robot, settings: ScanPatchSettings) -> np.ndarray:
     """Draws valid base states uniformly over known ground, and limits the share of bare floor.
 
     Args:
@@ -115,7 +115,7 @@ def draw_starts(terrain: HeightMap, robot: Robot, settings: PatchSettings) -> np
 def label_scan(
     terrain: HeightMap,
     robot: Robot,
-    patches: PatchSettings,
+    patches: ScanPatchSettings,
     settings: LabelSettings,
     path: str | os.PathLike,
     about: Mapping[str, str],

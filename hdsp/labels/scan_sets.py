@@ -23,7 +23,7 @@ import yaml
 from hdsp.base.downloads import verify
 from hdsp.base.errors import InputError
 from hdsp.labels.rules import LabelSettings
-from hdsp.labels.scan_patches import PatchSettings, label_scan
+from hdsp.labels.scan_patches import ScanPatchSettings, label_scan
 from hdsp.labels.shards import is_shard, read_shard
 from hdsp.labels.tasks import TaskSet
 from hdsp.robot.robot import Robot
@@ -60,7 +60,7 @@ class ScanFolder(NamedTuple):
 def read_scan_folder(
     folder: str | os.PathLike,
     robot: Robot,
-    patches: PatchSettings,
+    patches: ScanPatchSettings,
     rules: LabelSettings,
     work: str | os.PathLike,
     data_dir: str | os.PathLike | None = None,

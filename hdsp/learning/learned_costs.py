@@ -9,7 +9,7 @@ import numpy as np
 from hdsp.abstract.abstract_costs import Region, checked_mask, checked_region, close_exits
 from hdsp.base.errors import InputError
 from hdsp.learning.abstraction import LearnedAbstraction
-from hdsp.learning.rotated_maps import TurnedMap
+from hdsp.learning.rotated_maps import RotatedMap
 from hdsp.robot import lattice
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.patches import crop_patches
@@ -56,7 +56,7 @@ class LearnedCosts:
         self.abstraction = abstraction if quantile is None else abstraction.at_quantile(quantile)
         self.batch = batch
         network = abstraction.network
-        self._on_turned_map = network.is_dense()
+        self._on_rotated_map = network.is_dense()
         self._trunk = network.dense_trunk() if method == "dense" or (method == "auto" and network.is_dense()) else None
         if method == "dense" and (self._trunk is None or not (network.is_dense() or network.encoding.is_local())):
             raise InputError(
@@ -124,11 +124,11 @@ class LearnedCosts:
         size = lattice.CELLS_PER_ABSTRACT
         marks = changed.astype(np.float32)
         for heading in range(lattice.ABSTRACT_HEADINGS):
-            if self._trunk is None and not self._on_turned_map:
+            if self._trunk is None and not self._on_rotated_map:
                 seen = crop_patches(marks, near, heading * lattice.HEADINGS_PER_ABSTRACT)
                 touched = (seen > 0).any(axis=(1, 2))
             else:
-                touched = _touched(TurnedMap(marks, heading), near, margin)
+                touched = _touched(RotatedMap(marks, heading), near, margin)
             result[heading, near[touched, 0] // size, near[touched, 1] // size] = True
         return result
 
@@ -137,15 +137,15 @@ class LearnedCosts:
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yields states [n, 2] in a region and their costs [n, 22], some at a time."""
         goals = lattice.robot_frame_goals(heading)
-        turned = TurnedMap(height_map.heights, heading) if self._on_turned_map else None
+        rotated = RotatedMap(height_map.heights, heading) if self._on_rotated_map else None
         states = np.argwhere(wanted)
         for part in np.array_split(states, range(CHUNK, len(states), CHUNK)):
             bases = _anchors(part + first, heading)
-            if turned is None:
+            if rotated is None:
                 detailed = heading * lattice.HEADINGS_PER_ABSTRACT
                 patches = crop_patches(height_map.heights, bases, detailed)
             else:
-                patches = turned.patches(bases)
+                patches = rotated.patches(bases)
             yield part, self._costs(patches, goals)
 
     def _by_tiles(
@@ -153,18 +153,18 @@ class LearnedCosts:
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Like ``_by_patches``, with dense evaluation."""
         goals = lattice.robot_frame_goals(heading)
-        turned = TurnedMap(height_map.heights, heading)
+        rotated = RotatedMap(height_map.heights, heading)
         whole = np.zeros(lattice.abstract_shape(height_map.shape), bool)
         whole[first[0] : first[0] + wanted.shape[0], first[1] : first[1] + wanted.shape[1]] = wanted
         states = np.argwhere(np.ones_like(whole))
-        cells = turned.cells(_anchors(states, heading))
+        cells = rotated.cells(_anchors(states, heading))
         margin = self._trunk.margin
         side = TILE - 1 + lattice.PATCH_CELLS + 2 * margin
         for tile, members in _grouped(cells // TILE):
             asked = whole[states[members, 0], states[members, 1]]
             if not asked.any():
                 continue
-            window = turned.window(tile * TILE - lattice.PATCH_CENTER - margin, (side, side))
+            window = rotated.window(tile * TILE - lattice.PATCH_CENTER - margin, (side, side))
             corners = cells[members] - tile * TILE
             feasible, cost = self.abstraction.predict_windows(self._trunk, window, corners, asked, goals)
             costs = np.where(feasible, cost, np.float32(np.inf))
@@ -191,7 +191,7 @@ def _grouped(keys: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         yield keys[members[0]], members
 
 
-def _touched(marks: TurnedMap, bases: np.ndarray, margin: int) -> np.ndarray:
+def _touched(marks: RotatedMap, bases: np.ndarray, margin: int) -> np.ndarray:
     """Whether each base's patch, enlarged by a margin, holds a cell marked above zero; bool [n]."""
     sums = np.zeros(np.add(marks.heights.shape, 1), np.int64)
     sums[1:, 1:] = (marks.heights > 0).cumsum(axis=0).cumsum(axis=1)

@@ -14,7 +14,7 @@ from hdsp.robot.lattice import ABSTRACT_HEADINGS
 from hdsp.terrain.patches import TIE
 
 
-class TurnedMap:
+class RotatedMap:
     """Heights on a grid whose first axis points along a heading.
 
     Convention: grid cell (u, v) takes the height of the map cell nearest to ``R @ (u, v)``, where R is the rotation by
@@ -31,7 +31,7 @@ class TurnedMap:
         corners = self.cells(np.array([(0, 0), (nx - 1, 0), (0, ny - 1), (nx - 1, ny - 1)]))
         self.first = corners.min(axis=0) - 1
         self.heights = np.empty(corners.max(axis=0) + 2 - self.first, np.float32)
-        _turn(np.ascontiguousarray(heights, np.float32), *self.first, self.rotation, TIE, self.heights)
+        _rotate(np.ascontiguousarray(heights, np.float32), *self.first, self.rotation, TIE, self.heights)
 
     def cells(self, bases: np.ndarray) -> np.ndarray:
         """Returns the grid cells, int64 [..., 2], that hold the centres of map cells ``bases`` [..., 2]."""
@@ -59,16 +59,16 @@ class TurnedMap:
 
 
 @njit()
-def _turn(heights, first_u, first_v, rotation, tie, turned):
+def _rotate(heights, first_u, first_v, rotation, tie, rotated):
     nx, ny = heights.shape
-    for i in range(turned.shape[0]):
+    for i in range(rotated.shape[0]):
         u = np.float64(first_u + i)
-        for j in range(turned.shape[1]):
+        for j in range(rotated.shape[1]):
             v = np.float64(first_v + j)
             x = _nearest(rotation[0, 0] * u + rotation[0, 1] * v, tie)
             y = _nearest(rotation[1, 0] * u + rotation[1, 1] * v, tie)
             inside = 0 <= x < nx and 0 <= y < ny
-            turned[i, j] = heights[x, y] if inside else np.float32(np.nan)
+            rotated[i, j] = heights[x, y] if inside else np.float32(np.nan)
 
 
 @njit(inline="always")

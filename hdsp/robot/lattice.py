@@ -10,6 +10,7 @@ Abstract cell ``(a, b)`` is the block of detailed cells ``[4a, 4a + 4) x [4b, 4b
 
 import math
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -40,6 +41,9 @@ DRIVE_MOVES = np.array(
 ABSTRACT_ACTIONS = np.array([(dx, dy, 0) for dx, dy in DRIVE_MOVES] + [(0, 0, 1), (0, 0, -1)], dtype=np.int64)
 
 N_ABSTRACT_ACTIONS = len(ABSTRACT_ACTIONS)
+
+#: A number, an array or a tensor.
+Lengths = TypeVar("Lengths", bound=Any)
 
 
 def heading_angle(index, headings: int = HEADINGS):
@@ -174,6 +178,16 @@ def offset_steps(metres) -> np.ndarray:
     return np.rint(np.asarray(metres, dtype=float) / RESOLUTION).astype(np.int64)
 
 
-def cells(metres: float) -> float:
-    """Converts a length from metres to (fractional) detailed cells."""
+def cells(metres: Lengths) -> Lengths:
+    """Converts lengths from metres to (fractional) detailed cells."""
     return metres / RESOLUTION
+
+
+def metres(cells: Lengths) -> Lengths:
+    """Converts lengths from detailed cells to metres."""
+    return cells * RESOLUTION
+
+
+def is_detailed(resolution: float) -> bool:
+    """Returns whether a cell size in metres is that of the detailed lattice."""
+    return abs(resolution - RESOLUTION) <= 1e-9

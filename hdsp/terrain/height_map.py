@@ -163,9 +163,9 @@ class HeightMap:
         return self._patch(gather(self.heights, ix + dx, iy + dy))
 
     def rotate(self, angle: float) -> "HeightMap":
-        """The map turned counter-clockwise by ``angle`` radians about its centre, which stays where it is.
+        """The map rotated counter-clockwise by ``angle`` radians about its centre, which stays where it is.
 
-        The result is large enough to hold the whole map; cells that nothing was turned into are NaN. At multiples of 90
+        The result is large enough to hold the whole map; cells without a source are NaN. At multiples of 90
         degrees this is an exact permutation of cells, at other angles each cell takes the height of the nearest one.
         """
         quarters = angle / (math.pi / 2)

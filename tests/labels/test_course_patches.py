@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hdsp.base.errors import InputError
-from hdsp.labels.course_patches import PatchRun, PatchSettings, simulated_courses, task_set
+from hdsp.labels.course_patches import CoursePatchSettings, PatchRun, simulated_courses, task_set
 from hdsp.labels.rules import LabelSettings
 from hdsp.robot.robot import Robot
 from hdsp.terrain.scenes import Ramp, Staircase
@@ -35,16 +35,16 @@ def test_wrong_settings_are_named():
     with pytest.raises(InputError, match="course seed -1"):
         random_course(-1, 0)
     with pytest.raises(InputError, match="patches: courses is 0"):
-        PatchSettings(seed=1, courses=0, patches_per_course=1)
+        CoursePatchSettings(seed=1, courses=0, patches_per_course=1)
     with pytest.raises(InputError, match="heading_residues is"):
-        PatchSettings(seed=1, courses=1, patches_per_course=1, heading_residues=(7,))
+        CoursePatchSettings(seed=1, courses=1, patches_per_course=1, heading_residues=(7,))
 
 
 def test_patches_are_cut_from_the_scan_and_labelled():
     pytest.importorskip("mujoco")
     lidar = Lidar(azimuth_step=0.05, speed=1.5)
     labels = LabelSettings(max_expansions=300)
-    run = PatchRun(PatchSettings(1, 1, 4, (0, 1)), CourseSettings(), lidar, Robot.load("momaro"), labels)
+    run = PatchRun(CoursePatchSettings(1, 1, 4, (0, 1)), CourseSettings(), lidar, Robot.load("momaro"), labels)
     (course,) = simulated_courses(run)
     tasks = task_set(run, [course])
     assert len(tasks) == 4 == len(set(tasks.category)), "one of each kind before the second of any"
@@ -58,5 +58,5 @@ def test_patches_are_cut_from_the_scan_and_labelled():
     assert [patch.start for patch in again.patches[:4]] == [patch.start for patch in course.patches]
     longer = replace(more, patches=replace(more.patches, courses=7))
     assert longer.course_hash() == more.course_hash() != run.course_hash()
-    assert run.hash() != PatchRun(PatchSettings(2, 1, 4), run.courses, lidar, run.robot, labels).hash()
+    assert run.hash() != PatchRun(CoursePatchSettings(2, 1, 4), run.courses, lidar, run.robot, labels).hash()
     assert len(task_set(run, [])) == 0

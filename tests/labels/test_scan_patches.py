@@ -7,7 +7,7 @@ from hdsp.abstract.transform import feet_at
 from hdsp.base.errors import InputError
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.rules import LabelSettings
-from hdsp.labels.scan_patches import FLAT, PatchSettings, draw_starts, label_scan
+from hdsp.labels.scan_patches import FLAT, ScanPatchSettings, draw_starts, label_scan
 from hdsp.labels.shards import read_shard
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -30,7 +30,7 @@ def yard():
 @given(st.integers(0, 1000), st.sampled_from([(0,), (0, 1, 2, 3), (2,)]), st.sampled_from([0.0, 0.3, 0.8]))
 def test_starts_are_valid_apart_from_each_other_and_head_as_asked(seed, residues, spacing):
     terrain = yard()
-    asked = PatchSettings(seed, count=12, spacing=spacing, known=0.6, flat=0.25, heading_residues=residues)
+    asked = ScanPatchSettings(seed, count=12, spacing=spacing, known=0.6, flat=0.25, heading_residues=residues)
     starts = draw_starts(terrain, ROBOT, asked)
     world = build_world(HeightMap(np.pad(terrain.heights, 60, constant_values=np.nan)), ROBOT)
     assert 0 < len(starts) <= 12
@@ -48,17 +48,17 @@ def test_starts_are_valid_apart_from_each_other_and_head_as_asked(seed, residues
 
 
 def test_a_map_without_room_gives_no_starts():
-    assert draw_starts(HeightMap(np.full((90, 90), np.nan)), ROBOT, PatchSettings()).shape == (0, 3)
-    assert len(draw_starts(HeightMap.flat((20, 20)), ROBOT, PatchSettings())) == 0
+    assert draw_starts(HeightMap(np.full((90, 90), np.nan)), ROBOT, ScanPatchSettings()).shape == (0, 3)
+    assert len(draw_starts(HeightMap.flat((20, 20)), ROBOT, ScanPatchSettings())) == 0
 
 
 def test_the_map_needs_the_cells_of_the_planner():
     with pytest.raises(InputError, match=r"cells of 0\.05 m; need 0\.025 m"):
-        draw_starts(HeightMap.flat((90, 90), resolution=0.05), ROBOT, PatchSettings())
+        draw_starts(HeightMap.flat((90, 90), resolution=0.05), ROBOT, ScanPatchSettings())
 
 
 def test_patches_become_a_shard_that_says_where_they_are_from(tmp_path, monkeypatch):
-    rules, patches = LabelSettings(max_expansions=500), PatchSettings(seed=3, count=3)
+    rules, patches = LabelSettings(max_expansions=500), ScanPatchSettings(seed=3, count=3)
     terrain = yard()
     tasks = label_scan(terrain, ROBOT, patches, rules, tmp_path / "one.h5", ABOUT)
     starts = draw_starts(terrain, ROBOT, patches)
@@ -82,4 +82,4 @@ def test_patches_become_a_shard_that_says_where_they_are_from(tmp_path, monkeypa
 )
 def test_settings_out_of_range_are_refused(values):
     with pytest.raises(InputError, match="patches: "):
-        PatchSettings(**values)
+        ScanPatchSettings(**values)

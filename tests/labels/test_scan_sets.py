@@ -9,13 +9,13 @@ import yaml
 
 from hdsp import HeightMap, InputError, Robot
 from hdsp.labels.rules import LabelSettings
-from hdsp.labels.scan_patches import PatchSettings
+from hdsp.labels.scan_patches import ScanPatchSettings
 from hdsp.labels.scan_sets import read_scan_folder
 from hdsp.labels.shards import write_shard
 from tests.learning.synthetic import synthetic_tasks
 from tests.terrain.pointcloud.clouds import box, rectangle
 
-PATCHES = PatchSettings(count=1, flat=1.0, heading_residues=(0,))
+PATCHES = ScanPatchSettings(count=1, flat=1.0, heading_residues=(0,))
 ABOUT = {"what": "ground", "sensor": "none", "licence": "MIT", "source": "https://example.org"}
 
 

@@ -8,7 +8,7 @@ from benchmarks.edges import random_abstraction, rough_map
 from hdsp.abstract import LocalCosts
 from hdsp.base.errors import InputError
 from hdsp.learning import HardwareSettings, LearnedCosts
-from hdsp.learning.rotated_maps import TurnedMap
+from hdsp.learning.rotated_maps import RotatedMap
 from hdsp.robot.lattice import abstract_anchor
 from hdsp.terrain.patches import crop_patches
 
@@ -99,7 +99,7 @@ def test_only_affected_states_change(network, method, request):
     for k in range(16):
         bases = abstract_anchor(states[states[:, 0] == k][:, [1, 2, 0]])[:, :2]
         if network == "dense_network":
-            patches = TurnedMap(changed.astype(np.float32), k).patches(bases)
+            patches = RotatedMap(changed.astype(np.float32), k).patches(bases)
         else:
             patches = crop_patches(changed.astype(np.float32), bases, 4 * k)
         np.testing.assert_array_equal(affected[k].ravel(), (patches > 0).any(axis=(1, 2)))
@@ -114,16 +114,16 @@ def test_a_network_that_cannot_be_evaluated_densely_says_so():
 
 
 @pytest.mark.parametrize("heading", range(16))
-def test_patches_of_a_turned_map(heading):
+def test_patches_of_a_rotated_map(heading):
     """At quarter turns they equal the patches cut at the base; otherwise the base is off by at most half a cell."""
     terrain = rough_map((90, 100), seed=0)
     bases = np.array([(46, 50), (2, 2), (86, 98), (40, 10)])
-    turned = TurnedMap(terrain.heights, heading)
-    patches, cut = turned.patches(bases), crop_patches(terrain.heights, bases, 4 * heading)
+    rotated = RotatedMap(terrain.heights, heading)
+    patches, cut = rotated.patches(bases), crop_patches(terrain.heights, bases, 4 * heading)
     if heading % 4 == 0:
         np.testing.assert_array_equal(patches, cut)
-    x = TurnedMap(np.add.outer(np.arange(90.0), np.zeros(100)), heading).patches(bases)[:, 36, 36]
-    y = TurnedMap(np.add.outer(np.zeros(90), np.arange(100.0)), heading).patches(bases)[:, 36, 36]
+    x = RotatedMap(np.add.outer(np.arange(90.0), np.zeros(100)), heading).patches(bases)[:, 36, 36]
+    y = RotatedMap(np.add.outer(np.zeros(90), np.arange(100.0)), heading).patches(bases)[:, 36, 36]
     moved = np.column_stack([x, y]) - bases
     assert np.nanmax(abs(moved)) <= 1
 

@@ -11,7 +11,7 @@ from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, Pr
 from hdsp.learning.network_settings import settings_from
 from hdsp.learning.networks import ModelSettings, build_network
 from hdsp.learning.networks.footprint import POSES
-from hdsp.learning.networks.requirements import FEET, STANCE_FEATURES
+from hdsp.learning.networks.requirements import FEET, REQUIREMENT_FEATURES
 from hdsp.learning.task_data import mirror_goals, mirror_heights
 from hdsp.terrain.height_map import HeightMap
 from tests.learning.test_zoo import model_file, rough_patches
@@ -67,7 +67,7 @@ def test_a_turn_to_the_other_side_is_the_mirrored_turn_of_a_mirrored_network(net
         # Mirroring changes the sign of channel slope_y.
         names = [symmetric.encoding.channels[i] for i in symmetric.trunk_channels]
         symmetric.near[0].weight[:, names.index("slope_y")] = 0
-        of_taps, of_feet = symmetric.of_ground.weight.split([189, STANCE_FEATURES], dim=1)
+        of_taps, of_feet = symmetric.of_ground.weight.split([189, REQUIREMENT_FEATURES], dim=1)
         taps = of_taps.view(-1, *symmetric.options.taps, symmetric.ground_channels)
         taps.copy_((taps + taps.flip(2)) / 2)
         for feet in of_feet.split(len(FEET), dim=1)[:2]:

@@ -35,9 +35,9 @@ def patch(request):
 
 @pytest.fixture(scope="module")
 def straight(network, patch):
-    """Features [STANCE_FEATURES, POSES, POSES] for poses with heading 0."""
+    """Features [REQUIREMENT_FEATURES, POSES, POSES] for poses with heading 0."""
     ground = network._first(network.encoding(torch.from_numpy(patch)[None, None]))[1]
-    return network._stances(ground, [FIRST - NEAR_RADIUS] * 2, (POSES, POSES))[0].numpy()
+    return network._required(ground, [FIRST - NEAR_RADIUS] * 2, (POSES, POSES))[0].numpy()
 
 
 def feet_cells(x, y, inward=0.0, heading=0.0):
@@ -101,7 +101,7 @@ def test_the_price_is_what_driving_costs_more_on_uneven_ground(patch, straight):
 def test_turned_poses_see_the_ground_under_turned_feet(network, patch):
     ground = network._first(network.encoding(torch.from_numpy(patch)[None, None]))[1]
     centre = torch.tensor([[PATCH_CENTER - NEAR_RADIUS] * 2])
-    turned = network.stance.turned(ground[:, [0, 1, 3, 4]], centre)[0, 0].numpy()
+    turned = network.requirements.turned(ground, centre)[0, 0].numpy()
     for seen, heading in zip(turned, network.turns.tolist(), strict=True):
         level, standable, _ = shares(patch, PATCH_CENTER, PATCH_CENTER, heading)
         assert seen[-POSE_FEATURES] == pytest.approx(min(level, MOST), abs=1e-4)

@@ -42,11 +42,11 @@ def label_maps(run: LabelRun, label: LabelMap | None, code: str, numbers: Sequen
     if _own_code() != code:
         raise InputError("a worker has another version of hdsp than the process that asks it for labels")
     if label is None:
-        label = _labeller(run)
+        label = _label_function(run)
     return [_label_map(run, label, number) for number in numbers]
 
 
-def _labeller(run: LabelRun) -> LabelMap:
+def _label_function(run: LabelRun) -> LabelMap:
     if run.split.standable:
         from hdsp.labels.rules import label_map
 

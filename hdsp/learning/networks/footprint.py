@@ -12,7 +12,18 @@ from hdsp.base.errors import InputError
 from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
-from hdsp.learning.networks.requirements import FEET, POSE_FEATURES, STANCE_FEATURES, Stance, StanceOptions, told
+from hdsp.learning.networks.requirements import (
+    BARRED,
+    FEET,
+    HEIGHT,
+    HIGHEST,
+    LOWEST,
+    POSE_FEATURES,
+    REQUIREMENT_FEATURES,
+    PoseRequirementOptions,
+    PoseRequirements,
+    told,
+)
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
 
 #: Largest base displacement along an axis, in cells: the longest action at any heading residue.
@@ -65,7 +76,7 @@ class FootprintOptions:
     context: int = 64
     feet: int = 128
     head: int = 128
-    stance: StanceOptions | None = None
+    stance: PoseRequirementOptions | None = None
 
     def __post_init__(self):
         if sum(self.dilations) > 7 or min(self.dilations, default=1) < 1:
@@ -100,7 +111,7 @@ class Footprint(TaskNetwork):
         self.trunk_channels = [i for i, c in enumerate(names) if c not in ("height", "unevenness")]
         self.trunk_channels = self.trunk_channels or [names.index("height")]
         self.ground_channels = 3 if "unevenness" in names else 2
-        self.tapped = slice(1, 1 + self.ground_channels)
+        self.tapped = slice(HIGHEST, HIGHEST + self.ground_channels)
         self.options = options
         self.near = nn.Sequential(nn.Conv2d(len(self.trunk_channels), width, 2 * NEAR_RADIUS + 1), nn.ReLU())
         layers: list[nn.Module] = []
@@ -110,7 +121,7 @@ class Footprint(TaskNetwork):
         self.radius = sum(options.dilations)
         self.margins = tuple(n // 2 * options.spacing for n in options.taps)
         self.of_local = nn.Conv2d(width, hidden, options.taps, dilation=options.spacing)
-        of_ground = self.ground_channels * math.prod(options.taps) + (STANCE_FEATURES if options.stance else 0)
+        of_ground = self.ground_channels * math.prod(options.taps) + (REQUIREMENT_FEATURES if options.stance else 0)
         self.of_ground = nn.Linear(of_ground, hidden, bias=False)
         self.footprint = nn.Linear(hidden, options.features)
         #: Features per pose: its footprint features and, with a stance, the unchanged stance features.
@@ -129,12 +140,12 @@ class Footprint(TaskNetwork):
         self.register_buffer("taps", torch.cartesian_prod(taps_x, taps_y).float(), persistent=False)
         share = torch.linspace(0, 1, SAMPLES)[1:] * (2 * math.pi / ABSTRACT_HEADINGS)
         self.register_buffer("turns", torch.cat([share, -share]), persistent=False)
-        self.stance = None
+        self.requirements = None
         if options.stance:
             if not {"unknown", "edge", "unevenness"} <= set(names):
                 raise InputError(f"model.encoding.channels: {list(names)}; stance needs unknown, edge and unevenness")
-            self.stance = Stance(options.stance, GROUND_RADIUS, self.turns)
-            reach = max(*self.stance.reach(REACH).values(), FOOT_X + PROFILE[-1] + self.stance.radius)
+            self.requirements = PoseRequirements(options.stance, GROUND_RADIUS, self.turns)
+            reach = max(*self.requirements.reach(REACH).values(), FOOT_X + PROFILE[-1] + self.requirements.radius)
             if reach >= PATCH_CENTER:
                 raise InputError(f"model.options.stance: looks {reach} cells far, but a patch has {PATCH_CENTER}")
 
@@ -145,8 +156,8 @@ class Footprint(TaskNetwork):
         local = self.local(_cut(near, x - self.radius, y - self.radius))
         under = _cut(ground, x, y)
         centre = torch.tensor([[PATCH_CENTER, PATCH_CENTER]], device=encoded.device)
-        stances = self._stances(ground, [PATCH_CENTER - NEAR_RADIUS - REACH] * 2, (POSES, POSES))
-        straight = self._footprints(local, under, stances).permute(0, 2, 3, 1).flatten(1)
+        required = self._required(ground, [PATCH_CENTER - NEAR_RADIUS - REACH] * 2, (POSES, POSES))
+        straight = self._footprints(local, under, required).permute(0, 2, 3, 1).flatten(1)
         turned = self._turned(local, under, centre - torch.tensor([x, y], device=centre.device)).flatten(1)
         first = PATCH_CENTER - FOOT_X - LINE[-1]
         strips = (_cut(near, first - LINE_RADIUS, PATCH_CENTER - FOOT_Y - LINE_RADIUS)[..., side] for side in SIDES)
@@ -164,10 +175,10 @@ class Footprint(TaskNetwork):
         line = FOOT_X + max(LINE[-1] + LINE_RADIUS + NEAR_RADIUS, PROFILE[-1] + GROUND_RADIUS)
         within = dict.fromkeys(self.encoding.channels, max(footprint + self.radius + NEAR_RADIUS, line))
         within |= {"height": max(footprint + GROUND_RADIUS, line), "unevenness": footprint}
-        if self.stance:
-            for name, reach in self.stance.reach(REACH).items():
+        if self.requirements:
+            for name, reach in self.requirements.reach(REACH).items():
                 within[name] = max(within[name], reach + (GROUND_RADIUS if name == "height" else 0))
-            within["edge"] = max(within["edge"], FOOT_X + PROFILE[-1] + self.stance.radius)
+            within["edge"] = max(within["edge"], FOOT_X + PROFILE[-1] + self.requirements.radius)
         beyond = max(reach + self.encoding.radius(name) for name, reach in within.items())
         return self.encoding.reference == "none" and beyond < PATCH_CELLS - PATCH_CENTER
 
@@ -177,7 +188,7 @@ class Footprint(TaskNetwork):
         Returns:
             features: [B, width, ...].
             ground: [B, 3 to 5, ...]: the cell's height (NaN = unknown), the highest and the lowest height nearby, the
-                unevenness if it is a channel, and ``Stance.barred`` with a stance.
+                unevenness if it is a channel, and ``barred`` with pose requirements.
         """
         names = self.encoding.channels
         near = self.near(encoded[:, self.trunk_channels])
@@ -191,11 +202,11 @@ class Footprint(TaskNetwork):
         own = height.masked_fill(unknown, math.nan)[..., inner, inner]
         unevenness = [encoded[:, i, None, inner, inner].float() for i, name in enumerate(names) if name == "unevenness"]
         barred = []
-        if self.stance:
+        if self.requirements:
             bounded = encoded[:, names.index("edge"), None].float()
-            edges = self.stance.barred(self.encoding.edge_scale * bounded / (1 - bounded).clamp_min(1e-6))
+            edges = self.requirements.barred(self.encoding.edge_scale * bounded / (1 - bounded).clamp_min(1e-6))
             # Nothing reads the rim cells that are cut or padded here.
-            rim = self.stance.radius - NEAR_RADIUS
+            rim = self.requirements.radius - NEAR_RADIUS
             barred = [functional.pad(edges, [rim] * 4) if rim >= 0 else edges[..., -rim:rim, -rim:rim]]
         return near, torch.cat([own, highest, lowest, *unevenness, *barred], dim=1)
 
@@ -213,24 +224,24 @@ class Footprint(TaskNetwork):
         """
         profile = self._line_cells(bases, PROFILE)
         seen = line[:, :, at[..., 0], at[..., 1]].permute(0, 2, 3, 4, 1).flatten(2)
-        heights = ground[:, 1:3, profile[..., 0], profile[..., 1]].permute(0, 2, 3, 4, 1)
-        base = ground[:, 0, bases[:, 0], bases[:, 1]][:, :, None, None, None]
+        heights = ground[:, HIGHEST : LOWEST + 1, profile[..., 0], profile[..., 1]].permute(0, 2, 3, 4, 1)
+        base = ground[:, HEIGHT, bases[:, 0], bases[:, 1]][:, :, None, None, None]
         parts = [seen.float(), _relative(heights, base).flatten(2)]
-        if self.stance:
+        if self.requirements:
             x, y = self._line_cells(bases, tuple(range(PROFILE[0], PROFILE[-1] + 1))).unbind(-1)
-            parts.append(told(ground[:, -1, x, y]).flatten(2))
+            parts.append(told(ground[:, BARRED, x, y]).flatten(2))
         return torch.relu(self.feet(torch.cat(parts, dim=-1)))
 
-    def _stances(self, ground: Tensor, first: Sequence[int], size: Sequence[int]) -> Tensor | None:
-        return self.stance.straight(ground[:, [0, 1, 3, 4]], first, size) if self.stance else None
+    def _required(self, ground: Tensor, first: Sequence[int], size: Sequence[int]) -> Tensor | None:
+        return self.requirements.straight(ground, first, size) if self.requirements else None
 
-    def _footprints(self, local: Tensor, ground: Tensor, stances: Tensor | None) -> Tensor:
+    def _footprints(self, local: Tensor, ground: Tensor, required: Tensor | None) -> Tensor:
         """Footprints [B, pose features, mx, my] at all positions whose taps lie within the maps."""
         taps, spacing = self.options.taps, self.options.spacing
         of_local = self.of_local(local)
         mx, my = of_local.shape[-2:]
         x, y = self.margins
-        base = ground[:, :1, x : x + mx, y : y + my]
+        base = ground[:, HEIGHT, None, x : x + mx, y : y + my]
         seen = [
             ground[:, self.tapped, i * spacing : i * spacing + mx, j * spacing : j * spacing + my]
             for i in range(taps[0])
@@ -238,12 +249,12 @@ class Footprint(TaskNetwork):
         ]
         seen = torch.stack(seen, dim=1)
         of_ground = torch.cat([_relative(seen[:, :, :2], base[:, None]), seen[:, :, 2:]], dim=2).flatten(1, 2)
-        if stances is not None:
-            of_ground = torch.cat([of_ground, stances], dim=1)
+        if required is not None:
+            of_ground = torch.cat([of_ground, required], dim=1)
         hidden = torch.relu(of_local + functional.conv2d(of_ground, self.of_ground.weight[:, :, None, None]))
         weight, bias = self.footprint.weight[:, :, None, None], self.footprint.bias
         judged = torch.relu(functional.conv2d(hidden, weight, bias))
-        return judged if stances is None else torch.cat([judged, stances[:, -POSE_FEATURES:].to(judged)], dim=1)
+        return judged if required is None else torch.cat([judged, required[:, -POSE_FEATURES:].to(judged)], dim=1)
 
     def _turned(self, local: Tensor, ground: Tensor, centres: Tensor) -> Tensor:
         """Footprints [B, n, turns, pose features] for bases rotated in place at cells ``centres`` [n, 2]."""
@@ -252,15 +263,15 @@ class Footprint(TaskNetwork):
         positions = centres[:, None, None, :] + torch.stack([cos * x - sin * y, sin * x + cos * y], dim=-1)
         near = positions.round().long()
         seen = ground[:, self.tapped, near[..., 0], near[..., 1]].permute(0, 2, 3, 4, 1)
-        base = ground[:, 0, centres[:, 0], centres[:, 1]][:, :, None, None, None]
+        base = ground[:, HEIGHT, centres[:, 0], centres[:, 1]][:, :, None, None, None]
         of_ground = torch.cat([_relative(seen[..., :2], base), seen[..., 2:]], dim=-1).flatten(3)
         weight = self.of_local.weight.flatten(2).permute(0, 2, 1).flatten(1)
         of_local = functional.linear(_interpolated(local, positions).flatten(-2), weight, self.of_local.bias)
-        if self.stance:
-            stances = self.stance.turned(ground[:, [0, 1, 3, 4]], centres)
-            of_ground = torch.cat([of_ground, stances], dim=-1)
+        if self.requirements:
+            required = self.requirements.turned(ground, centres)
+            of_ground = torch.cat([of_ground, required], dim=-1)
         judged = torch.relu(self.footprint(torch.relu(of_local + self.of_ground(of_ground))))
-        return torch.cat([judged, stances[..., -POSE_FEATURES:].to(judged)], dim=-1) if self.stance else judged
+        return torch.cat([judged, required[..., -POSE_FEATURES:].to(judged)], dim=-1) if self.requirements else judged
 
     def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
         width = self.pose_features
@@ -304,8 +315,8 @@ class FootprintTrunk:
         local, under = network.local(near), ground[..., inner, inner]
         # Cells first: the features at one cell are then contiguous and copied in one piece.
         size = [n - 2 * margin for n, margin in zip(under.shape[-2:], network.margins, strict=True)]
-        stances = network._stances(ground, [network.radius + margin for margin in network.margins], size)
-        straight = network._footprints(local, under, stances)[0].permute(1, 2, 0).contiguous()
+        required = network._required(ground, [network.radius + margin for margin in network.margins], size)
+        straight = network._footprints(local, under, required)[0].permute(1, 2, 0).contiguous()
         return local.float(), under, straight.float(), network.of_line(near).float(), ground
 
     def windows(self, dense: tuple[Tensor, ...], corners: Tensor) -> Tensor:

@@ -1,16 +1,19 @@
 """Robot requirements on the ground at a pose, as shares of the robot's limits."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
 from hdsp.base.errors import InputError
-from hdsp.robot.lattice import RESOLUTION
+from hdsp.robot.lattice import cells
 from hdsp.terrain.cost_maps import disc_mask
 
+#: Channels of the ground: height (NaN = unknown), highest and lowest height nearby, unevenness (see ``HeightEncoding``),
+#: and ``PoseRequirements.barred``.
+HEIGHT, HIGHEST, LOWEST, UNEVENNESS, BARRED = range(5)
 #: Signs (x, y) of the feet: front left, rear left, rear right, front right.
 FEET = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 #: Widths, in shares, of the sigmoids that compare a share with 1.
@@ -20,11 +23,11 @@ MOST = 3.0
 #: Features per pose: three shares, each with its two sigmoids, and the drive cost.
 POSE_FEATURES = 3 * (1 + len(SHARPNESS)) + 1
 #: Additional features per foot: the height under it, and whether an edge is too close.
-STANCE_FEATURES = POSE_FEATURES + 2 * len(FEET)
+REQUIREMENT_FEATURES = POSE_FEATURES + 2 * len(FEET)
 
 
 @dataclass(frozen=True)
-class StanceOptions:
+class PoseRequirementOptions:
     """Robot limits from ``hdsp.robot.robot.Robot``; all lengths in metres.
 
     Attributes:
@@ -59,7 +62,7 @@ class StanceOptions:
                 )
 
 
-class Stance(nn.Module):
+class PoseRequirements(nn.Module):
     """Computes pose features: ground measures as shares of the robot's limits.
 
     The detailed planner checks three conditions at a pose on neutral feet: no edge is close to a foot, nothing rises
@@ -74,13 +77,13 @@ class Stance(nn.Module):
         rotations: headings for ``turned``, radians, [turns].
     """
 
-    def __init__(self, options: StanceOptions, radius: int, rotations: Tensor):
+    def __init__(self, options: PoseRequirementOptions, radius: int, rotations: Tensor):
         super().__init__()
         self.options = options
-        self.radius = math.floor(options.clearance / RESOLUTION + 1e-9)
+        self.radius = math.floor(cells(options.clearance) + 1e-9)
         signs, neutral = torch.tensor(FEET), torch.tensor(options.neutral)
-        feet = signs * neutral / RESOLUTION
-        contacts = signs * (neutral - options.contact_inward) / RESOLUTION
+        feet = cells(signs * neutral)
+        contacts = cells(signs * (neutral - options.contact_inward))
         bodies = [_covering(box, radius) for box in options.boxes]
         self.groups = [1, len(feet), len(contacts), *map(len, bodies)]
         points = torch.cat([torch.zeros(1, 2), feet, contacts, *bodies])
@@ -111,7 +114,7 @@ class Stance(nn.Module):
         Returns:
             [B, 1, nx - 2 radius, ny - 2 radius].
         """
-        mask = disc_mask(self.options.clearance / RESOLUTION)
+        mask = disc_mask(cells(self.options.clearance))
         nx, ny = edges.shape[-2] - 2 * self.radius, edges.shape[-1] - 2 * self.radius
         result = None
         for i, j in zip(*mask.nonzero(), strict=True):
@@ -120,43 +123,42 @@ class Stance(nn.Module):
         return (result / self.options.edge).clamp(0.0, MOST)
 
     def straight(self, ground: Tensor, first: Sequence[int], size: Sequence[int]) -> Tensor:
-        """Returns features [B, STANCE_FEATURES, *size] for poses with the start heading.
+        """Returns features [B, REQUIREMENT_FEATURES, *size] for poses with the start heading.
 
         Args:
-            ground: [B, 4, nx, ny]: height (NaN = unknown), highest height nearby, unevenness (see ``HeightEncoding``)
-                and ``barred``.
+            ground: [B, 5, nx, ny], height ... barred (``HEIGHT`` to ``BARRED``).
             first: map cell (x, y) under the first base.
             size: number of bases along x and y.
         """
         (x, y), (nx, ny) = first, size
 
-        def at(channel: int, cells: Tensor) -> Tensor:
-            corners = [(x + i, y + j) for i, j in cells.long().tolist()]
+        def at(channel: int, points: Tensor) -> Tensor:
+            corners = [(x + i, y + j) for i, j in points.long().tolist()]
             return torch.stack([ground[:, channel, i : i + nx, j : j + ny] for i, j in corners], dim=1)
 
         return torch.cat(self._features(at, self.cells, 1), dim=1)
 
     def turned(self, ground: Tensor, centres: Tensor) -> Tensor:
-        """Returns features [B, n, turns, STANCE_FEATURES] for bases rotated in place at cells ``centres`` [n, 2]."""
+        """Features [B, n, turns, REQUIREMENT_FEATURES] for bases rotated in place at cells ``centres`` [n, 2]."""
 
-        def at(channel: int, cells: Tensor) -> Tensor:
-            x, y = (centres[:, None, None] + cells.long()).unbind(-1)
+        def at(channel: int, points: Tensor) -> Tensor:
+            x, y = (centres[:, None, None] + points.long()).unbind(-1)
             return ground[:, channel, x, y]
 
         return torch.cat(self._features(at, self.turned_cells, -1), dim=-1)
 
-    def _features(self, at, cells: Tensor, dim: int) -> list[Tensor]:
-        base, feet, contacts, *bodies = cells.split(self.groups, dim=-2)
-        base, feet, barred = at(0, base), at(0, feet), at(3, feet)
-        contacts = at(2, contacts).expm1()
+    def _features(self, at: Callable[[int, Tensor], Tensor], points: Tensor, dim: int) -> list[Tensor]:
+        base, feet, contacts, *bodies = points.split(self.groups, dim=-2)
+        base, feet, barred = at(HEIGHT, base), at(HEIGHT, feet), at(BARRED, feet)
+        contacts = at(UNEVENNESS, contacts).expm1()
         highest = feet.nan_to_num(nan=-math.inf).amax(dim, keepdim=True)
         lowest = feet.nan_to_num(nan=math.inf).amin(dim, keepdim=True)
         spread = (highest - lowest).clamp_min(0.0) / self.options.level
         under = torch.fmin(base, feet.mean(dim, keepdim=True))
         body = torch.zeros_like(spread)
-        for box, points in zip(self.options.boxes, bodies, strict=True):
-            rise = (at(1, points).amax(dim, keepdim=True) - under).nan_to_num(nan=0.0, neginf=0.0) / box["above"]
-            body = torch.maximum(body, rise)
+        for box, covering in zip(self.options.boxes, bodies, strict=True):
+            rise = (at(HIGHEST, covering).amax(dim, keepdim=True) - under).nan_to_num(nan=0.0, neginf=0.0)
+            body = torch.maximum(body, rise / box["above"])
         price = self.options.unevenness_cost * (contacts.amax(dim, keepdim=True) + contacts.sum(dim, keepdim=True))
         above = (feet - base).nan_to_num(nan=0.0).clamp(-0.5, 0.8)
         shares = (_told(share) for share in (spread, barred.amax(dim, keepdim=True), body))
@@ -177,7 +179,7 @@ def _covering(box: Mapping[str, float], radius: int) -> Tensor:
     spans = ((box["x_min"], box["x_max"]), (-box["half_width"], box["half_width"]))
     axes = []
     for low, high in spans:
-        low, high = math.ceil(low / RESOLUTION), math.floor(high / RESOLUTION)  # cells with their centre inside
+        low, high = math.ceil(cells(low)), math.floor(cells(high))  # cells with their centre inside
         low, high = min(low + radius, (low + high) // 2), max(high - radius, (low + high) // 2)
         axes.append(torch.linspace(low, high, math.ceil((high - low) / (2 * radius + 1)) + 1))
     return torch.cartesian_prod(*axes)

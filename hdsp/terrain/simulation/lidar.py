@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.terrain.simulation.mujoco_world import World
+from hdsp.terrain.simulation.mujoco_world import MujocoWorld
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Cloud(NamedTuple):
     origins: np.ndarray
 
 
-def scan(world: World, path: np.ndarray, lidar: Lidar, random: np.random.Generator) -> Cloud:
+def scan(world: MujocoWorld, path: np.ndarray, lidar: Lidar, random: np.random.Generator) -> Cloud:
     """Carries the sensor along a path and measures continuously.
 
     Args:

@@ -16,7 +16,7 @@ from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.pointcloud import MapSettings
 from hdsp.terrain.simulation.fusion import fuse, smooth
 from hdsp.terrain.simulation.lidar import Lidar, scan
-from hdsp.terrain.simulation.mujoco_world import World
+from hdsp.terrain.simulation.mujoco_world import MujocoWorld
 from hdsp.terrain.simulation.tour import tour
 
 #: The fused surface is already level, and free of noise and overhangs.
@@ -42,7 +42,7 @@ def scanned_map(arena: Arena, start, lidar: Lidar | None = None, seed: int = 0) 
     if seed < 0:
         raise InputError(f"scan seed {seed}; need a number of at least 0")
     lidar = lidar or Lidar()
-    cloud = scan(World(arena), tour(arena, start), lidar, np.random.default_rng(seed))
+    cloud = scan(MujocoWorld(arena), tour(arena, start), lidar, np.random.default_rng(seed))
     shape = arena.height_map().shape
     return _as_map(smooth(fuse(cloud.points, cloud.origins, shape), lidar.noise))
 

@@ -64,13 +64,13 @@ def _box(block: Block) -> str:
 
 
 def _wedge(ramp: Ramp) -> str:
-    """Corners in the ramp frame. MuJoCo moves a mesh's origin to its centre of mass, see `World.model`."""
+    """Corners in the ramp frame. MuJoCo moves a mesh's origin to its centre of mass, see `MujocoWorld.model`."""
     x, y = ramp.length / 2, ramp.width / 2
     corners = [(-x, -y, 0), (-x, y, 0), (x, -y, 0), (x, y, 0), (x, -y, ramp.height), (x, y, ramp.height)]
     return "  ".join(" ".join(str(value) for value in corner) for corner in corners)
 
 
-class World:
+class MujocoWorld:
     """A compiled arena for ray casting and images.
 
     Raises:

@@ -9,7 +9,7 @@ from hdsp.base.errors import InputError
 from hdsp.terrain.arenas import Arena
 from hdsp.terrain.scenes import Block, Ramp, Scene
 from hdsp.terrain.simulation.lidar import Lidar, along, scan
-from hdsp.terrain.simulation.mujoco_world import World
+from hdsp.terrain.simulation.mujoco_world import MujocoWorld
 
 pytest.importorskip("mujoco")
 
@@ -20,7 +20,7 @@ COARSE = Lidar(noise=0.0, azimuth_step=0.02, speed=2.0, spin=5.0)
 
 @pytest.fixture(scope="module")
 def world():
-    return World(Arena(4.0, Scene((BOX, RAMP))))
+    return MujocoWorld(Arena(4.0, Scene((BOX, RAMP))))
 
 
 def toward(origin, points):
