@@ -23,7 +23,8 @@ from hdsp.robot.lattice import (
     abstract_shape,
     robot_frame_goals,
 )
-from hdsp.terrain.height_map import HeightMap, crop_patches
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.patches import crop_patches
 from hdsp.terrain.scenes import random_map
 
 #: The rules of the contracts `AbstractCosts`, `LocalCosts` and `TaskPredictor`.
