@@ -1,8 +1,8 @@
-"""Height maps: crop in the robot frame, rotate, save and load.
+"""Height maps: cropping in the robot frame, rotation, loading and saving.
 
-Convention: ``heights[ix, iy]``, axis 0 is x, axis 1 is y. Cell ``(ix, iy)`` covers
-``origin + [ix, ix + 1) * resolution`` (the same in y), its centre is at ``+ 0.5``. Heights are float32 metres, NaN is
-unknown. Patches, squares of a map in the frame of the robot, have a convention of their own (`hdsp.terrain.patches`).
+Convention: ``heights[ix, iy]``, axis 0 is x, axis 1 is y. Cell ``(ix, iy)`` covers ``origin + [ix, ix + 1) *
+resolution`` (the same in y), and its centre is at ``+ 0.5``. Heights are float32 metres, NaN = unknown.
+`hdsp.terrain.patches` defines the convention for patches, squares of a map in the robot frame.
 """
 
 import math
@@ -23,12 +23,12 @@ from hdsp.terrain.pointcloud.cloud_mapping import MapSettings, map_points
 
 @dataclass(frozen=True, eq=False)
 class HeightMap:
-    """A rectangle of heights.
+    """A rectangular grid of heights.
 
     Attributes:
-        heights: float32 [nx, ny], metres, NaN = unknown; a read-only copy of what is passed.
-        origin: world (x, y) in metres of the lower corner of cell (0, 0).
-        resolution: side of a cell in metres.
+        heights: float32 [nx, ny], metres, NaN = unknown; a read-only copy of the argument.
+        origin: world position (x, y) of the lower corner of cell (0, 0), metres.
+        resolution: cell size, metres.
 
     Raises:
         InputError: if the heights are not a 2D array of finite or NaN numbers, or the resolution is not positive.
@@ -61,18 +61,18 @@ class HeightMap:
 
     @classmethod
     def flat(cls, shape: tuple[int, int], origin=(0.0, 0.0), resolution: float = RESOLUTION) -> "HeightMap":
-        """A map of ``shape`` (nx, ny) cells whose heights are all 0."""
+        """Makes a map of ``shape`` (nx, ny) cells with all heights 0."""
         return cls(np.zeros(shape, np.float32), origin, resolution)
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> "HeightMap":
-        """Reads a map written by `save` (.npz, .h5, .hdf5), or makes one from a file of points in metres, z up.
+        """Loads a map written by `save` (.npz, .h5, .hdf5), or makes a map from a point file in metres, z up.
 
-        Files of points (.pcd, .ply, .las, ...: `hdsp.terrain.pointcloud.FORMATS`) are levelled on their floor. For
-        other units, other axes or a cut, use `hdsp.terrain.pointcloud.read_points` and `from_points`.
+        Point files (.pcd, .ply, .las, ...: `hdsp.terrain.pointcloud.FORMATS`) are levelled on their floor. For other
+        units, other axes or a cut, use `hdsp.terrain.pointcloud.read_points` and `from_points`.
 
         Raises:
-            InputError: if the file is missing, damaged, of another kind, or holds no valid map.
+            InputError: if the file is missing or damaged, has another format, or contains no valid map.
         """
         if not is_map(path):
             return cls.from_points(read_points(path))
@@ -86,27 +86,27 @@ class HeightMap:
     def from_points(
         cls, points: np.ndarray, settings: MapSettings | None = None, resolution: float = RESOLUTION
     ) -> "HeightMap":
-        """The map of a point cloud: levelled on its floor, ceilings and overhangs removed, small holes filled.
+        """Makes a map from a point cloud: levelled on its floor, without ceilings and overhangs, small holes filled.
 
         Args:
-            points: float [n, 3], m, z roughly up; points that are not finite are left out.
-            settings: None = their defaults.
-            resolution: side of a cell, m.
+            points: float [n, 3], m, z roughly up; points that are not finite are dropped.
+            settings: settings for the conversion; None = defaults.
+            resolution: cell size, m.
 
         Returns:
-            a map just large enough for all known cells, see `hdsp.terrain.pointcloud.MappedCloud`.
+            the smallest map with all known cells, see `hdsp.terrain.pointcloud.MappedCloud`.
 
         Raises:
-            InputError: if no floor is found, no point is left, or the extent is not one of metres.
+            InputError: if no floor is found, no point is left, or the extent is implausible for metres.
         """
         mapped = map_points(points, settings, resolution)
         return cls(mapped.heights, mapped.origin, mapped.resolution)
 
     def save(self, path: str | os.PathLike) -> Path:
-        """Writes the map; the suffix chooses the format: .npz, or .h5 / .hdf5.
+        """Saves the map; the suffix selects the format: .npz, or .h5 / .hdf5.
 
         Raises:
-            InputError: if the suffix is another one or the place cannot be written to.
+            InputError: if no format has the suffix, or the path is not writable.
         """
         write_map(path, self.heights, self.origin, self.resolution)
         return Path(path)
@@ -118,16 +118,16 @@ class HeightMap:
 
     @property
     def size(self) -> tuple[float, float]:
-        """Extent in metres (x, y)."""
+        """Extent (x, y) in metres."""
         return self.shape[0] * self.resolution, self.shape[1] * self.resolution
 
     @property
     def center(self) -> tuple[float, float]:
-        """World position in metres of the middle of the map."""
+        """World position of the map's middle in metres."""
         return self.origin[0] + self.size[0] / 2, self.origin[1] + self.size[1] / 2
 
     def height_at(self, x, y) -> np.ndarray | float:
-        """Height of the cell that contains world position(s) (x, y) in metres; NaN outside the map or where unknown."""
+        """Height at world position(s) (x, y) in metres; NaN outside the map and where unknown."""
         ix, iy = (
             np.floor((np.asarray(value, float) - low) / self.resolution + TIE)
             for value, low in zip((x, y), self.origin, strict=True)
@@ -135,22 +135,23 @@ class HeightMap:
         return gather(self.heights, ix, iy)[()]
 
     def crop(self, pose, cells: int = PATCH_CELLS) -> "HeightMap":
-        """The square of ``cells`` x ``cells`` around a pose, in the robot frame (convention: `hdsp.terrain.patches`).
+        """Crops a square of ``cells`` x ``cells`` around a pose, in the robot frame (convention:
+        `hdsp.terrain.patches`).
 
-        At headings that are multiples of 90 degrees this is an exact permutation of cells.
+        At headings that are multiples of 90 degrees, cropping permutes cells exactly.
 
         Args:
-            pose: world (x, y, theta) of the base: metres, metres, radians.
-            cells: side of the patch in cells of this map.
+            pose: world pose (x, y, theta) of the base: metres, metres, radians.
+            cells: side length in cells.
 
         Returns:
-            a map whose frame is the robot's: the base, centre of cell ``cells // 2``, is at (0, 0).
+            a map in the robot frame: the base, at the centre of cell ``cells // 2``, is at (0, 0).
 
         Raises:
-            InputError: if the pose is not three finite numbers or ``cells`` is not positive.
+            InputError: if the pose is not three finite numbers, or ``cells`` is not positive.
         """
         x, y, theta = _pose(pose)
-        # Relative to cell centres, so that a base at the centre of its cell has whole-numbered coordinates.
+        # Relative to cell centres: a base at the centre of its cell has integer coordinates.
         base = [(value - low) / self.resolution - 0.5 for value, low in zip((x, y), self.origin, strict=True)]
         cell = [float(nearest_cell(value)) for value in base]
         shift = [value - whole if abs(value - whole) > TIE else 0.0 for value, whole in zip(base, cell, strict=True)]
@@ -158,15 +159,15 @@ class HeightMap:
         return self._patch(gather(self.heights, cell[0] + dx, cell[1] + dy))
 
     def crop_cells(self, ix: int, iy: int, heading: int, cells: int = PATCH_CELLS) -> "HeightMap":
-        """`crop` for a base at the centre of cell (ix, iy) with one of the 64 detailed headings."""
+        """Crops as `crop`, for a base at the centre of cell (ix, iy) with one of the 64 detailed headings."""
         dx, dy = patch_offsets(float(lattice.heading_angle(heading)), checked_side(cells))
         return self._patch(gather(self.heights, ix + dx, iy + dy))
 
     def rotate(self, angle: float) -> "HeightMap":
-        """The map rotated counter-clockwise by ``angle`` radians about its centre, which stays where it is.
+        """Rotates the map counter-clockwise by ``angle`` radians about its centre, which keeps its position.
 
-        The result is large enough to hold the whole map; cells without a source are NaN. At multiples of 90
-        degrees this is an exact permutation of cells, at other angles each cell takes the height of the nearest one.
+        The result contains the whole map; cells without a source are NaN. Multiples of 90 degrees permute cells
+        exactly; at other angles, each cell takes the nearest cell's height.
         """
         quarters = angle / (math.pi / 2)
         if abs(quarters - round(quarters)) < 1e-12:

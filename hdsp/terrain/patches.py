@@ -1,8 +1,8 @@
-"""Patches: squares of a height map in the frame of the robot, as networks see them.
+"""Patches: squares of a height map in the robot frame, the input of networks.
 
-Convention: cell ``(i, j)`` of a patch is the height at ``base + R(theta) * (i - c, j - c) * resolution``, where ``c``
-is half the number of patch cells: the x axis of the patch is the heading of the base, which stands at the centre of
-patch cell ``(c, c)``. Sampling takes the nearest cell; outside the map heights are NaN.
+Convention: patch cell ``(i, j)`` has the height at ``base + R(theta) * (i - c, j - c) * resolution``, where ``c`` is
+half the patch size in cells. The x axis is the heading of the base, and the base stands at the centre of patch cell
+``(c, c)``. Sampling takes the nearest cell; heights outside the map are NaN.
 """
 
 import functools
@@ -14,23 +14,23 @@ from hdsp.base.jit import njit
 from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS
 
-#: Positions this close (in cells) to the border between two cells count as on the border, whatever rounding error says.
+#: Positions this close (in cells) to the border between two cells count as on the border, despite rounding errors.
 TIE = 1e-6
-#: Side of a map that holds the patch around its middle cell at every heading.
+#: Side of a map, in cells, that contains the patch around its middle cell at every heading.
 ROTATED_MAP_CELLS = 104
 
 
 def crop_patches(
     heights: np.ndarray, bases: np.ndarray, headings, cells: int = PATCH_CELLS, out: np.ndarray | None = None
 ) -> np.ndarray:
-    """Many patches at once, each equal to `HeightMap.crop_cells` at its base.
+    """Crops many patches at once, each equal to `HeightMap.crop_cells` at its base.
 
     Args:
         heights: float32 [nx, ny], metres.
-        bases: int [n, 2], cells (ix, iy) at whose centres the bases stand; they may lie outside the map.
-        headings: int [n], or one for all: detailed headings, index in [0, 64).
-        cells: side of the patches.
-        out: float32 [n, cells, cells] to write to; memory used again is several times faster than new memory.
+        bases: int [n, 2], cells (ix, iy) with the bases at their centres; they may lie outside the map.
+        headings: int [n], or one heading for all: index of the detailed heading in [0, 64).
+        cells: side length of the patches in cells.
+        out: float32 [n, cells, cells], output array; reused memory is several times faster than new memory.
 
     Returns:
         float32 [n, cells, cells], NaN outside the map; ``out`` if given.
@@ -49,10 +49,10 @@ def crop_patches(
 
 
 def patch_offsets(theta: float, cells: int = PATCH_CELLS, shift_x: float = 0.0, shift_y: float = 0.0):
-    """Offsets (dx, dy) in map cells, float64 [cells, cells] of whole numbers, from the base's cell to each patch cell.
+    """Offsets (dx, dy) from the base's cell to each patch cell, in map cells: whole numbers, float64 [cells, cells].
 
-    ``shift_x, shift_y`` (in cells) is where the base stands relative to the centre of its cell. Halves are rounded away
-    from zero, so that without a shift a quarter turn of the patch turns the offsets exactly.
+    ``shift_x, shift_y`` (in cells) is the position of the base relative to the centre of its cell. Halves are rounded
+    away from zero, so without a shift, a quarter turn of the patch rotates the offsets exactly.
     """
     steps = np.arange(cells) - cells // 2
     rotation = lattice.rotation(theta)
@@ -64,7 +64,7 @@ def patch_offsets(theta: float, cells: int = PATCH_CELLS, shift_x: float = 0.0, 
 
 @functools.lru_cache(maxsize=8)
 def _offsets_of_headings(cells: int) -> np.ndarray:
-    """int32 [64, 2, cells, cells]: `patch_offsets` of every detailed heading."""
+    """Offsets from `patch_offsets` for every detailed heading, int32 [64, 2, cells, cells]."""
     angles = lattice.heading_angle(np.arange(lattice.HEADINGS))
     return np.array([patch_offsets(float(angle), cells) for angle in angles]).astype(np.int32)
 
@@ -74,9 +74,9 @@ def _crop_kernel(heights, bases, headings, offsets, patches):
     nx, ny = heights.shape
     n, side, _ = patches.shape
     flat = heights.reshape(-1)
-    # Where all of a patch lies on the map, one flat offset per cell is enough.
+    # For a patch completely on the map, one flat offset per cell is enough.
     flat_offsets = offsets[:, 0] * np.int32(ny) + offsets[:, 1]
-    # No rotated patch cell is further than this from the base in x or in y.
+    # Largest distance between the base and a rotated patch cell in x or in y.
     reach = np.int64(side * 0.7072 + 2)
     for p in range(n):
         x, y = bases[p]
@@ -98,13 +98,13 @@ def _crop_kernel(heights, bases, headings, offsets, patches):
 
 
 def nearest_cell(values):
-    """Nearest whole numbers, as floats; halves (up to `TIE`) go away from zero."""
+    """Nearest whole numbers, as floats; halves (up to `TIE`) are rounded away from zero."""
     values = np.asarray(values, dtype=float)
     return np.copysign(np.floor(np.abs(values) + (0.5 + TIE)), values)
 
 
 def gather(heights: np.ndarray, ix, iy) -> np.ndarray:
-    """Heights of cells given as whole-numbered floats; NaN outside, and where a coordinate is NaN."""
+    """Heights at cells with whole-numbered float indices; NaN outside the map and for NaN indices."""
     ix, iy = np.broadcast_arrays(ix, iy)
     inside = (ix >= 0) & (ix < heights.shape[0]) & (iy >= 0) & (iy < heights.shape[1])
     taken = np.full(inside.shape, np.nan, np.float32)
@@ -113,14 +113,17 @@ def gather(heights: np.ndarray, ix, iy) -> np.ndarray:
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
-    """The same array, not to be written to: numba compiles once per mutability, so one kind is passed always."""
+    """Read-only view of an array.
+
+    Numba compiles separate code for writable and read-only arrays, so kernels always get read-only arrays.
+    """
     view = array.view()
     view.flags.writeable = False
     return view
 
 
 def checked_side(cells: int) -> int:
-    """The side of a patch in cells; raises InputError below 1."""
+    """The patch side in cells; raises InputError below 1."""
     if cells < 1:
         raise InputError(f"patch of {cells} cells; need at least 1")
     return cells

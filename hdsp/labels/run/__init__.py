@@ -1,1 +1,1 @@
-"""TODO"""
+"""Label runs: splits, shards, workers and progress."""

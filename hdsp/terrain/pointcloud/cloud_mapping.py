@@ -67,13 +67,13 @@ class MapSettings:
 
 
 class MappingReport(NamedTuple):
-    """How a cloud became a map.
+    """Report on the conversion of a cloud to a map.
 
     Attributes:
-        points: finite points of the cloud.
-        kept: points that are left after cuts, thinning and removal of lone ones.
-        floor: the plane on which the cloud was levelled; None = it was not.
-        filled: share of the known cells of the map without a point of their own.
+        points: number of finite points in the cloud.
+        kept: number of points after cuts, thinning and removal of lone points.
+        floor: plane used to level the cloud; None = no levelling.
+        filled: share of known cells without own points.
     """
 
     points: int
@@ -87,15 +87,14 @@ class MappingReport(NamedTuple):
 
 
 class MappedCloud(NamedTuple):
-    """The height map of a cloud, as arrays.
+    """A height map made from a cloud, as arrays.
 
     Attributes:
-        heights: float32 [nx, ny], m, NaN = unknown, just large enough for all known cells; the floor is at 0 if the
-            cloud was levelled.
-        origin: (x, y) of the lower corner of cell (0, 0) in the frame of the cloud after levelling, m; whole multiples
-            of the resolution.
-        resolution: side of a cell, m.
-        report: how it was made.
+        heights: float32 [nx, ny], m, NaN = unknown; the smallest rectangle with all known cells. The floor is at 0 if
+            the cloud was levelled.
+        origin: lower corner (x, y) of cell (0, 0) in the frame of the levelled cloud, m; a multiple of the resolution.
+        resolution: cell size, m.
+        report: report on the conversion.
     """
 
     heights: np.ndarray
@@ -105,7 +104,7 @@ class MappedCloud(NamedTuple):
 
 
 def map_points(points: np.ndarray, settings: MapSettings | None = None, resolution: float = RESOLUTION) -> MappedCloud:
-    """The heights of a cloud; `hdsp.HeightMap.from_points` makes a map of them.
+    """Converts a cloud to heights; `hdsp.HeightMap.from_points` makes a map from them.
 
     Args:
         points: float [n, 3], m, z up; points that are not finite are dropped.

@@ -31,7 +31,7 @@ class CourseSettings:
         slope, ramp_height, ramp_width: ramp dimensions; a block with the ramp's height stands at its upper end.
         platform_side, platform_height: dimensions of blocks onto which the robot steps.
         clutter: smallest and largest number of clutter blocks.
-        clutter_side, clutter_height: dimensions of clutter blocks.
+        clutter_side, clutter_height: clutter block dimensions.
         askew: largest angle between platforms and the walls; stairs and ramps use a third of it.
 
     Raises:
