@@ -214,10 +214,11 @@ def zoo_table(zoo: Mapping[str, Mapping[str, Any]]) -> str:
         ])  # fmt: skip
     run, states = next(iter(runs.values())), ABSTRACT_HEADINGS * math.prod(abstract_shape((SIDE, SIDE)))
     note = (
-        f"Each trained on {run['maps']:,} maps for {run['epochs']} epochs. Feasibility correct / mean cost error; "
-        f"bold: on a front of the picture. The time is for all actions of all {states:,} states of a map without equal "
-        f"patches, CPU seconds of one core, extrapolated from {SAMPLED:,} patches, or where dense from the states of "
-        "one heading.\n\n![Errors over time](figures/pareto.png)"
+        f"Each model is trained on {run['maps']:,} maps for {run['epochs']} epochs. The last columns give feasibility "
+        "correct / mean cost error. Bold models lie on a Pareto front in the picture. The time covers all actions from "
+        f"all {states:,} states on a map without equal patches, in CPU seconds on one core. It is extrapolated from "
+        f"{SAMPLED:,} patches or, for dense networks, from all states at one heading.\n\n"
+        "![Errors over time](figures/pareto.png)"
     )
     return markdown(["model", "parameters", "10 x 10 m map, s", "evaluated", *sets], rows) + "\n\n" + note
 
@@ -237,10 +238,10 @@ def ablation_table(ablations: Mapping[str, Mapping[str, Any]]) -> str:
             figures = (f"{quality(run, of)} ({change(run, base, of)})" for of in sets)
             rows.append([name, told or EMPTY, f"{run['maps']:,}", *figures])
     note = (
-        f"Each trained for {base['epochs']} epochs. Feasibility correct / mean cost error, in brackets the difference "
-        "to the base."
+        f"Each experiment is trained for {base['epochs']} epochs. The last columns give feasibility correct / mean "
+        "cost error, and in brackets the difference to the base."
     )
-    return markdown(["experiment", "what is different", "maps", *sets], rows) + "\n\n" + note
+    return markdown(["experiment", "difference", "maps", *sets], rows) + "\n\n" + note
 
 
 def sets_of(runs: Mapping[str, Mapping[str, Any]]) -> list[str]:
