@@ -367,7 +367,7 @@ class Naive:
                     yield ("step", i, way * length), reached, cost
                     break  # the nearest foothold behind the edge is enough, because the foot can roll from there
 
-    # --- what is built on it ----------------------------------------------------------------------------------------
+    # --- heuristic and feet -----------------------------------------------------------------------------------------
 
     def least_deviation(self):
         return min(self.deviation(heading, dx, dy) for heading in range(HEADINGS) for dx, dy in MOVES)

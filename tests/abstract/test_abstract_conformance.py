@@ -29,7 +29,7 @@ def test_ours_keep_the_contract(costs):
 
 
 class Sloppy(FlatCosts):
-    """Flat costs whose answer a test spoils, for the robot momaro."""
+    """Flat costs for the robot momaro, spoilt by a test."""
 
     def __init__(self):
         super().__init__("momaro")
@@ -117,7 +117,7 @@ class ForgivesEmptyRegions(Sloppy):
 
 
 class DearWhereItIsHigh(Sloppy):
-    """Looks at the highest ground of the map, and says that a change concerns no state."""
+    """Costs that depend on the highest ground in the map; `affected` reports no state for any change."""
 
     def spoilt(self, edges, height_map, *asked):
         return edges * np.float32(1 + np.nanmax(height_map.heights, initial=0.0))

@@ -142,7 +142,7 @@ def test_a_search_that_outgrows_its_queue_goes_on(monkeypatch):
     blocked=st.sampled_from([0.0, 0.3, 0.8, 0.95]),
     free=st.sampled_from([0.0, 0.1]),
     share=st.sampled_from([0.0, 0.02, 0.3, 1.0]),
-    fewest=st.sampled_from([1, 4, 16]),  # number of states per state that may be repaired
+    fewest=st.sampled_from([1, 4, 16]),  # total number of states per repairable state
     data=st.data(),
 )
 def test_repaired_distances_are_those_of_the_changed_graph(seed, shape, blocked, free, share, fewest, data):

@@ -1,4 +1,4 @@
-"""Damaged settings by the seed: edits of nested values, and of the bytes of their file."""
+"""Seeded damage to settings: edits of nested values, and of file bytes."""
 
 import copy
 from collections.abc import Iterator
@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import yaml
 
-#: What takes the place of a value.
+#: Replacements for a value.
 WRONG: list[Any] = [
     None, True, False, 0, -1, 3, 2.5, -0.001, 1e-3, 1e12, 10**30, float("nan"), float("inf"), "", "fast", "0.3", "3",
     "a\nb", [], [1], [1.5, "x"], [[1, 2], [3]], {}, {"x": 1}, {1: 2, "b": 3}, {None: [True]}, [{"above": 1}],
 ]  # fmt: skip
-#: What gets into a text.
+#: Insertions into a text.
 PIECES = [
     b"[", b"]", b"{", b"}", b":", b": ", b"- ", b"\t", b"&a ", b"*a", b"!!python/object:os.system ", b"!!int ", b"|",
     b">", b"%", b"@", b"`", b"'", b'"', b"#", b"---\n", b"...\n", b"\0", b"\xff\xfe", b"\xc3", b"<<: ", b"? ", b"\n",
@@ -21,7 +21,7 @@ PIECES = [
 
 
 def places(values: Any, path: tuple = ()) -> Iterator[tuple]:
-    """Paths of all values in nested mappings and lists, the empty one of the whole first."""
+    """Paths to all values in nested mappings and lists; the empty path to the whole comes first."""
     yield path
     entries = values.items() if isinstance(values, dict) else enumerate(values) if isinstance(values, list) else ()
     for key, value in entries:
@@ -35,7 +35,7 @@ def at(values: Any, path: tuple) -> Any:
 
 
 def put(values: Any, path: tuple, value: Any) -> Any:
-    """A copy with another value at a path."""
+    """Copies nested values with another value at a path."""
     if not path:
         return value
     values = copy.deepcopy(values)
@@ -44,7 +44,7 @@ def put(values: Any, path: tuple, value: Any) -> Any:
 
 
 def edited(values: Any, random: np.random.Generator) -> Any:
-    """One edit of nested values: a value replaced, removed, moved; a key misspelt, added, of another type."""
+    """Applies one edit to nested values: replaces, removes or moves a value, or misspells, adds or retypes a key."""
     paths = list(places(values))
     path = paths[random.integers(len(paths))]
     kind = random.integers(6)
@@ -68,7 +68,7 @@ def edited(values: Any, random: np.random.Generator) -> Any:
 
 
 def damaged(text: bytes, random: np.random.Generator) -> bytes:
-    """One edit of the bytes of a file: cut off, a piece inserted or removed, a line twice or moved."""
+    """Applies one edit to file bytes: cut off, a piece inserted or removed, a line duplicated or moved."""
     kind, place = random.integers(6), int(random.integers(len(text) + 1))
     if kind == 0:
         return text[:place]
@@ -86,7 +86,7 @@ def damaged(text: bytes, random: np.random.Generator) -> bytes:
 
 
 def mutated_file(values: Any, text: bytes, random: np.random.Generator) -> bytes:
-    """The bytes of a YAML file after one edit of its values or of its text."""
+    """YAML file bytes after one edit of values or text."""
     if random.random() < 0.6:
         return yaml.safe_dump(edited(values, random), sort_keys=False, allow_unicode=True).encode()
     return damaged(text, random)

@@ -1,4 +1,4 @@
-"""The pages name paths, modules, classes, settings and commands; each of them exists."""
+"""All paths, modules, classes, settings and commands named in the pages exist."""
 
 import ast
 import pkgutil
@@ -23,13 +23,13 @@ PACKAGES = "hdsp|pipeline|benchmarks|examples|tests"
 #: Groups of conf, and sections of a robot file.
 GROUPS = sorted(path.name for path in (ROOT / "conf").iterdir() if path.is_dir())
 SECTIONS = sorted(yaml.safe_load((ROOT / "hdsp/robot/presets/momaro.yaml").read_text()))
-#: Names of variables in the pages, and their classes.
+#: Variable names in the pages, and their classes.
 OBJECTS = {"plan": Plan, "planner": Planner, "motion": Motion}
 SUFFIXES = {"md", "yaml", "json", "safetensors", "py", "png", "npz", "bag", "mcap", "csv"}
 
 
 def texts() -> Iterator[tuple[str, str]]:
-    """Name and text of each page, and of the comments in each file of conf."""
+    """Name and text for each page, and for the comments in each conf file."""
     for page in PAGES:
         yield page.name, page.read_text()
     for path in CONF:
@@ -37,19 +37,19 @@ def texts() -> Iterator[tuple[str, str]]:
 
 
 def found(pattern: str) -> list[tuple[str, str]]:
-    """Name of the text and match, for all matches in all texts; without the full stop of a sentence."""
+    """(text name, match) for all matches in all texts, without the full stop at the end of a sentence."""
     matches = {(name, match.rstrip(".")) for name, text in texts() for match in re.findall(pattern, text)}
     assert matches, f"no text has {pattern}"
     return sorted(matches)
 
 
 def spans(page: Path) -> list[str]:
-    """The inline code of a page."""
+    """Inline code in a page."""
     return re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL))
 
 
 def exists(path: str) -> bool:
-    """Whether a path leads to a file; a word in capitals and a variable of the shell stand for any name."""
+    """Whether a path leads to a file; a word in capitals or a shell variable matches any name."""
     return any(ROOT.glob(re.sub(r"\$\w+|\b[A-Z]{2,}\b(?!\.md)", "*", path).rstrip("/")))
 
 
@@ -62,7 +62,7 @@ def resolves(name: str) -> bool:
 
 
 def settings(group: str) -> set[str]:
-    """The dotted keys of all files in a group of conf."""
+    """Dotted keys from all files in a conf group."""
     keys: set[str] = set()
     for path in (ROOT / "conf" / group).glob("*.yaml"):
         keys |= _keys(yaml.safe_load(path.read_text()), "")
@@ -76,7 +76,7 @@ def _keys(values: object, prefix: str) -> set[str]:
 
 
 def members_of_classes() -> dict[str, set[str]]:
-    """The classes of the package with their methods and annotated attributes."""
+    """Classes in the package, with their methods and annotated attributes."""
     members: dict[str, set[str]] = {}
     for path in (ROOT / "hdsp").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):

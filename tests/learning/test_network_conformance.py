@@ -27,7 +27,7 @@ def test_all_models_keep_the_contract(name):
 
 
 class Small(TaskNetwork):
-    """Two convolutions and a hidden layer: a network that keeps the contract, for tests to break."""
+    """Two convolutions and a hidden layer: a network that fulfils the contract, for tests to break."""
 
     def __init__(self, encoding=None):
         super().__init__(encoding or HeightEncoding())
