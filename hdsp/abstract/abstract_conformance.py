@@ -47,27 +47,27 @@ RULES = {
     "task errors": "InputError for patches or goals of a wrong shape",
 }
 
-#: Headings of the sampled states: along an axis of the map, and between.
+#: Sampled headings: along a map axis, and between axes.
 _HEADINGS = (0, 4, 9, 15)
 
 
 def check_abstract_costs(
     costs: AbstractCosts, terrain: HeightMap | None = None, *, states: int = 200, tolerance: float = 1e-4
 ) -> tuple[str, ...]:
-    """Check whether abstract costs keep their contract.
+    """Checks whether abstract costs keep their contract.
 
-    The rules of ``LocalCosts`` and ``TaskPredictor`` are checked where ``costs`` has their methods. Every rule is
-    checked on samples: success is evidence and no proof.
+    Rules of ``LocalCosts`` and ``TaskPredictor`` apply if ``costs`` has their methods. Every rule is checked on
+    samples, so success is evidence but no proof.
 
     Args:
-        costs: the implementation.
-        terrain: height map with at least 6 x 6 abstract cells and some feasible actions; None = random cuboids of 2.6 x
+        costs: implementation.
+        terrain: height map with at least 6 x 6 abstract cells and some feasible actions; None = random cuboids on 2.6 x
             2.2 m with unknown cells.
         states: number of abstract states to evaluate on the terrain.
-        tolerance: largest difference between two evaluations of a cost in batches of another size.
+        tolerance: largest difference between two evaluations of a cost in batches with different sizes.
 
     Returns:
-        Names of the rules that were checked, keys of ``RULES``.
+        Names of the checked rules, keys in ``RULES``.
 
     Raises:
         ConformanceError: a rule is broken.
@@ -105,7 +105,7 @@ def _default_terrain() -> HeightMap:
 
 
 def _small_maps(terrain: HeightMap) -> list[HeightMap]:
-    """Maps smaller than a patch: a part of the terrain, a single abstract cell, unknown ground."""
+    """Maps smaller than a patch: a terrain part, a single abstract cell, unknown ground."""
     size = CELLS_PER_ABSTRACT
     ix, iy = terrain.shape[0] // 3, terrain.shape[1] // 3
     part = terrain.heights[ix : ix + 3 * size + 3, iy : iy + 3 * size + 1]
@@ -113,9 +113,9 @@ def _small_maps(terrain: HeightMap) -> list[HeightMap]:
 
 
 def _mask(random: np.random.Generator, shape: tuple[int, int], region: Region, states: int) -> np.ndarray:
-    """Abstract states, bool [16, nx, ny]: nine of ten in the region, all at a few headings.
+    """Abstract states, bool [16, nx, ny]: nine in ten within the region, all at a few headings.
 
-    Implementations that work heading by heading then take a quarter of the time.
+    A few headings save three quarters of the time in implementations that work heading by heading.
     """
     first_x, first_y, end_x, end_y = region
     mask = np.zeros((ABSTRACT_HEADINGS, *shape), bool)
@@ -163,7 +163,7 @@ def _check_errors(contract: Contract, costs: AbstractCosts, terrain: HeightMap) 
 def _check_whole(
     contract: Contract, costs: AbstractCosts, terrain: HeightMap, mask: np.ndarray, tolerance: float
 ) -> np.ndarray:
-    """Check the answer for the states of a mask; returns a copy of it."""
+    """Checks the answer for masked states; returns a copy."""
     heights, given = terrain.heights.copy(), mask.copy()
     first = costs.edges(terrain, mask=given)
     _check_answer(contract, first, terrain, (0, 0, *mask.shape[1:]))
@@ -243,7 +243,7 @@ def _check_affected(
 def _nearest_unaffected(
     affected: np.ndarray, changed: np.ndarray, random: np.random.Generator, states: int
 ) -> np.ndarray:
-    """Unaffected states: half of them nearest to the change, where a reach that is too short shows, the rest random."""
+    """Unaffected states: half of them nearest to the change, which reveals a short reach, the others random."""
     unaffected = np.argwhere(~affected)
     unaffected = unaffected[np.isin(unaffected[:, 0], _HEADINGS)]
     center = np.argwhere(changed).mean(axis=0) / CELLS_PER_ABSTRACT

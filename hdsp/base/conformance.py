@@ -1,7 +1,7 @@
-"""Contracts with named rules, for checkers of implementations that users write.
+"""Contracts with named rules, for checks of user implementations.
 
 A checker calls an implementation with small inputs. The first broken rule ends the check with a ``ConformanceError``,
-which names the rule and the value that breaks it.
+which names the rule and the offending value.
 """
 
 from collections.abc import Mapping
@@ -12,8 +12,8 @@ import numpy as np
 class ConformanceError(AssertionError):
     """Raised when an implementation breaks a rule of its contract.
 
-    The error is an ``AssertionError`` and no ``InputError``: the fault lies in code, and a test is the place where a
-    checker runs. The message is a single line.
+    The error is an ``AssertionError`` instead of an ``InputError``, because the fault lies in code, and checkers run in
+    tests. The message is a single line.
 
     Attributes:
         rule: name of the broken rule.
@@ -29,11 +29,11 @@ class ConformanceError(AssertionError):
 
 
 class Contract:
-    """The rules of a contract, and those that were checked.
+    """Rules of a contract, and the rules checked so far.
 
     Args:
-        name: of the contract, for messages.
-        rules: a sentence for each rule, by the name of the rule.
+        name: contract name, for messages.
+        rules: one sentence per rule, by rule name.
     """
 
     def __init__(self, name: str, rules: Mapping[str, str]):
@@ -42,16 +42,16 @@ class Contract:
 
     @property
     def checked(self) -> tuple[str, ...]:
-        """Names of the rules that were checked so far, in the order of their first check."""
+        """Names of the rules checked so far, in the order of their first check."""
         return tuple(self._checked)
 
     def require(self, rule: str, holds: object, found: str) -> None:
-        """Note that a rule was checked.
+        """Requires a rule to hold, and notes its check.
 
         Args:
-            rule: name of the rule.
+            rule: rule name.
             holds: whether the rule holds, as a truth value.
-            found: the value that breaks the rule, in words.
+            found: offending value in words.
 
         Raises:
             ConformanceError: the rule does not hold.
@@ -63,16 +63,16 @@ class Contract:
     def require_equal(
         self, rule: str, found: np.ndarray, expected: np.ndarray, words: str, tolerance: float = 0.0
     ) -> None:
-        """Require that two arrays agree.
+        """Requires two arrays to agree.
 
         Args:
-            rule: name of the rule.
-            found, expected: arrays of one shape; NaN equals NaN, and inf equals inf alone.
-            words: what the arrays are, for the message.
+            rule: rule name.
+            found, expected: arrays with the same shape; NaN equals NaN, and inf equals inf alone.
+            words: name of the arrays in the message.
             tolerance: largest difference between two finite values.
 
         Raises:
-            ConformanceError: the arrays differ; names the first element that differs and both values.
+            ConformanceError: the arrays differ; the message names the first different element and both values.
         """
         self.require(rule, found.shape == expected.shape, f"{words}: shapes {found.shape} and {expected.shape}")
         same = (found == expected) | (np.isnan(found) & np.isnan(expected))
@@ -83,13 +83,13 @@ class Contract:
             self.require(rule, False, f"{words}: {found[at]} instead of {expected[at]} at {list(at)}")
 
     def require_error(self, rule: str, error: type[Exception], call, words: str) -> None:
-        """Require that a call raises an error of a type.
+        """Requires a call to raise an error.
 
         Args:
-            rule: name of the rule.
-            error: type of the error.
+            rule: rule name.
+            error: error type.
             call: function without arguments.
-            words: what the call asks for, for the message.
+            words: name of the call in the message.
 
         Raises:
             ConformanceError: the call returns, or raises an error of another type.

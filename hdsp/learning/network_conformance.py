@@ -41,24 +41,24 @@ RULES = {
 def check_network(
     network: TaskNetwork, heights: np.ndarray | None = None, goals: np.ndarray | None = None, *, tolerance: float = 1e-4
 ) -> tuple[str, ...]:
-    """Check whether a network keeps its contract.
+    """Checks whether a network keeps its contract.
 
-    Copies of the network are evaluated on the CPU; the network itself stays unchanged. Every rule is checked on
-    samples: success is evidence and no proof.
+    The CPU evaluates copies of the network; the network itself stays unchanged. Every rule is checked on samples, so
+    success is evidence but no proof.
 
     Args:
-        network: the implementation, with the weights of its initialisation or trained.
-        heights: float32 [n, 72, 72], n >= 2, patches in metres, NaN = unknown; None = patches of random terrain, one of
-            them with unknown cells.
+        network: implementation, with initial or trained weights.
+        heights: float32 [n, 72, 72], n >= 2, patches in metres, NaN = unknown; None = patches from random terrain, one
+            of them with unknown cells.
         goals: float32 [G, 3], G >= 2, goals in abstract steps in the robot frame; None = the 22 abstract actions.
-        tolerance: largest difference between two evaluations of a task in batches of another size.
+        tolerance: largest difference between two evaluations of a task in batches with different sizes.
 
     Returns:
-        Names of the rules that were checked, keys of ``RULES``.
+        Names of the checked rules, keys in ``RULES``.
 
     Raises:
         ConformanceError: a rule is broken.
-        InputError: patches or goals of another shape.
+        InputError: patches or goals have another shape.
     """
     contract = Contract("TaskNetwork", RULES)
     patches, tasks = _tensors(heights, goals)
@@ -99,7 +99,7 @@ def _check_parts(contract: Contract, network: TaskNetwork) -> None:
 
 
 def _check_outputs(contract: Contract, network: TaskNetwork, patches: Tensor, goals: Tensor) -> np.ndarray:
-    """Check the answers; returns them, float32 [2, B, G]."""
+    """Checks the answers; returns them, float32 [2, B, G]."""
     given = patches.clone(), goals.clone()
     outputs = network(*given)
     contract.require_equal("input", given[0].numpy(), patches.numpy(), "heights after a call")
@@ -156,7 +156,7 @@ def _check_independence(
 
 
 def _check_dense(contract: Contract, network: TaskNetwork, tolerance: float) -> None:
-    """Windows of a map against the features of the patches cut out there."""
+    """Compares windows into a map with features from patches cut at the same cells."""
     trunk = network.dense_trunk()
     contract.require("dense", trunk is not None, "dense_trunk() is None")
     assert trunk is not None
@@ -188,9 +188,9 @@ def _check_saved(
 
 
 def _loose_tensors(module: nn.Module) -> Iterator[tuple[str, Tensor]]:
-    """Tensors that are plain attributes, or lie in a container that is one."""
+    """Tensors in plain attributes, directly or within a container."""
     for key, value in vars(module).items():
-        if key.startswith("_") and key in vars(nn.Module()):  # parameters, buffers and modules are in there
+        if key.startswith("_") and key in vars(nn.Module()):  # torch's own containers for parameters, buffers and modules
             continue
         contained: Any = value.values() if isinstance(value, dict) else value
         for item in contained if isinstance(value, (list, tuple, dict)) else [value]:
@@ -202,7 +202,7 @@ def _check_gradients(contract: Contract, network: TaskNetwork, patches: Tensor, 
     waiting = {name for name, parameter in network.named_parameters() if parameter.requires_grad}
     random = torch.Generator().manual_seed(0)
     for offset, noise in ((0.0, 0.0), (0.01, 0.0), (0.0, 0.02), (0.01, 0.1)):
-        # At some weights the rectifiers of a random network are all closed, or a last layer is zero.
+        # With some random weights, all rectifiers are closed or a last layer is zero.
         trial = deepcopy(network).train()
         with torch.no_grad():
             for parameter in trial.parameters():

@@ -54,8 +54,8 @@ class FootprintOptions:
 
     Attributes:
         width: local feature channels.
-        dilations: dilations of the 3 x 3 convolutions after the 5 x 5 one. Their sum is at most 7: all together reach 9
-            cells.
+        dilations: dilations of the 3 x 3 convolutions after the 5 x 5 one. Their sum is at most 7, so features reach 9
+            cells far.
         taps: footprint points (along x, along y) at which local features are read; odd numbers.
         spacing: cells between taps. 9 x 7 taps with spacing 3 place one tap within 1 cell of each neutral foot.
         hidden: width of the first layer that sees a whole footprint.
