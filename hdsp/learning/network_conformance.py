@@ -190,7 +190,7 @@ def _check_saved(
 def _loose_tensors(module: nn.Module) -> Iterator[tuple[str, Tensor]]:
     """Tensors in plain attributes, directly or within a container."""
     for key, value in vars(module).items():
-        if key.startswith("_") and key in vars(nn.Module()):  # torch's own containers for parameters, buffers and modules
+        if key.startswith("_") and key in vars(nn.Module()):  # torch's parameters, buffers and modules
             continue
         contained: Any = value.values() if isinstance(value, dict) else value
         for item in contained if isinstance(value, (list, tuple, dict)) else [value]:

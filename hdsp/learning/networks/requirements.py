@@ -11,8 +11,8 @@ from hdsp.base.errors import InputError
 from hdsp.robot.lattice import cells
 from hdsp.terrain.cost_maps import disc_mask
 
-#: Channels of the ground: height (NaN = unknown), highest and lowest height nearby, unevenness (see ``HeightEncoding``),
-#: and ``PoseRequirements.barred``.
+#: Ground channels: height (NaN = unknown), highest and lowest height nearby, unevenness (see ``HeightEncoding``), and
+#: ``PoseRequirements.barred``.
 HEIGHT, HIGHEST, LOWEST, UNEVENNESS, BARRED = range(5)
 #: Signs (x, y) of the feet: front left, rear left, rear right, front right.
 FEET = ((1, 1), (-1, 1), (-1, -1), (1, -1))
