@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from hdsp.base.errors import InputError
 from hdsp.base.settings import Name, NotNegative, Positive, checked, fault, load_settings, parse_yaml, read_yaml, unit
@@ -32,12 +32,6 @@ NotNegativeMetres = Annotated[NotNegative, unit("m")]
 NotNegativeRadians = Annotated[NotNegative, unit("rad")]
 #: Angle between the heading and a direction.
 Deviation = Annotated[float, Field(gt=0, le=math.pi), unit("rad")]
-
-
-def _of_an_action(length: float) -> float:
-    if length > _LONGEST_STEP * RESOLUTION + 1e-9:
-        raise fault("", length, f"at most {_LONGEST_STEP * RESOLUTION:g} m")
-    return length
 
 
 @checked
@@ -86,9 +80,9 @@ class Rectangle:
     """A rectangle in the robot frame: x in [x_min, x_max], |y| <= half_width.
 
     Attributes:
-        x_min: rear end.
-        x_max: front end.
-        half_width: half of its width.
+        x_min: rear end of the rectangle.
+        x_max: front end of the rectangle.
+        half_width: half the width of the rectangle.
     """
 
     x_min: Metres
@@ -229,7 +223,7 @@ class Step:
     """
 
     backward: bool
-    max_length: Annotated[NotNegativeMetres, AfterValidator(_of_an_action)]
+    max_length: Annotated[NotNegativeMetres, Field(le=_LONGEST_STEP * RESOLUTION)]
     max_height: NotNegativeMetres
     max_clearance: NotNegativeMetres
     cost: NotNegative
@@ -296,7 +290,7 @@ class Robot:
     unitless.
 
     Attributes:
-        name: of the robot; trained abstractions go by it.
+        name: name of the robot; trained abstractions go by it.
         feet: positions of the feet, their room and their ground.
         body: the space that the body needs.
         drive: driving, and the ground on which wheels can.
