@@ -122,11 +122,13 @@ class Document(NamedTuple):
     Attributes:
         values: its mapping, plain.
         name: of the file, for messages.
+        text: of the file.
         root: the parsed nodes, which know their lines.
     """
 
     values: dict[Any, Any]
     name: str
+    text: str
     root: yaml.Node
 
     def line(self, path: Path) -> int:
@@ -208,7 +210,7 @@ def parse_yaml(text: str, name: str) -> Document:
         raise InputError(f"{name}, line 1: the file is empty; need a mapping")
     if not isinstance(values, dict):
         raise InputError(f"{name}, line {root.start_mark.line + 1}: need a mapping, got {shown(values)}")
-    return Document(values, name, root)
+    return Document(values, name, text, root)
 
 
 def read_json(path: str | os.PathLike, what: str) -> Any:

@@ -18,10 +18,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import yaml
-
 from hdsp.base.downloads import verify
 from hdsp.base.errors import InputError
+from hdsp.base.settings import read_yaml
 from hdsp.labels.rules import LabelSettings
 from hdsp.labels.scan_patches import ScanPatchSettings, label_scan
 from hdsp.labels.shards import is_shard, read_shard
@@ -121,17 +120,12 @@ def read_scan_folder(
 
 def _descriptions(folder: Path) -> Iterator[Described]:
     for path in sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")]):
-        text = path.read_text(encoding="utf-8")
-        try:
-            values = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise InputError(f"{path}: not a description of a scan: {' '.join(str(error).split())}") from None
-        if not isinstance(values, dict):
-            raise InputError(f"{path}: not a description of a scan: need a mapping")
-        if "defaults" in values:  # the list of conf/scans, not a scan
+        document = read_yaml(path, "description of a scan")
+        if "defaults" in document.values:  # the list of conf/scans, not a scan
             continue
-        found = _PACKAGE.search(text)
-        yield Described(Scan.from_dict(found.group(1) if found else path.stem, values), path)
+        found = _PACKAGE.search(document.text)
+        name = found.group(1) if found else path.stem
+        yield Described(Scan.from_dict(name, document.values, document), path)
 
 
 def _files(scan: Scan, beside: Path, data_dir: str | os.PathLike | None) -> tuple[list[Path], str]:

@@ -7,17 +7,19 @@ Convention: an arena spans [0, size] x [0, size] metres including its walls; x f
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import asdict, dataclass, field
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import AfterValidator, Field
 from scipy import ndimage
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import Count, Name, Natural, Positive, Range, Share, checked, fault, load_settings
 from hdsp.robot import lattice
 from hdsp.robot.lattice import Grid
 from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.scenes import Block, Obstacle, Ramp, Range, Scene, Staircase
+from hdsp.terrain.scenes import Block, Obstacle, Ramp, Scene, Staircase
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,7 @@ class Arena:
     scene: Scene
 
     def __post_init__(self):
-        cells = lattice.cells(self.size) if math.isfinite(self.size) else 0.0
-        if cells < 1 or abs(cells - round(cells)) > 1e-6:
+        if not (0 < self.size < math.inf and _is_whole(self.size)):
             raise InputError(f"arena of {self.size} m; need a positive multiple of {lattice.RESOLUTION} m")
 
     def height_map(self) -> HeightMap:
@@ -51,29 +52,101 @@ class Arena:
         return [block for obstacle in self.scene.obstacles for block in obstacle.blocks()]
 
 
-def read_arena(description: Mapping[str, Any]) -> Arena:
-    """Makes an arena from plain values, as in ``conf/arena/paper.yaml``.
+def _is_whole(size: float) -> bool:
+    cells = lattice.cells(size)
+    return round(cells) >= 1 and abs(cells - round(cells)) <= 1e-6
 
-    Args:
-        description: `size`, `wall_height` and `wall_thickness` in m, and optional lists `walls`, `blocks`, `ramps` and
-            `staircases`. A wall is its centre line, from x, y to x, y; the wall extends half its thickness beyond both
-            ends. The other obstacles have the attributes defined by their classes in `hdsp.terrain.scenes`, with `yaw`
-            optional. The function adds the walls around the arena. Other keys are ignored.
+
+def _whole(size: float) -> float:
+    if not _is_whole(size):
+        raise fault("", size, f"a positive multiple of {lattice.RESOLUTION} m")
+    return size
+
+
+#: Side length of an arena, m.
+ArenaSize = Annotated[float, Field(gt=0, le=200), AfterValidator(_whole)]
+#: A pose: x, y (m), heading (rad).
+Pose = tuple[float, float, float]
+
+
+@checked
+class ArenaTask:
+    """A task in an arena.
+
+    Attributes:
+        name: unique name.
+        start, goal: poses: x, y (m), heading (rad).
+    """
+
+    name: Name
+    start: Pose
+    goal: Pose
+
+
+@checked
+class BlockDescription:
+    """A block or a ramp in an arena; the attributes are those of `hdsp.terrain.scenes.Block`."""
+
+    x: float
+    y: float
+    length: Positive
+    width: Positive
+    height: Positive
+    yaw: float = 0.0
+
+
+@checked
+class StaircaseDescription:
+    """Stairs in an arena; the attributes are those of `hdsp.terrain.scenes.Staircase`."""
+
+    x: float
+    y: float
+    steps: Annotated[int, Field(ge=1, le=100)]
+    rise: Positive
+    tread: Positive
+    width: Positive
+    depth: Positive
+    yaw: float = 0.0
+
+
+@checked
+class ArenaDescription:
+    """An arena as a file describes it, as in ``conf/arena/paper.yaml``. The walls around the arena are not listed.
+
+    Attributes:
+        size: side length, m; a multiple of the cell size.
+        wall_height, wall_thickness: dimensions of all walls, m.
+        walls: centre lines, from x, y to x, y, m; a wall extends half its thickness beyond both ends.
+        blocks, ramps, staircases: other obstacles.
+        tasks: starts and goals of the planning experiment.
+        source: the planning experiment takes the map that a simulated lidar makes of the arena.
+    """
+
+    size: ArenaSize
+    wall_height: Positive
+    wall_thickness: Positive
+    walls: tuple[tuple[float, float, float, float], ...] = ()
+    blocks: tuple[BlockDescription, ...] = ()
+    ramps: tuple[BlockDescription, ...] = ()
+    staircases: tuple[StaircaseDescription, ...] = ()
+    tasks: tuple[ArenaTask, ...] = ()
+    source: Literal["scanned"] = "scanned"
+
+
+def read_arena(description: ArenaDescription | Mapping[str, Any]) -> Arena:
+    """Makes an arena from its description, or from plain values with the same keys.
 
     Raises:
-        InputError: if a value is missing, unknown or not a number; the message names it.
+        InputError: if a key is missing or unknown, or a value is wrong; the message names it.
     """
-    size, height, thickness = (
-        _positive(description.get(name), f"arena.{name}") for name in ("size", "wall_height", "wall_thickness")
-    )
-    obstacles = walls_around(size, height, thickness)
-    for line in description.get("walls") or ():
-        if len(line) != 4 or not all(_is_number(value) for value in line):
-            raise InputError(f"arena.walls {line}; need four numbers: from x, y to x, y, in m")
-        obstacles.append(_wall(line, height, thickness))
-    for key, kind in (("blocks", Block), ("ramps", Ramp), ("staircases", Staircase)):
-        obstacles += [_obstacle(kind, values, f"arena.{key}") for values in description.get(key) or ()]
-    return Arena(size, Scene(tuple(obstacles)))
+    given = load_settings(ArenaDescription, description, "arena")
+    height, thickness = given.wall_height, given.wall_thickness
+    obstacles = walls_around(given.size, height, thickness)
+    obstacles += [_wall(line, height, thickness) for line in given.walls]
+    obstacles += [Block(**asdict(block)) for block in given.blocks]
+    obstacles += [Ramp(**asdict(ramp)) for ramp in given.ramps]
+    obstacles += [Staircase(**asdict(stairs)) for stairs in given.staircases]
+    return Arena(given.size, Scene(tuple(obstacles)))
 
 
 def walls_around(size: float, height: float, thickness: float) -> list[Obstacle]:
@@ -89,31 +162,7 @@ def _wall(line: Sequence[float], height: float, thickness: float) -> Block:
     return Block((x0 + x1) / 2, (y0 + y1) / 2, math.atan2(y1 - y0, x1 - x0), length, thickness, height)
 
 
-def _obstacle(kind: type, values: Mapping[str, Any], where: str) -> Obstacle:
-    names = [field.name for field in fields(kind)]
-    values = {"yaw": 0.0, **values}
-    if wrong := sorted(set(names) ^ set(values)):
-        raise InputError(f"{where} {dict(values)}: {wrong[0]!r} is missing or unknown; need {', '.join(names)}")
-    for name, value in values.items():
-        if name in ("x", "y", "yaw"):
-            if not _is_number(value):
-                raise InputError(f"{where}: {name} is {value!r}; need a finite number")
-        else:
-            _positive(value, f"{where}: {name}")
-    return kind(**values)
-
-
-def _positive(value: Any, where: str) -> float:
-    if not _is_number(value) or value <= 0:
-        raise InputError(f"{where} is {value!r}; need a positive number")
-    return value
-
-
-def _is_number(value) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-@dataclass(frozen=True)
+@checked
 class ArenaSettings:
     """Contents of a random arena; lengths in metres. Each value is drawn uniformly from its range.
 
@@ -131,21 +180,40 @@ class ArenaSettings:
         least_free_share: smallest share of either half of the arena in which the robot's centre has this clearance.
     """
 
-    wall_height: float = 1.0
-    wall_thickness: float = 0.1
+    wall_height: Positive = 1.0
+    wall_thickness: Positive = 0.1
     door_width: Range = (1.0, 1.2)
-    blocks: int = 4
+    blocks: Natural = 4
     block_side: Range = (0.2, 0.6)
     block_height: Range = (0.1, 0.3)
-    bumps: int = 3
+    bumps: Natural = 3
     bump_side: Range = (0.3, 0.8)
     bump_height: Range = (0.02, 0.045)
-    steps: int = 2
+    steps: Count = 2
     rise: Range = (0.15, 0.18)
     tread: Range = (0.30, 0.35)
     platform: Range = (1.2, 1.4)
-    clearance: float = 0.43
-    least_free_share: float = 0.3
+    clearance: Positive = 0.43
+    least_free_share: Share = 0.3
+
+
+@checked
+class RandomArena:
+    """A random arena as a file describes it, as in ``conf/arena/small.yaml``.
+
+    Attributes:
+        size: side length, m; a multiple of the cell size.
+        seed: seed of all that is drawn.
+        contents: contents of the arena.
+        tasks: starts and goals of the planning experiment.
+        source: the planning experiment takes the true heights.
+    """
+
+    size: ArenaSize
+    seed: Natural
+    contents: ArenaSettings = field(default_factory=ArenaSettings)
+    tasks: tuple[ArenaTask, ...] = ()
+    source: Literal["random"] = "random"
 
 
 #: Smallest arena, m: it has space for a turning robot in both rooms, and for a platform with stairs.

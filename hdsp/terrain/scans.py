@@ -9,18 +9,19 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, field
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from hdsp.base.downloads import DATA_DIR_VARIABLE, data_folder, fetch, first_words, verify
 from hdsp.base.errors import InputError
+from hdsp.base.settings import Document, Name, NotNegative, Positive, checked, fault, load_settings
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.pointcloud import (
     Camera,
-    FloorSettings,
     MapSettings,
     depth_points,
     fit_floor,
@@ -28,13 +29,15 @@ from hdsp.terrain.pointcloud import (
     read_points,
 )
 from hdsp.terrain.pointcloud import register as register_clouds
-from hdsp.terrain.pointcloud.depth import elevation_points, read_image
+from hdsp.terrain.pointcloud.depth import Elevation, elevation_points, read_image
 
 #: Folder of the scans in a data folder: files lie in real/NAME/.
 FOLDER = "real"
 
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
-@dataclass(frozen=True)
+
+@checked
 class ScanFile:
     """One file of a scan.
 
@@ -46,10 +49,10 @@ class ScanFile:
         guess: x, y (m), yaw (rad): approximate pose relative to the first file's cloud. Registration starts from it.
     """
 
-    path: str
-    sha256: str
+    path: Name
+    sha256: Name
     local: str = ""
-    pose: tuple[float, ...] | None = None
+    pose: tuple[float, float, float, float, float, float, float] | None = None
     guess: tuple[float, float, float] | None = None
 
     @property
@@ -57,7 +60,7 @@ class ScanFile:
         return self.local or PurePosixPath(self.path).name
 
 
-@dataclass(frozen=True)
+@checked
 class Scan:
     """A scan of a real place.
 
@@ -74,51 +77,40 @@ class Scan:
         drop_within: m; points closer to the sensor's vertical axis are dropped, because they show the carrying robot.
         level_each: whether each file is levelled on its floor before the files are fused.
         camera: camera of the depth images; None = the files are no depth images.
-        elevation: ``highest`` and ``pixel`` (m) for height map images; None = the files are no height map images.
+        elevation: scale of height map images; None = the files are no height map images.
         map: settings for the conversion from points to heights.
     """
 
-    name: str
-    place: str
+    name: Name
+    place: Name
     what: str
     sensor: str
-    licence: str
-    source: str
-    address: str
-    files: tuple[ScanFile, ...]
-    units: float = 1.0
-    axes: tuple[str, str, str] = ("x", "y", "z")
-    drop_within: float = 0.0
+    licence: Name
+    source: Name
+    address: Name
+    files: Annotated[tuple[ScanFile, ...], Field(min_length=1)]
+    units: Positive = 1.0
+    axes: tuple[Axis, Axis, Axis] = ("x", "y", "z")
+    drop_within: NotNegative = 0.0
     level_each: bool = False
     camera: Camera | None = None
-    elevation: Mapping[str, float] | None = None
+    elevation: Elevation | None = None
     map: MapSettings = field(default_factory=MapSettings)
 
-    def __post_init__(self):
-        if not self.files:
-            raise InputError(f"scan {self.name}: no files")
-        for name in ("place", "licence", "source", "address"):
-            if not getattr(self, name):
-                raise InputError(f"scan {self.name}: {name} is empty; every scan names where it is from")
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.camera is not None and self.elevation is not None:
+            raise fault("elevation", asdict(self.elevation), "none beside camera: files are of one kind")
+        return self
 
     @classmethod
-    def from_dict(cls, name: str, values: Mapping[str, Any]) -> Scan:
+    def from_dict(cls, name: str, values: Mapping[str, Any], document: Document | None = None) -> Scan:
         """Makes a scan from plain nested values, as in a YAML file.
 
         Raises:
             InputError: if a key is unknown or missing; the message names it.
         """
-        where = f"scan {name}"
-        values = dict(values)
-        mapping = dict(values.pop("map", None) or {})
-        floor = _made(FloorSettings, mapping.pop("floor", None) or {}, f"{where}, map.floor")
-        camera = values.pop("camera", None)
-        made = {
-            "files": tuple(_made(ScanFile, file, f"{where}, files") for file in values.pop("files", None) or ()),
-            "map": _made(MapSettings, {**mapping, "floor": floor}, f"{where}, map"),
-            "camera": None if camera is None else _made(Camera, camera, f"{where}, camera"),
-        }
-        return _made(cls, {"name": name, **values, **made}, where)
+        return load_settings(cls, {"name": name, **values}, f"scan {name}", document)
 
 
 def find_files(scan: Scan, data_dir: str | os.PathLike | None = None, timeout: float = 30.0) -> tuple[list[Path], str]:
@@ -170,7 +162,7 @@ def _cloud(scan: Scan, file: ScanFile, path: Path) -> np.ndarray:
     if scan.camera is not None:
         points = depth_points(read_image(path), scan.camera, file.pose)
     elif scan.elevation is not None:
-        points = elevation_points(read_image(path), **scan.elevation)
+        points = elevation_points(read_image(path), **asdict(scan.elevation))
     else:
         points = read_points(path, scan.units, scan.axes)
     if scan.drop_within:
@@ -181,14 +173,3 @@ def _cloud(scan: Scan, file: ScanFile, path: Path) -> np.ndarray:
 def _motion(x: float, y: float, yaw: float) -> np.ndarray:
     c, s = math.cos(yaw), math.sin(yaw)
     return np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1]])
-
-
-def _made(kind, values: Mapping[str, Any], where: str):
-    """Makes a dataclass from plain values; lists become tuples."""
-    known = [f.name for f in fields(kind)]
-    if unknown := sorted(set(values) - set(known)):
-        raise InputError(f"{where}: unknown key {unknown[0]!r}; allowed are {', '.join(known)}")
-    try:
-        return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()})
-    except TypeError as error:  # a missing argument, or text instead of a number
-        raise InputError(f"{where}: {' '.join(str(error).split())}") from None

@@ -6,12 +6,12 @@ Convention: a scene has the frame of the robot that starts in it: x forward, y l
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import CountRange, Positive, Range, checked
 from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS, Grid
 from hdsp.terrain.height_map import HeightMap
@@ -39,12 +39,10 @@ CATEGORIES = tuple(_CONTENTS)[:9]
 #: The paper's categories, and richer ones that are closer to real places.
 ALL_CATEGORIES = tuple(_CONTENTS)
 
-Range = tuple[float, float]
-
 _ON_SIDE = 1e-9  # m; a point this close to a side counts as on the side, despite rounding errors
 
 
-@dataclass(frozen=True)
+@checked
 class TerrainSettings:
     """Ranges from which obstacles are drawn uniformly. The defaults are the authors' ranges.
 
@@ -66,41 +64,28 @@ class TerrainSettings:
         InputError: if a range is empty or not positive.
     """
 
-    area: float = 1.8
+    area: Positive = 1.8
     cuboid_side: Range = (0.2, 2.0)
     cuboid_height: Range = (0.02, 0.4)
     wall_length: Range = (0.4, 3.0)
     wall_thickness: Range = (0.05, 0.35)
     wall_height: Range = (0.7, 2.0)
-    staircase_steps: tuple[int, int] = (2, 4)
+    staircase_steps: CountRange = (2, 4)
     staircase_rise: Range = (0.15, 0.30)
     staircase_tread: Range = (0.25, 0.35)
     staircase_width: Range = (0.9, 2.0)
-    staircase_depth: float = 2.0
+    staircase_depth: Positive = 2.0
     focused_width: Range = (1.4, 2.0)
-    focused_yaw: float = math.pi / 16
+    focused_yaw: Positive = math.pi / 16
     ramp_length: Range = (0.6, 2.0)
     ramp_width: Range = (0.6, 2.0)
     ramp_height: Range = (0.05, 0.4)
     tiles_extent: Range = (0.6, 2.0)
     tile_side: Range = (0.25, 0.5)
     tile_height: Range = (0.02, 0.3)
-    tile_slope: float = 0.25
+    tile_slope: Positive = 0.25
     clutter_side: Range = (0.05, 0.4)
     clutter_height: Range = (0.05, 1.2)
-
-    def __post_init__(self):
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not isinstance(field.default, tuple):
-                if not (isinstance(value, int | float) and 0 < value < math.inf):
-                    raise InputError(f"terrain.{field.name} is {value!r}; need a positive number")
-                continue
-            if not isinstance(value, Sequence) or len(value) != 2 or not 0 < value[0] <= value[1] < math.inf:
-                raise InputError(f"terrain.{field.name} is {value!r}; need two positive numbers, the smaller one first")
-            object.__setattr__(self, field.name, tuple(value))
-        if any(steps != int(steps) for steps in self.staircase_steps):
-            raise InputError(f"terrain.staircase_steps is {self.staircase_steps}; need whole numbers")
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,11 @@ Convention: maps as in `hdsp.terrain.height_map`; the robot starts at the centre
 """
 
 import math
-from dataclasses import dataclass, fields
 
 import numpy as np
 
-from hdsp.base.errors import InputError
 from hdsp.base.jit import njit
+from hdsp.base.settings import CountRange, Natural, NotNegative, Positive, RangeFromZero, Share, checked
 from hdsp.terrain.filling import filled, smoothed
 from hdsp.terrain.height_map import HeightMap
 
@@ -22,7 +21,7 @@ _HIGHER = 0.03  # m; ground this far above a ray ends the ray
 _JUMP = 0.05  # m; a larger difference between heights gives mixed cells
 
 
-@dataclass(frozen=True)
+@checked
 class SensingSettings:
     """Upper limits of the degradation. Each map uses a random share of each limit.
 
@@ -46,37 +45,21 @@ class SensingSettings:
         InputError: if a value is out of range.
     """
 
-    tilt: float = 0.087
-    bumps: float = 0.01
-    bump_size: float = 0.3
-    jitter: float = 0.7
-    mixed: float = 0.5
-    white: float = 0.012
-    correlated: float = 0.003
-    sensors: tuple[int, int] = (1, 4)
-    sensor_distance: tuple[float, float] = (0.0, 3.0)
-    sensor_height: tuple[float, float] = (0.8, 1.8)
-    borders: float = 0.4
-    holes: float = 2.0
-    around: float = 0.35
-    fill: int = 3
-    smooth: float = 0.03
-
-    def __post_init__(self):
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(field.default, tuple):
-                if isinstance(value, str) or len(value) != 2 or not 0 <= value[0] <= value[1] < math.inf:
-                    raise InputError(
-                        f"sensing.{field.name} is {value!r}; need two numbers from 0, the smaller one first"
-                    )
-                object.__setattr__(self, field.name, tuple(value))
-            elif not (isinstance(value, int | float) and 0 <= value < math.inf):
-                raise InputError(f"sensing.{field.name} is {value!r}; need a number of at least 0")
-        if self.sensors[0] < 1 or any(count != int(count) for count in self.sensors):
-            raise InputError(f"sensing.sensors is {self.sensors}; need whole numbers of at least 1")
-        if max(self.borders, self.mixed) > 1 or self.bump_size == 0:
-            raise InputError(f"sensing: {self}; need borders and mixed of at most 1, and a positive bump_size")
+    tilt: NotNegative = 0.087
+    bumps: NotNegative = 0.01
+    bump_size: Positive = 0.3
+    jitter: NotNegative = 0.7
+    mixed: Share = 0.5
+    white: NotNegative = 0.012
+    correlated: NotNegative = 0.003
+    sensors: CountRange = (1, 4)
+    sensor_distance: RangeFromZero = (0.0, 3.0)
+    sensor_height: RangeFromZero = (0.8, 1.8)
+    borders: Share = 0.4
+    holes: NotNegative = 2.0
+    around: NotNegative = 0.35
+    fill: Natural = 3
+    smooth: NotNegative = 0.03
 
 
 def sensed(terrain: HeightMap, settings: SensingSettings, random: np.random.Generator) -> HeightMap:

@@ -70,5 +70,5 @@ def test_folders_without_tasks_are_named(tmp_path):
     with pytest.raises(InputError, match=r"gave no tasks .it holds none"):
         read(tmp_path / "empty", tmp_path)
     (tmp_path / "empty" / "x.yaml").write_text("- no mapping\n")
-    with pytest.raises(InputError, match=r"x.yaml: not a description of a scan"):
+    with pytest.raises(InputError, match=r"x\.yaml, line 1: need a mapping, got \['no mapping'\]"):
         read(tmp_path / "empty", tmp_path)

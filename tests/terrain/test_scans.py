@@ -94,13 +94,13 @@ def test_errors_of_a_scan_name_it(tmp_path):
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"files": []}, "no files"),
-        ({"files": [{"path": "a", "sha256": "b", "colour": 1}]}, "scan room, files: unknown key 'colour'"),
-        ({"files": [{"path": "a"}]}, "scan room, files: .*sha256"),
-        ({"files": [{"path": "a", "sha256": "b"}], "licence": ""}, "licence is empty"),
+        ({"files": []}, r"files is \[\]; need a list of at least 1"),
+        ({"files": [{"path": "a", "sha256": "b", "colour": 1}]}, r"scan room\.files\[0\]: unknown key 'colour'"),
+        ({"files": [{"path": "a"}]}, r"scan room\.files\[0\]: key 'sha256' is missing"),
+        ({"files": [{"path": "a", "sha256": "b"}], "licence": ""}, "licence is ''; need a text that is not empty"),
         ({"files": [{"path": "a", "sha256": "b"}], "map": {"floor": {"slope": 1}}}, r"map\.floor: unknown key 'slope'"),
         ({"files": [{"path": "a", "sha256": "b"}], "map": {"fill": -1}}, "fill is -1"),
-        ({"files": [{"path": "a", "sha256": "b"}], "camera": {"fx": 1.0}}, "camera: .*missing"),
+        ({"files": [{"path": "a", "sha256": "b"}], "camera": {"fx": 1.0}}, "camera: key .* is missing"),
         ({"files": [{"path": "a", "sha256": "b"}], "height": 1}, "scan room: unknown key 'height'"),
     ],
 )

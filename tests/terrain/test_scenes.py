@@ -195,9 +195,9 @@ def test_settings_change_what_is_drawn():
 @pytest.mark.parametrize("name", [field.name for field in fields(TerrainSettings)])
 def test_settings_out_of_range_are_named(name):
     for wrong in (-1.0, (2.0, 1.0), (0.0, 1.0), "high", (1.0, math.inf)):
-        with pytest.raises(InputError, match=f"terrain.{name}"):
+        with pytest.raises(InputError, match=rf"TerrainSettings\.{name}"):
             TerrainSettings(**{name: wrong})
-    with pytest.raises(InputError, match="whole numbers"):
+    with pytest.raises(InputError, match=r"staircase_steps\[1\] is 3\.5; need a whole number"):
         TerrainSettings(staircase_steps=(2, 3.5))
 
 

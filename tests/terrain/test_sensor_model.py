@@ -123,10 +123,10 @@ def test_tiles_have_the_height_of_their_middle_and_their_slope():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"white": -0.1}, "sensing.white is -0.1"),
-        ({"sensors": (0, 2)}, "whole numbers of at least 1"),
-        ({"sensor_height": (2.0, 1.0)}, "sensing.sensor_height"),
-        ({"mixed": 1.5}, "at most 1"),
+        ({"white": -0.1}, r"SensingSettings\.white is -0\.1; need at least 0"),
+        ({"sensors": (0, 2)}, r"sensors\[0\] is 0; need at least 1"),
+        ({"sensor_height": (2.0, 1.0)}, r"sensor_height is \[2\.0, 1\.0\]; need the smaller number first"),
+        ({"mixed": 1.5}, r"mixed is 1\.5; need at most 1"),
     ],
 )
 def test_strengths_out_of_range_are_named(wrong, message):

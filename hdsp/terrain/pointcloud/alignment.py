@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import Natural, Positive, checked
 
 _HYPOTHESES = 400
 _REFINEMENTS = 20
@@ -22,7 +23,7 @@ _LEAST_SUPPORT = 0.15
 _BELOW = 0.12
 
 
-@dataclass(frozen=True)
+@checked
 class FloorSettings:
     """Settings for floor detection.
 
@@ -34,16 +35,11 @@ class FloorSettings:
         seed: seed for the proposals.
     """
 
-    max_tilt: float = math.radians(15)
-    thickness: float = 0.025
-    voxel: float = 0.05
-    reach: float = 1.5
-    seed: int = 0
-
-    def __post_init__(self):
-        for name in ("max_tilt", "thickness", "voxel", "reach"):
-            if not (np.isfinite(value := getattr(self, name)) and value > 0):
-                raise InputError(f"floor: {name} is {value}; need a positive number")
+    max_tilt: Positive = math.radians(15)
+    thickness: Positive = 0.025
+    voxel: Positive = 0.05
+    reach: Positive = 1.5
+    seed: Natural = 0
 
 
 @dataclass(frozen=True)

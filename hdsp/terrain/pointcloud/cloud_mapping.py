@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import field
+from typing import NamedTuple, Self
 
 import numpy as np
+from pydantic import model_validator
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import Natural, NotNegative, Positive, checked, fault
 from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.filling import filled, smoothed
 from hdsp.terrain.pointcloud.alignment import FloorSettings, Plane, fit_floor, level, thinned
@@ -17,7 +19,7 @@ _SMALLEST_EXTENT = 0.2  # m
 _GREATEST_RELIEF = 10_000.0  # m
 
 
-@dataclass(frozen=True)
+@checked
 class MapSettings:
     """Settings for the conversion from points to heights.
 
@@ -43,27 +45,21 @@ class MapSettings:
     box: tuple[float, float, float, float] | None = None
     lowest: float = -0.5
     highest: float = 1.9
-    headroom: float = 1.2
-    surface: float = 0.05
-    neighbours: int = 3
-    near: float = 0.1
-    fill: int = 3
-    smooth: float = 0.03
-    island: int = 40
+    headroom: Positive = 1.2
+    surface: Positive = 0.05
+    neighbours: Natural = 3
+    near: NotNegative = 0.1
+    fill: Natural = 3
+    smooth: NotNegative = 0.03
+    island: Natural = 40
 
-    def __post_init__(self):
-        for name in ("neighbours", "fill", "smooth", "island", "near"):
-            if not getattr(self, name) >= 0:
-                raise InputError(f"map settings: {name} is {getattr(self, name)}; need 0 or more")
-        for name in ("headroom", "surface"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"map settings: {name} is {getattr(self, name)}; need a positive number of metres")
+    @model_validator(mode="after")
+    def _check(self) -> Self:
         if not self.lowest < self.highest:
-            raise InputError(f"map settings: lowest {self.lowest} is not below highest {self.highest}")
-        if self.box is not None and not (
-            len(self.box) == 4 and self.box[0] < self.box[2] and self.box[1] < self.box[3]
-        ):
-            raise InputError(f"map settings: box is {self.box}; need x_min, y_min, x_max, y_max")
+            raise fault("lowest", self.lowest, f"less than highest, {self.highest:g} m")
+        if self.box is not None and not (self.box[0] < self.box[2] and self.box[1] < self.box[3]):
+            raise fault("box", self.box, "x_min, y_min, x_max, y_max")
+        return self
 
 
 class MappingReport(NamedTuple):

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+from pydantic import model_validator
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
+from hdsp.base.settings import Count, NotNegative, Positive, checked, fault
 
 
-@dataclass(frozen=True)
+@checked
 class Camera:
     """A pinhole camera; its axes: x right, y down, z forward.
 
@@ -22,19 +24,35 @@ class Camera:
         stride: step between the used rows and between the used columns.
     """
 
-    fx: float
-    fy: float
+    fx: Positive
+    fy: Positive
     cx: float
     cy: float
-    depth_scale: float
-    nearest: float = 0.3
-    farthest: float = 4.0
-    stride: int = 1
+    depth_scale: Positive
+    nearest: NotNegative = 0.3
+    farthest: Positive = 4.0
+    stride: Count = 1
 
-    def __post_init__(self):
-        for name in ("fx", "fy", "depth_scale", "farthest", "stride"):
-            if not (np.isfinite(value := getattr(self, name)) and value > 0):
-                raise InputError(f"camera: {name} is {value}; need a positive number")
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not self.nearest < self.farthest:
+            raise fault("nearest", self.nearest, f"less than farthest, {self.farthest:g} m")
+        return self
+
+
+@checked
+class Elevation:
+    """Scale of an image of a height map.
+
+    Attributes:
+        highest: height of the grey value 255, m.
+        pixel: pixel size, m.
+        spacing: distance between the points that are made of the image, m.
+    """
+
+    highest: Positive
+    pixel: Positive
+    spacing: Positive = 0.0125
 
 
 def depth_points(image: np.ndarray, camera: Camera, pose=None) -> np.ndarray:

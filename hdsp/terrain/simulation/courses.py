@@ -8,17 +8,18 @@ Convention: as in `hdsp.terrain.arenas`; poses are (x, y, heading), m, rad.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import CountRange, Positive, Range, checked
 from hdsp.terrain.arenas import Arena, walls_around
-from hdsp.terrain.scenes import Block, Obstacle, Ramp, Range, Scene, Staircase
+from hdsp.terrain.scenes import Block, Obstacle, Ramp, Scene, Staircase
 
 
-@dataclass(frozen=True)
+@checked
 class CourseSettings:
     """Contents of a course; lengths in metres, angles in rad. Each value is drawn uniformly from its range.
 
@@ -38,11 +39,11 @@ class CourseSettings:
         InputError: if a range is empty or not positive.
     """
 
-    size: float = 6.0
-    wall_height: float = 1.2
-    wall_thickness: float = 0.1
+    size: Annotated[float, Field(ge=6.0)] = 6.0  # two rooms with two obstacles in each
+    wall_height: Positive = 1.2
+    wall_thickness: Positive = 0.1
     door_width: Range = (0.75, 1.1)
-    steps: tuple[int, int] = (2, 3)
+    steps: CountRange = (2, 3)
     rise: Range = (0.12, 0.22)
     tread: Range = (0.28, 0.35)
     stairs_width: Range = (1.2, 1.7)
@@ -51,19 +52,10 @@ class CourseSettings:
     ramp_width: Range = (0.9, 1.3)
     platform_side: Range = (0.8, 1.3)
     platform_height: Range = (0.06, 0.28)
-    clutter: tuple[int, int] = (5, 8)
+    clutter: CountRange = (5, 8)
     clutter_side: Range = (0.1, 0.5)
     clutter_height: Range = (0.03, 0.35)
-    askew: float = 0.2
-
-    def __post_init__(self):
-        for field in fields(self):
-            value = getattr(self, field.name)
-            low, high = (value, value) if isinstance(value, int | float) else value
-            if not 0 < low <= high < math.inf:
-                raise InputError(f"course.{field.name} is {value!r}; need positive numbers, the smaller one first")
-        if self.size < 6.0:
-            raise InputError(f"course.size is {self.size}; need at least 6 m, for two rooms with two things in each")
+    askew: Positive = 0.2
 
 
 class Place(NamedTuple):

@@ -10,16 +10,17 @@ Convention: world coordinates, m, rad, s. Ranges are measured along the beams, a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import Count, NotNegative, Positive, checked
 from hdsp.terrain.simulation.mujoco_world import MujocoWorld
 
 
-@dataclass(frozen=True)
+@checked
 class Lidar:
     """A sensor and its motion.
 
@@ -38,33 +39,21 @@ class Lidar:
         InputError: if a value is out of range.
     """
 
-    beams: int = 16
-    opening: float = math.radians(15)
-    azimuth_step: float = math.radians(0.4)
-    spin: float = 10.0
-    swing: float = 1.5
-    noise: float = 0.03
-    max_range: float = 30.0
-    height: float = 1.6
-    blind: float = math.radians(25)
-    speed: float = 0.4
-
-    def __post_init__(self):
-        for field in fields(self):
-            value = getattr(self, field.name)
-            least_is_zero = field.name in ("noise", "blind", "swing")
-            if not (isinstance(value, int | float) and (0 if least_is_zero else 1e-9) <= value < math.inf):
-                raise InputError(f"lidar: {field.name} is {value!r}; need a positive number")
-        if self.beams != int(self.beams) or self.opening >= math.pi / 2 or self.azimuth_step > math.pi:
-            raise InputError(
-                f"lidar: {self.beams} beams, opening {self.opening}, azimuth step {self.azimuth_step}; need a whole "
-                "number, less than pi / 2, at most pi"
-            )
+    beams: Count = 16
+    opening: Annotated[float, Field(gt=0, lt=math.pi / 2)] = math.radians(15)
+    azimuth_step: Annotated[float, Field(gt=0, le=math.pi)] = math.radians(0.4)
+    spin: Positive = 10.0
+    swing: NotNegative = 1.5
+    noise: NotNegative = 0.03
+    max_range: Positive = 30.0
+    height: Positive = 1.6
+    blind: NotNegative = math.radians(25)
+    speed: Positive = 0.4
 
     def directions(self, swing_angle: float) -> np.ndarray:
         """Beam directions during one revolution, float64 [n, 3], length 1; the motor angle is ``swing_angle``."""
         around = np.arange(0, 2 * math.pi - 1e-9, self.azimuth_step)[:, None]
-        off = np.linspace(-self.opening, self.opening, int(self.beams)) if self.beams > 1 else np.zeros(1)
+        off = np.linspace(-self.opening, self.opening, self.beams) if self.beams > 1 else np.zeros(1)
         # In the frame of the motor the sensor spins in the plane of y and z, about x.
         sideways, up = np.cos(off) * np.cos(around), np.cos(off) * np.sin(around)
         ahead = np.broadcast_to(np.sin(off), up.shape)

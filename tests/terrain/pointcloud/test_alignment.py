@@ -78,5 +78,5 @@ def test_clouds_that_do_not_overlap_are_refused():
 
 @pytest.mark.parametrize("name", ["max_tilt", "thickness", "voxel", "reach"])
 def test_settings_out_of_range_are_named(name):
-    with pytest.raises(InputError, match=f"floor: {name} is -1"):
+    with pytest.raises(InputError, match=rf"FloorSettings\.{name} is -1; need a positive number"):
         FloorSettings(**{name: -1})

@@ -142,8 +142,11 @@ def test_what_is_no_scan_in_metres_is_refused(points, words):
 
 @pytest.mark.parametrize(
     "values",
-    [{"fill": -1}, {"headroom": 0}, {"lowest": 2.0}, {"box": (0, 0, 0, 1)}, {"smooth": float("nan")}, {"surface": -1}],
-)
+    [
+        {"fill": -1}, {"headroom": 0}, {"lowest": 2.0}, {"box": (0, 0, 0, 1)}, {"smooth": float("nan")},
+        {"surface": -1}, {"level": 1}, {"neighbours": 2.5}, {"box": (0, 0, 1)},
+    ],
+)  # fmt: skip
 def test_settings_out_of_range_are_refused(values):
-    with pytest.raises(InputError, match="map settings"):
+    with pytest.raises(InputError, match=rf"MapSettings\.{next(iter(values))}.* (need|is missing)"):
         MapSettings(**values)

@@ -50,7 +50,8 @@ def test_a_picture_of_heights_becomes_a_map_with_its_steps():
         (lambda: depth_points(np.zeros(5), CAMERA), "depth image has shape"),
         (lambda: depth_points(np.zeros((5, 5)), CAMERA, (0, 0, 0)), "pose of a depth image"),
         (lambda: depth_points(np.zeros((5, 5)), CAMERA, (0,) * 7), "quaternion"),
-        (lambda: Camera(0.0, 1.0, 0.0, 0.0, 1.0), "camera: fx is 0"),
+        (lambda: Camera(0.0, 1.0, 0.0, 0.0, 1.0), r"Camera\.fx is 0\.0; need a positive number"),
+        (lambda: Camera(1.0, 1.0, 0.0, 0.0, 1.0, nearest=5.0), r"Camera\.nearest is 5\.0; need less than farthest"),
         (lambda: elevation_points(np.zeros((1, 5)), 1.0, 0.04), "picture of a height map"),
     ],
 )

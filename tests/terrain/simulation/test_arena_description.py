@@ -41,9 +41,15 @@ def test_the_height_map_has_the_analytic_heights():
         ({"size": None}, "arena.size is None"),
         ({"size": 3.01}, "multiple of 0.025"),
         ({"wall_height": -1.0}, "arena.wall_height is -1.0"),
-        ({"walls": [[0.0, 1.0, 2.0]]}, "need four numbers"),
-        ({"blocks": [{"x": 1.0, "y": 1.0, "length": 1.0, "width": 1.0}]}, "'height' is missing or unknown"),
-        ({"blocks": [{"x": 1.0, "y": 1.0, "length": 1.0, "width": 1.0, "hight": 1.0}]}, "missing or unknown"),
+        ({"walls": [[0.0, 1.0, 2.0]]}, r"arena\.walls\[0\]\[3\] is missing"),
+        (
+            {"blocks": [{"x": 1.0, "y": 1.0, "length": 1.0, "width": 1.0}]},
+            r"arena\.blocks\[0\]: key 'height' is missing",
+        ),
+        (
+            {"blocks": [{"x": 1.0, "y": 1.0, "length": 1.0, "width": 1.0, "hight": 1.0}]},
+            "unknown key 'hight'; did you mean 'height'",
+        ),
         ({"ramps": [{"x": math.nan, "y": 1.0, "length": 1.0, "width": 1.0, "height": 1.0}]}, "x is nan"),
         ({"ramps": [{"x": 1.0, "y": 1.0, "length": 0.0, "width": 1.0, "height": 1.0}]}, "length is 0.0"),
     ],

@@ -104,9 +104,9 @@ def test_wrong_input_is_named(world):
         scan(world, [(2.0, 2.0), (5.0, 2.0)], COARSE, np.random.default_rng(0))
     with pytest.raises(InputError, match="path of shape"):
         along(np.zeros((0, 2)), 0.1)
-    with pytest.raises(InputError, match="lidar: noise is -1"):
+    with pytest.raises(InputError, match=r"Lidar\.noise is -1"):
         Lidar(noise=-1.0)
-    with pytest.raises(InputError, match="lidar: beams is 0"):
+    with pytest.raises(InputError, match=r"Lidar\.beams is 0"):
         Lidar(beams=0)
     with pytest.raises(InputError, match="whole number"):
         Lidar(beams=2.5)
