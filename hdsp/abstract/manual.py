@@ -26,14 +26,13 @@ classes. The constants come from reasoning and a few maps; they were not fitted,
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from hdsp.abstract.abstract_costs import FlatCosts, Region, checked_region, checked_tasks, close_exits, close_states
-from hdsp.base.errors import InputError
+from hdsp.base.settings import NotNegative, checked
 from hdsp.robot.lattice import (
     ABSTRACT_ACTIONS,
     ABSTRACT_ANCHOR,
@@ -50,7 +49,7 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
 
-@dataclass(frozen=True)
+@checked
 class ManualSettings:
     """Hand-set constants; conf/abstraction/manual.yaml explains their values.
 
@@ -62,17 +61,11 @@ class ManualSettings:
         foot_reach: distance (m) ahead of and behind the neutral position within which a foot may find a drivable cell.
     """
 
-    unevenness_cost: float = 12.0
-    margin: float = 0.2
-    step_cost: float = 0.1
-    step_deviation: float = 0.3
-    foot_reach: float = 0.1
-
-    def __post_init__(self):
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (np.isfinite(value) and value >= 0):
-                raise InputError(f"manual abstraction: {field.name} is {value}, need a finite number >= 0")
+    unevenness_cost: NotNegative = 12.0
+    margin: NotNegative = 0.2
+    step_cost: NotNegative = 0.1
+    step_deviation: NotNegative = 0.3
+    foot_reach: NotNegative = 0.1
 
 
 class Features(NamedTuple):

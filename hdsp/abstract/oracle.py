@@ -5,12 +5,13 @@ published labels, the robot never turns far from its heading during a translatio
 (docs/cost-model.md). This rule belongs to labels, not to planning.
 """
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from hdsp.abstract.transform import feet_at_all
-from hdsp.base.errors import InputError
+from hdsp.base.settings import Count, Positive, checked
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_footing
 from hdsp.detailed.relaxed.relaxed import Poses, costs_to_go, explore, least_costs, new_poses
@@ -20,7 +21,7 @@ from hdsp.detailed.world.world import World
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, CELLS_PER_ABSTRACT, HEADINGS, HEADINGS_PER_ABSTRACT
 
 
-@dataclass(frozen=True)
+@checked
 class LabelSettings:
     """Labelling rules.
 
@@ -32,14 +33,10 @@ class LabelSettings:
             as infeasible and keep this status.
     """
 
-    heading_window: int = 3
-    turn_cost_factor: float = 1.68099
-    cost_limit: float = 1.6
-    max_expansions: int = 10_000_000
-
-    def __post_init__(self):
-        if self.heading_window < 0 or min(self.turn_cost_factor, self.cost_limit, self.max_expansions) <= 0:
-            raise InputError(f"{self}: the window must not be negative, all else must be positive")
+    heading_window: Annotated[int, Field(ge=0, le=HEADINGS)] = 3
+    turn_cost_factor: Positive = 1.68099
+    cost_limit: Positive = 1.6
+    max_expansions: Count = 10_000_000
 
 
 def task_costs(

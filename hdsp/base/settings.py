@@ -50,6 +50,17 @@ def unit(name: str) -> Any:
     return Field(json_schema_extra={"unit": name})
 
 
+def one_of(names: Sequence[str]) -> AfterValidator:
+    """Annotation of a text that is one of these names."""
+
+    def known(value: str) -> str:
+        if value not in names:
+            raise fault("", value, f"one of {', '.join(names)}{_meant(value, names)}")
+        return value
+
+    return AfterValidator(known)
+
+
 def fault(key: str, value: Any, need: str) -> PydanticCustomError:
     """The error that a validator raises about one key of its class.
 
@@ -233,7 +244,8 @@ def unknown_key(key: Any, allowed: Iterable[str]) -> str:
     names = sorted(allowed)
     if not isinstance(key, str):
         return f"key {shown(key)} is no text; allowed are {', '.join(names)}"
-    return f"unknown key {shown(key)};{_meant(key, names)} allowed are {', '.join(names) or 'none'}"
+    meant = _meant(key, names)
+    return f"unknown key {shown(key)}{meant or ';'} allowed are {', '.join(names) or 'none'}"
 
 
 def shown(value: Any) -> str:
@@ -354,7 +366,7 @@ def _need(found: ErrorDetails) -> str:
         return "a positive number"
     if kind == "literal_error":
         allowed = context["expected"]
-        return allowed + _meant(found["input"], re.findall("'([^']*)'", allowed)).rstrip("?")
+        return allowed + _meant(found["input"], re.findall("'([^']*)'", allowed))
     return _NEEDS[kind].format_map(context) if kind in _NEEDS else found["msg"].removeprefix("Input should be ")
 
 
@@ -379,7 +391,7 @@ _NEEDS = {
 
 def _meant(key: Any, names: Iterable[str]) -> str:
     near = difflib.get_close_matches(key.lower(), list(names), 1) if isinstance(key, str) else []
-    return f" did you mean {near[0]!r}?" if near else ""
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def _step(part: str | int) -> str:

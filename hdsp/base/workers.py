@@ -5,15 +5,19 @@ A run in a single process does not import Dask.
 
 import logging
 import os
+import re
 import resource
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+from pydantic import AfterValidator, model_validator
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import Count, checked, fault
 
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster
@@ -25,7 +29,13 @@ SCHEMES = ("tcp://", "tls://", "ucx://", "ws://", "wss://", "inproc://")
 START_ATTEMPTS = 5
 
 
-@dataclass(frozen=True)
+def _size(text: str) -> str:
+    if not re.fullmatch(r"[0-9]+(\.[0-9]+)? ?([kMGTP]i?)?B?", text, re.IGNORECASE):
+        raise fault("", text, "a number of bytes, such as 2GB")
+    return text
+
+
+@checked
 class ClusterSettings:
     """Worker processes; no result depends on these settings.
 
@@ -41,19 +51,21 @@ class ClusterSettings:
         InputError: the number of workers is below 1, or the scheduler kind is unknown.
     """
 
-    workers: int | None = None
+    workers: Count | None = None
     scheduler: str | None = None
-    slurm: Mapping[str, Any] = field(default_factory=dict)
+    slurm: dict[str, Any] = field(default_factory=dict)
     dashboard: str | None = "127.0.0.1:8787"
-    memory: str | None = None
+    memory: Annotated[str, AfterValidator(_size)] | None = None
 
-    def __post_init__(self):
-        if self.workers is not None and self.workers < 1:
-            raise InputError(f"workers is {self.workers}; need at least 1, or null for one per core")
+    @model_validator(mode="after")
+    def _check(self) -> Self:
         if self.scheduler not in (None, "slurm") and not str(self.scheduler).startswith(SCHEMES):
-            raise InputError(
-                f"scheduler is {self.scheduler!r}; need null (this machine), slurm, or an address like tcp://host:8786"
-            )
+            raise fault("scheduler", self.scheduler, "null (this machine), slurm, or an address like tcp://host:8786")
+        for name in ("jobs", "cores", "processes"):
+            value = self.slurm.get(name)
+            if value is not None and not (isinstance(value, int) and value >= 1):
+                raise fault(f"slurm.{name}", value, "a whole number of at least 1")
+        return self
 
     def processes(self, jobs: int) -> int:
         """Returns the number of local worker processes for a number of jobs; 1 = this process only."""

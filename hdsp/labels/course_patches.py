@@ -11,16 +11,18 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from hdsp.abstract.transform import feet_at
-from hdsp.base.errors import InputError
 from hdsp.base.provenance import code_fingerprint
+from hdsp.base.settings import Count, Natural, checked
 from hdsp.base.workers import ClusterSettings, connected
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.rules import LabelSettings, MapTasks, label_map
+from hdsp.labels.scan_patches import Residue
 from hdsp.labels.tasks import TaskSet
 from hdsp.robot.lattice import HEADINGS, HEADINGS_PER_ABSTRACT, PATCH_CELLS, Grid, heading_index
 from hdsp.robot.robot import Robot
@@ -36,7 +38,7 @@ _TRIES = 20
 _CLOSEST = 0.4  # m between the starts of two patches with the same heading
 
 
-@dataclass(frozen=True)
+@checked
 class CoursePatchSettings:
     """Number and kind of patches.
 
@@ -52,18 +54,10 @@ class CoursePatchSettings:
         InputError: if a number is out of range.
     """
 
-    seed: int
-    courses: int
-    patches_per_course: int
-    heading_residues: tuple[int, ...] = (0,)
-
-    def __post_init__(self):
-        for name, least in (("seed", 0), ("courses", 1), ("patches_per_course", 1)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or value < least:
-                raise InputError(f"patches: {name} is {value!r}; need a whole number of at least {least}")
-        if not self.heading_residues or not set(self.heading_residues) <= set(range(4)):
-            raise InputError(f"patches: heading_residues is {list(self.heading_residues)}; need some of 0, 1, 2, 3")
+    seed: Natural
+    courses: Count
+    patches_per_course: Count
+    heading_residues: Annotated[tuple[Residue, ...], Field(min_length=1)] = (0,)
 
 
 @dataclass(frozen=True)

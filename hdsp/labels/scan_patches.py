@@ -6,15 +6,17 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from hdsp.abstract.transform import feet_at
 from hdsp.base.errors import InputError
 from hdsp.base.provenance import code_fingerprint
+from hdsp.base.settings import Count, Natural, NotNegative, Share, checked
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.rules import LabelSettings, MapTasks, label_map
 from hdsp.labels.shards import SCHEMA_VERSION, read_shard, write_shard
@@ -30,7 +32,11 @@ _ATTEMPTS = 20_000
 FLAT = 0.05
 
 
-@dataclass(frozen=True)
+#: An abstract heading modulo a quarter turn.
+Residue = Annotated[int, Field(ge=0, lt=ABSTRACT_HEADINGS // 4)]
+
+
+@checked
 class ScanPatchSettings:
     """Start states to draw from a map.
 
@@ -47,22 +53,12 @@ class ScanPatchSettings:
         InputError: if a value is out of range.
     """
 
-    seed: int = 0
-    count: int = 16
-    spacing: float = 0.4
-    known: float = 0.5
-    flat: float = 0.25
-    heading_residues: tuple[int, ...] = (0, 1, 2, 3)
-
-    def __post_init__(self):
-        object.__setattr__(self, "heading_residues", tuple(self.heading_residues))
-        if self.count < 1 or self.spacing < 0 or not (0 <= self.known <= 1 and 0 <= self.flat <= 1):
-            raise InputError(f"patches: {self}: need a count of at least 1, a spacing of at least 0, shares in [0, 1]")
-        quarter = ABSTRACT_HEADINGS // 4
-        if not self.heading_residues or not set(self.heading_residues) <= set(range(quarter)):
-            raise InputError(
-                f"patches: heading_residues is {list(self.heading_residues)}; need some of 0 to {quarter - 1}"
-            )
+    seed: Natural = 0
+    count: Count = 16
+    spacing: NotNegative = 0.4
+    known: Share = 0.5
+    flat: Share = 0.25
+    heading_residues: Annotated[tuple[Residue, ...], Field(min_length=1)] = (0, 1, 2, 3)
 
 
 def draw_starts(terrain: HeightMap, robot: Robot, settings: ScanPatchSettings) -> np.ndarray:

@@ -9,12 +9,13 @@ import json
 import re
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
-from hdsp.base.errors import InputError
 from hdsp.base.provenance import code_fingerprint
+from hdsp.base.settings import Count, Natural, checked, one_of
 from hdsp.labels.shards import SCHEMA_VERSION, SUFFIX
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, PATCH_CELLS
 from hdsp.robot.robot import Robot
@@ -33,7 +34,11 @@ LABELS_VERSION = 1
 SHARD_NAME = re.compile(rf"\d{{5,}}-[0-9a-f]{{12}}{re.escape(SUFFIX)}")
 
 
-@dataclass(frozen=True)
+AbstractHeading = Annotated[int, Field(ge=0, lt=ABSTRACT_HEADINGS)]
+Category = Annotated[str, one_of(ALL_CATEGORIES)]
+
+
+@checked
 class SplitSettings:
     """Maps of a split.
 
@@ -52,29 +57,13 @@ class SplitSettings:
         InputError: if a number is out of range, or a category is unknown.
     """
 
-    seed: int
-    maps_per_category: int
-    heading_residues: tuple[int, ...] = (0,)
-    categories: tuple[str, ...] = CATEGORIES
-    maps_per_shard: int = 90
+    seed: Natural
+    maps_per_category: Count
+    heading_residues: Annotated[tuple[AbstractHeading, ...], Field(min_length=1)] = (0,)
+    categories: Annotated[tuple[Category, ...], Field(min_length=1)] = CATEGORIES
+    maps_per_shard: Count = 90
     sensing: bool = False
     standable: bool = True
-
-    def __post_init__(self):
-        for name, least in (("seed", 0), ("maps_per_category", 1), ("maps_per_shard", 1)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or value < least:
-                raise InputError(f"split: {name} is {value!r}; need a whole number of at least {least}")
-        object.__setattr__(self, "heading_residues", tuple(self.heading_residues))
-        object.__setattr__(self, "categories", tuple(self.categories))
-        if not self.heading_residues or not set(self.heading_residues) <= set(range(ABSTRACT_HEADINGS)):
-            allowed = f"abstract headings, 0 to {ABSTRACT_HEADINGS - 1}"
-            raise InputError(f"split: heading_residues is {list(self.heading_residues)}; need some {allowed}")
-        if not self.categories or not set(self.categories) <= set(ALL_CATEGORIES):
-            raise InputError(f"split: categories is {list(self.categories)}; need some of {', '.join(ALL_CATEGORIES)}")
-        for name in ("sensing", "standable"):
-            if not isinstance(getattr(self, name), bool):
-                raise InputError(f"split: {name} is {getattr(self, name)!r}; need true or false")
 
     @property
     def maps(self) -> int:

@@ -274,9 +274,9 @@ def test_a_full_disk_keeps_finished_shards(tmp_path):
         ({"seed": -1}, "seed is -1"),
         ({"maps_per_category": 0}, "maps_per_category is 0"),
         ({"maps_per_shard": 2.5}, "maps_per_shard is 2.5"),
-        ({"heading_residues": (16,)}, "heading_residues is .*0 to 15"),
+        ({"heading_residues": (16,)}, r"heading_residues\[0\] is 16; need less than 16"),
         ({"heading_residues": ()}, "heading_residues"),
-        ({"categories": ("ramp",)}, "categories is .*need some of cuboid_1"),
+        ({"categories": ("cuboid1",)}, r"categories\[0\] is 'cuboid1'; need one of cuboid_1, .*; did you mean 'cuboid_1'\?"),
     ],
 )
 def test_wrong_splits_are_refused_by_name(values, words):
@@ -286,6 +286,10 @@ def test_wrong_splits_are_refused_by_name(values, words):
         ClusterSettings(workers=0)
     with pytest.raises(InputError, match=r"scheduler is 'cluster'; need null .*, slurm, or an address"):
         ClusterSettings(scheduler="cluster")
+    with pytest.raises(InputError, match="memory is 'much'; need a number of bytes, such as 2GB"):
+        ClusterSettings(memory="much")
+    with pytest.raises(InputError, match=r"slurm\.jobs is 'four'; need a whole number"):
+        ClusterSettings(slurm={"jobs": "four"})
 
 
 def test_the_bar_shows_speed_and_the_infeasible_share(tmp_path, capsys):
