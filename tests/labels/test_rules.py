@@ -105,7 +105,7 @@ def test_wrong_arguments_are_named():
     for heading in (3, -4, 64):
         with pytest.raises(InputError, match=f"start heading {heading}"):
             label_map(flat, MOMARO, start_heading=heading)
-    with pytest.raises(InputError, match="cost_limit is 0.0; need a positive number"):
+    with pytest.raises(InputError, match=r"cost_limit is 0\.0; need a positive number"):
         LabelSettings(cost_limit=0.0)
     with pytest.raises(InputError, match="heading_window is -1; need at least 0"):
         LabelSettings(heading_window=-1)

@@ -81,5 +81,5 @@ def test_patches_become_a_shard_that_says_where_they_are_from(tmp_path, monkeypa
     "values", [{"count": 0}, {"spacing": -1}, {"known": 1.1}, {"flat": -0.1}, {"heading_residues": (4,)}]
 )
 def test_settings_out_of_range_are_refused(values):
-    with pytest.raises(InputError, match="PatchSettings.*need"):
+    with pytest.raises(InputError, match=r"PatchSettings.*need"):
         ScanPatchSettings(**values)

@@ -276,7 +276,10 @@ def test_a_full_disk_keeps_finished_shards(tmp_path):
         ({"maps_per_shard": 2.5}, "maps_per_shard is 2.5"),
         ({"heading_residues": (16,)}, r"heading_residues\[0\] is 16; need less than 16"),
         ({"heading_residues": ()}, "heading_residues"),
-        ({"categories": ("cuboid1",)}, r"categories\[0\] is 'cuboid1'; need one of cuboid_1, .*; did you mean 'cuboid_1'\?"),
+        (
+            {"categories": ("cuboid1",)},
+            r"categories\[0\] is 'cuboid1'; need one of cuboid_1, .*; did you mean 'cuboid_1'",
+        ),
     ],
 )
 def test_wrong_splits_are_refused_by_name(values, words):
