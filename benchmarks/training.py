@@ -88,13 +88,14 @@ def text(result: dict) -> str:
     ways = [
         ("shared: each map once for its goals", "shared", 1),
         ("separate: each task with its own copy of the map", "separate", result["ratio"]),
-        ("one by one: the same, in batches of one task", "one_by_one", result["ratio_to_one_by_one"]),
+        ("single: batches with one task", "one_by_one", result["ratio_to_one_by_one"]),
     ]
     rows = [[way, rates[name], round(rates[name] / N_ABSTRACT_ACTIONS, 2), slower] for way, name, slower in ways]
-    head = ["way", "tasks per second", "maps per second", "shared is faster by a factor of"]
+    head = ["way", "tasks per second", "maps per second", "speed-up of shared"]
     counted = (
-        f"Model {result['model']}, {result['parameters']:,} parameters, {result['maps']} maps of {N_ABSTRACT_ACTIONS} "
-        f"tasks, one thread; gradients differ by at most {result['gradient_difference']:.1g} of their size."
+        f"Model {result['model']}, {result['parameters']:,} parameters, {result['maps']} maps with "
+        f"{N_ABSTRACT_ACTIONS} tasks each, one thread. Gradients agree up to a relative difference of "
+        f"{result['gradient_difference']:.1g}."
     )
     return f"{table(head, rows)}\n\n{counted}"
 
