@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.page import table, write_block
+from benchmarks.page import shown, table, write_block
 from hdsp.detailed.search.estimate import geometric_estimate
 from hdsp.detailed.search.solve import Limits, Status, solve
 from hdsp.planning.planner import Planner
@@ -126,7 +126,7 @@ def text(result: dict) -> str:
         for kind, label in (("pairs", "random pairs"), ("with_ways", "with states on their paths")):
             row = found[kind]
             quantiles = [row[f"q{100 * q:g}"] for q in QUANTILES]
-            rows.append([name, label, row["n"], *quantiles, row["max"], f"{row['above_1']:.1%}"])
+            rows.append([shown(name), label, row["n"], *quantiles, row["max"], f"{row['above_1']:.1%}"])
     head = ["heuristic", "states", "number", *(f"{q:.0%}" for q in QUANTILES), "largest", "above 1"]
     counted = f"{result['pairs_solved']} of {result['pairs_tried']} pairs solved, {result['arenas']} random arenas."
     return f"{table(head, rows)}\n\n{counted}"
@@ -141,7 +141,7 @@ def draw(ratios: dict[str, np.ndarray], path: Path) -> None:
     for name, values in ratios.items():
         ordered = np.sort(values)
         shares = np.arange(1, len(ordered) + 1) / len(ordered)
-        axes.plot(ordered, shares, color=style.METHODS[name], label=style.NAMES[name])
+        axes.plot(ordered, shares, color=style.METHODS[shown(name)], label=style.NAMES[shown(name)])
     axes.axvline(1, color=style.GREY, linewidth=0.8)
     axes.set_xlabel("h / h*: estimate / exact cost to go (right of the line: too much)")
     axes.set_ylabel("share of states")

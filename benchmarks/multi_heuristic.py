@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from benchmarks.page import table, write_block
+from benchmarks.page import shown, table, write_block
 from benchmarks.search import far_apart
 from hdsp.detailed.search.estimate import geometric_estimate
 from hdsp.detailed.search.multi import solve_multi
@@ -177,7 +177,7 @@ def text(result: dict, limit: int) -> str:
     for row in result["summary"]:
         capped = ">= " if row["geometric_capped"] else ""
         lines.append([
-            row["guide"], f"{row['bound']:g}", row["search"].removeprefix("anchored "),
+            shown(row["guide"]), f"{row['bound']:g}", row["search"].removeprefix("anchored "),
             f"{row['solved']} of {row['tasks']}", row["proved_mean"],
             f"{capped}{row['expansions_geometric_to_anchored']}", f"{capped}{row['cpu_geometric_to_anchored']}",
             row["expansions_anchored_to_plain"], row["cost_anchored_to_plain"],

@@ -19,6 +19,11 @@ def write_block(page: Path, author: str, text: str) -> None:
     page.write_text(f"{before}{begin}{text.strip()}\n{end}{rest.split(end)[1]}")
 
 
+def shown(heuristic: str | None) -> str | None:
+    """Returns a heuristic's name in tables: the planner's `learned` is the shipped abstraction."""
+    return "shipped" if heuristic == "learned" else heuristic
+
+
 def table(head: list[str], rows: list[list]) -> str:
     """Formats a Markdown table; None becomes an empty field."""
     lines = [head, ["---"] * len(head), *rows]

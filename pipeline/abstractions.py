@@ -15,40 +15,40 @@ from pipeline.stage import Folders
 if TYPE_CHECKING:
     from hdsp.abstract import AbstractCosts, TaskPredictor
 
-METHODS = ("learned", "pretrained", "pretrained-NAME", "manual", "flat")
+METHODS = ("trained", "shipped", "shipped-NAME", "manual", "flat")
 
 
-#: Output folder of stage `train` for the learned abstraction.
-TRAINED = "models/abstraction"
+#: Output folder of stage `train` for the trained abstraction.
+TRAINED_FOLDER = "models/abstraction"
 #: Prefix of names for shipped abstractions.
-PRETRAINED = "pretrained"
+SHIPPED = "shipped"
 
 
 def available(names: Iterable[str], robot: Robot) -> list[str]:
     """Returns the names without shipped abstractions that do not exist for this robot; prints the omitted names."""
     from hdsp.learning.shipped import presets
 
-    absent = [n for n in names if n.startswith(PRETRAINED) and robot.name + n.removeprefix(PRETRAINED) not in presets()]
+    absent = [n for n in names if n.startswith(SHIPPED) and robot.name + n.removeprefix(SHIPPED) not in presets()]
     for name in absent:
         print(f"{name}: skipped, nothing of this name comes with the package for {robot.name}")
     return [name for name in names if name not in absent]
 
 
-def task_predictor(name: str, config: DictConfig, folders: Folders, model: str = TRAINED) -> TaskPredictor:
+def task_predictor(name: str, config: DictConfig, folders: Folders, model: str = TRAINED_FOLDER) -> TaskPredictor:
     """Returns abstraction `name` as a predictor for single tasks.
 
     Args:
-        name: one of `METHODS`; `pretrained`: the robot's shipped abstraction, `pretrained-NAME`: its shipped
+        name: one of `METHODS`; `shipped`: the robot's shipped abstraction, `shipped-NAME`: its shipped
             abstraction NAME.
         config: stage configuration.
         folders: stage folders.
-        model: source for `learned`: a folder, or a shipped abstraction's name.
+        model: source for `trained`: a folder, or a shipped abstraction's name.
 
     Raises:
-        InputError: no abstraction has this name; or the learned one is not trained yet, or belongs to another robot.
+        InputError: no abstraction has this name; or training has not run yet, or was for another robot.
     """
     robot = Robot.load(plain(config.robot))
-    if name == "learned" or name.startswith(PRETRAINED):
+    if name == "trained" or name.startswith(SHIPPED):
         from hdsp.learning.abstraction import LearnedAbstraction
         from hdsp.learning.hardware import HardwareSettings
         from hdsp.learning.network_settings import settings_from
@@ -56,8 +56,8 @@ def task_predictor(name: str, config: DictConfig, folders: Folders, model: str =
 
         hardware = settings_from(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
         hardware.apply_threads()
-        if name.startswith(PRETRAINED):
-            model = robot.name + name.removeprefix(PRETRAINED)
+        if name.startswith(SHIPPED):
+            model = robot.name + name.removeprefix(SHIPPED)
             if model not in presets():
                 raise InputError(f"{name}: {model!r} is not one of the package's abstractions, {', '.join(presets())}")
         if model in presets():
@@ -77,7 +77,7 @@ def task_predictor(name: str, config: DictConfig, folders: Folders, model: str =
 def abstract_costs(name: str, config: DictConfig, folders: Folders) -> AbstractCosts:
     """Returns abstraction `name` as costs for whole maps; raises as `task_predictor`."""
     predictor = task_predictor(name, config, folders)
-    if name == "learned" or name.startswith(PRETRAINED):
+    if name == "trained" or name.startswith(SHIPPED):
         from hdsp.learning.learned_costs import LearnedCosts
 
         return LearnedCosts(predictor)

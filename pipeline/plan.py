@@ -228,22 +228,22 @@ def in_words(run: dict[str, Any]) -> str:
 def best_to_show(runs: list[dict[str, Any]]) -> tuple[str, str, float]:
     """Selects the search for the picture.
 
-    The order is: most steps, longest path, learned heuristic if it found a path, least weight.
+    The order is: most steps, longest path, trained abstraction if it found a path, least weight.
     """
     solved = [run for run in runs if run["status"] == "solved"] or runs
     chosen = max(solved, key=lambda run: (run["steps"], run["cost"] or 0.0))["pair"]
     candidates = [run for run in solved if run["pair"] == chosen]
-    run = min(candidates, key=lambda run: (run["heuristic"] != "learned", run["weight"]))
+    run = min(candidates, key=lambda run: (run["heuristic"] != "trained", run["weight"]))
     return run["pair"], run["heuristic"], run["weight"]
 
 
 def series_to_show(runs: list[dict[str, Any]], weight: float = 1.25) -> tuple[str, float]:
     """Selects heuristic and weight for the picture with all paths.
 
-    The heuristic is the learned one, or else the last; the weight is nearest to the paper's.
+    The heuristic is the trained abstraction, or else the last; the weight is nearest to the paper's.
     """
     names = [run["heuristic"] for run in runs]
-    chosen = "learned" if "learned" in names else names[-1]
+    chosen = "trained" if "trained" in names else names[-1]
     return chosen, min((run["weight"] for run in runs if run["heuristic"] == chosen), key=lambda w: abs(w - weight))
 
 

@@ -10,20 +10,20 @@ from pipeline.paper import ABSTRACTION_QUALITY, HEURISTIC_PERFORMANCE
 from pipeline.speedup import is_bound
 
 METHOD_NAMES = {
-    "learned": "learned",
-    "pretrained": "shipped",
-    "pretrained-klamt2019": "paper's network",
+    "trained": "trained",
+    "shipped": "shipped",
+    "shipped-klamt2019": "paper's network",
     "manual": "manually tuned",
     "flat": "flat ground",
 }
 #: Methods shown beside the paper's figures for another method.
-AS_PAPER = {"pretrained": "learned", "pretrained-klamt2019": "learned"}
+AS_PAPER = {"trained": "learned", "shipped": "learned", "shipped-klamt2019": "learned"}
 HEURISTIC_NAMES = {
     "geometric": "geometric",
     "manual": "manual abstraction",
-    "learned": "learned abstraction",
-    "pretrained": "shipped abstraction",
-    "pretrained-klamt2019": "paper's network",
+    "trained": "trained abstraction",
+    "shipped": "shipped abstraction",
+    "shipped-klamt2019": "paper's network",
 }
 EMPTY = "–"
 
@@ -57,7 +57,7 @@ def abstraction_quality_table(quality: Mapping[str, Any], training: Mapping[str,
         ]
     network = f" Trained network: {training['model']}, {training['maps']:,} training maps." if training else ""
     notes = [f"Table I, abstraction quality: ours / the paper's.{network}"]
-    if {"pretrained", "pretrained-klamt2019"} & set(methods):
+    if {"shipped", "shipped-klamt2019"} & set(methods):
         notes.append("The model cards (hdsp/learning/shipped) judge the shipped networks on more random maps.")
     missing = [name for name, values in sets.items() if not values["available"]]
     if missing:

@@ -23,18 +23,18 @@ GREY = "#8A8A8A"
 
 START, GOAL = BLUE, VERMILLION
 METHODS = {
-    "learned": BLUE,
-    "pretrained": GREEN,
-    "pretrained-klamt2019": PURPLE,
+    "trained": BLUE,
+    "shipped": GREEN,
+    "shipped-klamt2019": PURPLE,
     "manual": ORANGE,
     "flat": GREY,
     "geometric": BLACK,
     "paper": "#FFFFFF",
 }
 NAMES = {
-    "learned": "learned",
-    "pretrained": "shipped",
-    "pretrained-klamt2019": "paper's network",
+    "trained": "trained",
+    "shipped": "shipped",
+    "shipped-klamt2019": "paper's network",
     "manual": "manually tuned",
     "flat": "flat ground",
     "geometric": "geometric",

@@ -49,7 +49,7 @@ def test_outputs_that_dvc_keeps_are_not_in_git_and_reports_are(reproduced):
 def test_metrics_plots_and_graph_show_the_results(reproduced, tmp_path):
     metrics = json.loads(run_dvc("metrics", "show", "--json", cwd=reproduced).partition("\n")[0])
     shown = metrics[""]["data"]["reports/summary.json"]["data"]
-    assert set(shown["feasibility_accuracy"]["random"]) == {"learned", "manual", "flat"}
+    assert set(shown["feasibility_accuracy"]["random"]) == {"trained", "manual", "flat"}
     run_dvc("plots", "show", "--out", str(tmp_path / "plots"), cwd=reproduced)
     page = (tmp_path / "plots/index.html").read_text()
     assert "cost_error/val" in page

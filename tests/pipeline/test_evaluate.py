@@ -20,7 +20,7 @@ def test_each_set_has_figures_of_each_method_or_a_reason(chain):
         if not values["available"]:
             assert values["reason"]
             continue
-        assert set(values["methods"]) == {"learned", "manual", "flat"}
+        assert set(values["methods"]) == {"trained", "manual", "flat"}
         assert values["tasks"] == 22 * values["maps"]
         for method in values["methods"].values():
             assert 0 <= method["feasibility_accuracy"] <= 1
@@ -29,8 +29,8 @@ def test_each_set_has_figures_of_each_method_or_a_reason(chain):
 
 def test_networks_are_also_judged_by_their_calibration(chain):
     random = json.loads((chain / "reports/abstraction_quality.json").read_text())["sets"]["random"]
-    assert list(random["calibration"]) == ["learned"]  # the others state no probabilities
-    figures = random["calibration"]["learned"]
+    assert list(random["calibration"]) == ["trained"]  # the others state no probabilities
+    figures = random["calibration"]["trained"]
     assert 0 <= figures["ece"] <= 1 and 0 <= figures["ece_adaptive"] <= 1
     assert sum(figures["bins"]["count"]) == random["tasks"]
     assert (chain / "reports/figures/reliability.png").read_bytes().startswith(b"\x89PNG")
@@ -40,7 +40,7 @@ def test_a_folder_of_shards_that_somebody_has_is_judged_with_the_abstraction_of_
     overrides = ["evaluation.model=momaro", f"evaluation.sets.mine.scans={chain / 'data/labels/random'}"]
     said = run_python("pipeline.evaluate", *tiny(chain), f"runtime.outputs={tmp_path}", *overrides).stdout
     sets = json.loads((tmp_path / "reports/abstraction_quality.json").read_text())["sets"]
-    assert "mine, learned: " in said
+    assert "mine, trained: " in said
     assert sets["mine"]["methods"] == sets["random"]["methods"]
 
 
@@ -71,7 +71,7 @@ def test_each_pair_is_planned_with_each_heuristic_and_weight(chain):
     assert {(r["pair"], r["heuristic"], r["weight"]) for r in runs} == {
         (pair, heuristic, weight)
         for pair in ("near",)
-        for heuristic in ("geometric", "manual", "learned")
+        for heuristic in ("geometric", "manual", "trained")
         for weight in (1.0, 2.0)
     }
     for run in runs:

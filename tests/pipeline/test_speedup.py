@@ -18,23 +18,23 @@ def run(pair, heuristic, weight, seconds, cost, status="solved"):
 
 def test_the_papers_own_figures_give_the_papers_table():
     runs = [run(i, "geometric", 1.0, *values) for i, values in enumerate(GEOMETRIC)]
-    runs += [run(i, "learned", 1.25, *values) for i, values in enumerate(LEARNED)]
-    ours, theirs = summarise(runs)["learned"]["1.25"], HEURISTIC_PERFORMANCE["learned"][1.25]
+    runs += [run(i, "trained", 1.25, *values) for i, values in enumerate(LEARNED)]
+    ours, theirs = summarise(runs)["trained"]["1.25"], HEURISTIC_PERFORMANCE["learned"][1.25]
     assert ours["speedup"] == pytest.approx(theirs["speedup"], rel=0.02)
     assert ours["cost_increase"] == pytest.approx(theirs["cost_increase"], abs=0.01)
     assert not ours["speedup_is_lower_bound"]
 
 
 def test_a_reference_that_hit_its_limit_gives_a_lower_bound_and_no_cost():
-    runs = [run(0, "geometric", 1.0, 6.0, None, "expansion_limit"), run(0, "learned", 2.0, 0.5, 7.0)]
-    entry = summarise(runs)["learned"]["2.0"]
+    runs = [run(0, "geometric", 1.0, 6.0, None, "expansion_limit"), run(0, "trained", 2.0, 0.5, 7.0)]
+    entry = summarise(runs)["trained"]["2.0"]
     assert (entry["speedup"], entry["speedup_is_lower_bound"]) == (12.0, True)
     assert (entry["cost_increase"], entry["cost_pairs"]) == (None, 0)
 
 
 def test_searches_that_failed_count_as_unsolved():
-    runs = [run(0, "geometric", 1.0, 3.0, 4.0), run(0, "learned", 1.0, 1.0, None, "infeasible")]
-    entry = summarise(runs)["learned"]["1.0"]
+    runs = [run(0, "geometric", 1.0, 3.0, 4.0), run(0, "trained", 1.0, 1.0, None, "infeasible")]
+    entry = summarise(runs)["trained"]["1.0"]
     assert (entry["pairs"], entry["solved"], entry["speedup"]) == (1, 0, None)
 
 
@@ -42,21 +42,21 @@ def test_costs_are_compared_with_the_least_that_any_search_found():
     runs = [
         run(0, "geometric", 1.0, 40.0, None, "time_limit"),
         run(0, "manual", 1.0, 3.0, 4.0),
-        run(0, "learned", 1.25, 1.0, 5.0),
+        run(0, "trained", 1.25, 1.0, 5.0),
         run(1, "geometric", 1.0, 40.0, 8.0),
-        run(1, "learned", 1.25, 1.0, 8.8),
-        run(2, "learned", 1.25, 1.0, None, "infeasible"),
+        run(1, "trained", 1.25, 1.0, 8.8),
+        run(2, "trained", 1.25, 1.0, None, "infeasible"),
     ]
     assert best_known(runs) == {
         0: {"cost": 4.0, "heuristic": "manual", "weight": 1.0},
         1: {"cost": 8.0, "heuristic": "geometric", "weight": 1.0},
     }
-    learned, geometric = summarise(runs)["learned"]["1.25"], summarise(runs)["geometric"]["1.0"]
-    assert learned["cost_above_best"] == pytest.approx((0.25 + 0.1) / 2)
-    assert learned["cost_increase"] == pytest.approx(0.1)
-    assert (learned["speedup"], learned["speedup_least"], learned["speedup_is_lower_bound"]) == (40.0, 40.0, True)
-    assert geometric["seconds_is_lower_bound"] and not learned["seconds_is_lower_bound"]
-    assert learned["memory_max"] == 3000
+    trained, geometric = summarise(runs)["trained"]["1.25"], summarise(runs)["geometric"]["1.0"]
+    assert trained["cost_above_best"] == pytest.approx((0.25 + 0.1) / 2)
+    assert trained["cost_increase"] == pytest.approx(0.1)
+    assert (trained["speedup"], trained["speedup_least"], trained["speedup_is_lower_bound"]) == (40.0, 40.0, True)
+    assert geometric["seconds_is_lower_bound"] and not trained["seconds_is_lower_bound"]
+    assert trained["memory_max"] == 3000
 
 
 @pytest.mark.parametrize("status", ["time_limit", "expansion_limit", "memory_limit"])

@@ -15,7 +15,7 @@ QUALITY = {
         "random": {
             "available": True, "paper": "random", "maps": 150, "tasks": 3300,
             "detailed_cost_mean": 0.45, "detailed_cost_std": 0.21,
-            "methods": {"learned": METHOD, "flat": {**METHOD, "feasibility_accuracy": 0.61}},
+            "methods": {"trained": METHOD, "flat": {**METHOD, "feasibility_accuracy": 0.61}},
         },
         "real": {"available": False, "paper": "real", "reason": "data/real is not there yet"},
     }
@@ -26,14 +26,14 @@ ENTRY = {
 }  # fmt: skip
 RUNS = [
     {"pair": "I", "heuristic": "geometric", "weight": 1.0, "status": "time_limit", "seconds": 40.02, "cost": None},
-    {"pair": "I", "heuristic": "learned", "weight": 1.25, "status": "solved", "seconds": 0.0213, "cost": 4.567},
+    {"pair": "I", "heuristic": "trained", "weight": 1.25, "status": "solved", "seconds": 0.0213, "cost": 4.567},
 ]
 PLANNING = {
     "arena": {"source": "the scanned arena", "size": 5.0, "pairs": 3},
     "limits": {"time": 40.0, "expansions": 50_000_000, "memory": 6_000_000_000},
-    "edges_seconds": {"learned": 21.4},
+    "edges_seconds": {"trained": 21.4},
     "runs": RUNS,
-    "best_known": {"I": {"cost": 4.567, "heuristic": "learned", "weight": 1.25}},
+    "best_known": {"I": {"cost": 4.567, "heuristic": "trained", "weight": 1.25}},
     "collisions": {"checked": 5, "free": 4, "least_body_clearance": 0.0213},
     "summary": {
         "geometric": {
@@ -42,7 +42,7 @@ PLANNING = {
                 "seconds_is_lower_bound": True,
             }
         },
-        "learned": {"1.25": {**ENTRY, "speedup_is_lower_bound": True}},
+        "trained": {"1.25": {**ENTRY, "speedup_is_lower_bound": True}},
     },
 }  # fmt: skip
 
@@ -54,16 +54,16 @@ def cells(table: str, row: str) -> list[str]:
 
 def test_ours_stand_beside_the_papers():
     table = abstraction_quality_table(QUALITY)
-    assert cells(table, "feasibility correct, learned")[1:] == ["95.12 % / 95.04 %", "– / 92.62 %"]
-    assert cells(table, "mean cost error, learned")[1:] == ["0.020 / 0.027", "– / 0.081"]
+    assert cells(table, "feasibility correct, trained")[1:] == ["95.12 % / 95.04 %", "– / 92.62 %"]
+    assert cells(table, "mean cost error, trained")[1:] == ["0.020 / 0.027", "– / 0.081"]
     assert cells(table, "feasibility correct, flat")[1:] == ["61.00 %", "–"]
     assert "No data for real" in table
 
 
 def test_speed_ups_and_times_that_are_bounds_are_marked():
     table = heuristic_table(PLANNING)
-    learned = cells(table, "learned abstraction")
-    assert learned[1:] == ["1.25", "3 of 3", "1.50", "100,000", "2", "≥ 26.9x", "708x", "+2.1 %", "+10.5 %", "+3.4 %"]
+    trained = cells(table, "trained abstraction")
+    assert trained[1:] == ["1.25", "3 of 3", "1.50", "100,000", "2", "≥ 26.9x", "708x", "+2.1 %", "+10.5 %", "+3.4 %"]
     assert cells(table, "geometric")[3] == "≥ 1.50" and cells(table, "geometric")[6:9] == ["1.0x", "–", "+0.0 %"]
     assert "here 40 s, 50 million expansions, or 6 GB of memory" in table
 
@@ -72,7 +72,7 @@ def test_each_task_has_its_time_and_cost():
     table = heuristic_table(PLANNING).split("\n\n")[2]
     assert cells(table, "heuristic")[2:] == ["I"]
     assert cells(table, "geometric")[2:] == ["≥ 40.0, ×"]
-    assert cells(table, "learned abstraction")[2:] == ["0.021, 4.57"]
+    assert cells(table, "trained abstraction")[2:] == ["0.021, 4.57"]
     assert cells(table, "best known")[2:] == ["4.57"]
 
 
@@ -85,9 +85,9 @@ def test_the_check_against_the_truth_is_told_where_there_is_one():
 
 def test_the_summary_holds_the_headlines():
     assert summary(QUALITY, PLANNING) == {
-        "feasibility_accuracy": {"random": {"learned": 0.9512, "flat": 0.61}},
-        "cost_error": {"random": {"learned": 0.0201, "flat": 0.0201}},
-        "speedup": {"learned": {"W1.25": 26.94}},
+        "feasibility_accuracy": {"random": {"trained": 0.9512, "flat": 0.61}},
+        "cost_error": {"random": {"trained": 0.0201, "flat": 0.0201}},
+        "speedup": {"trained": {"W1.25": 26.94}},
     }
 
 

@@ -84,7 +84,7 @@ def test_training_curves(tmp_path):
 
 def test_quality_bars_leave_out_sets_without_figures(tmp_path):
     methods = {
-        "learned": {"feasibility_accuracy": 0.95, "cost_error": 0.03},
+        "trained": {"feasibility_accuracy": 0.95, "cost_error": 0.03},
         "flat": {"feasibility_accuracy": 0.6, "cost_error": None},
     }
     sets = {"random": {"tasks": 220, "methods": methods}, "real": {"available": False, "reason": "no scans"}}
@@ -104,7 +104,7 @@ def test_planning_bars_show_solved_and_unsolved_searches(tmp_path):
             "cost": 3.0,
         }
         for pair in (0, 1)
-        for heuristic in ("geometric", "learned")
+        for heuristic in ("geometric", "trained")
         for weight in (1.0, 2.0)
     ]
     runs[0] |= {"status": "time_limit", "cost": None}
@@ -119,7 +119,7 @@ def test_all_paths_of_an_arena_are_drawn_and_tasks_without_one_are_named(tmp_pat
     none = SimpleNamespace(states=np.empty((0, 7)), actions=[], cost=np.inf)
     tasks = {"I": ((1.0, 1.0, 0.0), (1.1, 1.0, 0.0)), "II": ((1.0, 1.0, 0.0), (1.8, 1.5, 1.0))}
     terrain = HeightMap.flat((80, 80))
-    picture = save_planned_paths(terrain, {"I": found, "II": none}, tasks, MOMARO, tmp_path / "paths.png", "learned")
+    picture = save_planned_paths(terrain, {"I": found, "II": none}, tasks, MOMARO, tmp_path / "paths.png", "trained")
     assert is_picture(picture)
     with pytest.raises(InputError, match="no task"):
         save_planned_paths(terrain, {}, {}, MOMARO, tmp_path / "none.png")
