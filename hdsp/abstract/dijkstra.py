@@ -15,10 +15,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hdsp.abstract.prefetch import prefetch
 from hdsp.base.errors import InputError
+from hdsp.base.jit import njit
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, DRIVE_MOVES, N_ABSTRACT_ACTIONS
 
 REPAIRED_SHARE = 16  # a repair of more than 1 / REPAIRED_SHARE of all states takes longer than a new search
@@ -224,7 +224,7 @@ class _BucketQueue(NamedTuple):
         return self._replace(entries=np.concatenate([self.entries, np.empty_like(self.entries)], axis=1))
 
 
-@njit(cache=True)
+@njit()
 def _invert(edges, actions):
     """Edges by end state, smallest and largest finite cost, and whether all costs are >= 0."""
     headings, nx, ny, count = edges.shape
@@ -249,7 +249,7 @@ def _invert(edges, actions):
     return incoming, cheapest, dearest, valid
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _search(incoming, offsets, queue, margin, per_width):
     """Empties the queue; returns False if a bucket may be too small for the next visit. The next call continues.
 
@@ -311,7 +311,7 @@ def _search(incoming, offsets, queue, margin, per_width):
         filled[current] = 0
 
 
-@njit(cache=True)
+@njit()
 def _replace(incoming, states, costs, actions):
     headings, nx, ny, count = incoming.shape
     for n in range(len(states)):
@@ -323,7 +323,7 @@ def _replace(incoming, states, costs, actions):
                 incoming[(k + actions[m, 2]) % headings, to_a, to_b, m] = costs[n, m]
 
 
-@njit(cache=True, error_model="numpy")
+@njit()
 def _repair(incoming, offsets, distance, margin, goal, sources, most):
     """Updates `distance` in place; flat arrays and indices as in `_search`.
 
@@ -380,7 +380,7 @@ def _repair(incoming, offsets, distance, margin, goal, sources, most):
     return True
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _neighbour(state, offset, action, margin, length):
     """State at an offset; headings are cyclic for turns."""
     index = state + offset
@@ -393,7 +393,7 @@ def _neighbour(state, offset, action, margin, length):
     return index
 
 
-@njit(cache=True)
+@njit()
 def _least(incoming, offsets, distance, given_up, margin, state):
     """Least cost over successors that were not dropped."""
     least = np.inf
@@ -404,7 +404,7 @@ def _least(incoming, offsets, distance, given_up, margin, state):
     return least
 
 
-@njit(cache=True)
+@njit()
 def _passed_over(incoming, passed):
     headings, nx, ny, _ = incoming.shape
     result = np.zeros((headings, nx, ny), dtype=np.bool_)
@@ -418,7 +418,7 @@ def _passed_over(incoming, passed):
     return result
 
 
-@njit(cache=True)
+@njit()
 def _bridge(incoming, distances, passed_over, passed):
     headings, nx, ny = distances.shape
     result = distances.copy()
