@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hdsp.learning.abstraction import LearnedAbstraction, Provenance, example_input
+    from hdsp.learning.architectures import ARCHITECTURES
     from hdsp.learning.callbacks import PlateauLossWeights, PublishedLossWeights
     from hdsp.learning.encoding import HeightEncoding
     from hdsp.learning.hardware import HardwareSettings
     from hdsp.learning.learned_costs import LearnedCosts
     from hdsp.learning.module import AbstractionModule
     from hdsp.learning.network_conformance import check_network
-    from hdsp.learning.networks import ARCHITECTURES, ModelSettings, TaskNetwork, build_network, count_parameters
+    from hdsp.learning.networks import ModelSettings, TaskNetwork, build_network, count_parameters
     from hdsp.learning.task_data import TaskStream, task_loader
     from hdsp.learning.training import TrainingConfig, TrainResult, train
 
@@ -43,7 +44,7 @@ __all__ = [
 
 #: The module of each public name.
 _MODULES = {
-    "ARCHITECTURES": "networks",
+    "ARCHITECTURES": "architectures",
     "AbstractionModule": "module",
     "HardwareSettings": "hardware",
     "HeightEncoding": "encoding",

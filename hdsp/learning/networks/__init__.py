@@ -1,35 +1,13 @@
-"""Network architectures by name.
-
-A new architecture needs a file beside this one with a ``TaskNetwork`` and its options dataclass, one line in
-``ARCHITECTURES``, and ``conf/model/NAME.yaml``.
-"""
+"""Networks that judge tasks: how they are built, one file for each architecture, and the parts that they share."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-from hdsp.base.errors import InputError
+from hdsp.learning.architectures import ARCHITECTURES, network_class
 from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.network_settings import settings_from
 from hdsp.learning.networks.base import TaskNetwork, count_parameters, initialise_he
-from hdsp.learning.networks.compact import Compact, CompactOptions
-from hdsp.learning.networks.dilated import Dilated, DilatedOptions
-from hdsp.learning.networks.footprint import Footprint, FootprintOptions
-from hdsp.learning.networks.goalmap import GoalMap, GoalMapOptions
-from hdsp.learning.networks.klamt2019 import Klamt2019, Klamt2019Options
-from hdsp.learning.networks.swept import Swept, SweptOptions
-from hdsp.learning.networks.table import Table, TableOptions
-
-#: name -> (network class, dataclass of its options)
-ARCHITECTURES: dict[str, tuple[type[TaskNetwork], type]] = {
-    "klamt2019": (Klamt2019, Klamt2019Options),
-    "compact": (Compact, CompactOptions),
-    "swept": (Swept, SweptOptions),
-    "dilated": (Dilated, DilatedOptions),
-    "goalmap": (GoalMap, GoalMapOptions),
-    "table": (Table, TableOptions),
-    "footprint": (Footprint, FootprintOptions),
-}
 
 
 @dataclass(frozen=True)
@@ -64,9 +42,7 @@ class ModelSettings:
         Raises:
             InputError: the architecture or an option is unknown.
         """
-        if self.architecture not in ARCHITECTURES:
-            raise InputError(f"model.architecture: {self.architecture!r} is not one of {', '.join(ARCHITECTURES)}")
-        return settings_from(ARCHITECTURES[self.architecture][1], self.options, "model.options")
+        return settings_from(network_class(self.architecture).Options, self.options, "model.options")
 
 
 def build_network(config: Mapping[str, Any] | ModelSettings) -> TaskNetwork:
@@ -77,7 +53,7 @@ def build_network(config: Mapping[str, Any] | ModelSettings) -> TaskNetwork:
     """
     settings = settings_from(ModelSettings, config, "model")
     options = settings.checked_options()
-    network = ARCHITECTURES[settings.architecture][0](settings.encoding, options)
+    network = network_class(settings.architecture)(settings.encoding, options)  # type: ignore[call-arg]
     if settings.initialisation == "he":
         initialise_he(network)
     network.settings = settings

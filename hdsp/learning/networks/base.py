@@ -1,5 +1,7 @@
 """Base class for task networks: one trunk per map, shared by all its goals."""
 
+from typing import ClassVar
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -13,8 +15,13 @@ class TaskNetwork(nn.Module):
 
     A subclass implements ``map_part`` (depends on the patch alone, runs once per patch) and ``goal_part`` (depends on
     the goal too, runs for each goal). Its last linear layer is named ``heads``. Input heights are in metres, NaN =
-    unknown; the encoding belongs to the network.
+    unknown; the encoding belongs to the network. A subclass is made from an encoding and its options.
+
+    Attributes:
+        Options: dataclass of the architecture's options.
     """
+
+    Options: ClassVar[type]
 
     def __init__(self, encoding: HeightEncoding):
         super().__init__()

@@ -41,6 +41,8 @@ class Compact(TaskNetwork):
     layers. The gate gives this product directly: one hidden layer after it is enough.
     """
 
+    Options = CompactOptions
+
     def __init__(self, encoding: HeightEncoding, options: CompactOptions):
         super().__init__(encoding)
         stages: list[nn.Module] = []

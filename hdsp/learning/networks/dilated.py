@@ -56,6 +56,8 @@ class Dilated(TaskNetwork):
     it. Max pooling keeps the worst value in each neighbourhood.
     """
 
+    Options = DilatedOptions
+
     def __init__(self, encoding: HeightEncoding, options: DilatedOptions):
         super().__init__(encoding)
         layers: list[nn.Module] = []

@@ -101,6 +101,8 @@ class Footprint(TaskNetwork):
     The network uses no padding and only height differences, so it can be evaluated densely and on any floor level.
     """
 
+    Options = FootprintOptions
+
     def __init__(self, encoding: HeightEncoding, options: FootprintOptions):
         super().__init__(encoding)
         width, hidden = options.width, options.hidden

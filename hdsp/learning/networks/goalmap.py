@@ -36,6 +36,8 @@ class GoalMap(TaskNetwork):
     first stage run once per goal, 22 times per patch.
     """
 
+    Options = GoalMapOptions
+
     def __init__(self, encoding: HeightEncoding, options: GoalMapOptions):
         super().__init__(encoding)
         first, second, third = options.widths

@@ -47,6 +47,8 @@ class Klamt2019(TaskNetwork):
     head returns the logit; its sigmoid is the published output.
     """
 
+    Options = Klamt2019Options
+
     def __init__(self, encoding: HeightEncoding, options: Klamt2019Options):
         super().__init__(encoding)
         first, second, third, fourth = options.kernels

@@ -47,6 +47,8 @@ class Swept(TaskNetwork):
     flattened map learns this once for each goal and position; here all share the weights.
     """
 
+    Options = SweptOptions
+
     def __init__(self, encoding: HeightEncoding, options: SweptOptions):
         super().__init__(encoding)
         fine, middle, coarse = options.widths

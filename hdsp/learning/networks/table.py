@@ -39,6 +39,8 @@ class Table(TaskNetwork):
     that all start at residue 0, like the paper's, entries for other residues are meaningless.
     """
 
+    Options = TableOptions
+
     def __init__(self, encoding: HeightEncoding, options: TableOptions):
         super().__init__(encoding)
         first, second, third, fourth = options.widths

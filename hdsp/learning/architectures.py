@@ -1,0 +1,44 @@
+"""Network architectures by name. A module is imported when a network of its architecture is first needed.
+
+A new architecture needs a file in ``hdsp/learning/networks`` with a ``TaskNetwork`` and its options dataclass, one line
+in ``ARCHITECTURES``, and ``conf/model/NAME.yaml``.
+"""
+
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING
+
+from hdsp.base.errors import InputError
+
+if TYPE_CHECKING:
+    from hdsp.learning.networks.base import TaskNetwork
+
+#: name -> ``module:class`` of the network
+ARCHITECTURES = {
+    "klamt2019": "hdsp.learning.networks.klamt2019:Klamt2019",
+    "compact": "hdsp.learning.networks.compact:Compact",
+    "swept": "hdsp.learning.networks.swept:Swept",
+    "dilated": "hdsp.learning.networks.dilated:Dilated",
+    "goalmap": "hdsp.learning.networks.goalmap:GoalMap",
+    "table": "hdsp.learning.networks.table:Table",
+    "footprint": "hdsp.learning.networks.footprint:Footprint",
+}
+
+
+def architecture_place(name: str) -> str:
+    """``module:class`` of the network of an architecture.
+
+    Raises:
+        InputError: for an unknown architecture.
+    """
+    if name not in ARCHITECTURES:
+        raise InputError(f"model.architecture: {name!r} is not one of {', '.join(ARCHITECTURES)}")
+    return ARCHITECTURES[name]
+
+
+def network_class(name: str) -> "type[TaskNetwork]":
+    """The network of an architecture.
+
+    Raises:
+        InputError: for an unknown architecture.
+    """
+    return resolve_name(architecture_place(name))
