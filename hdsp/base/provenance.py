@@ -1,53 +1,241 @@
-"""A hash of the code a result depends on, so that results made by other code are not taken for valid."""
+"""Fingerprints of the code that a result depends on, so that results made by other code are not taken for valid.
 
-import ast
+The fingerprint of a function covers its body and the bodies of all definitions of this project that it reaches: names
+that it uses, names that these use, and so on. A method counts when its class is reached and its name is mentioned.
+Names of modules, places in files, imports, docstrings, comments, layout, type annotations and the words of errors do
+not count (`hdsp.base.definitions`), nor does code that nothing reached refers to. Moving code leaves a fingerprint as
+it is. Modules under `EXEMPT` are left out.
+
+Limit: names that are put together at run time are not seen. `importlib.import_module(name)` is an example; who imports
+so has to name the modules as entries.
+"""
+
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
+from typing import Any
 
-_PACKAGE = __name__.split(".")[0]
-_ROOT = Path(__file__).resolve().parents[2]
+from hdsp.base.definitions import Chain, Definition, Module
+
+PACKAGE = __name__.partition(".")[0]
+#: Folder that holds the packages.
+ROOT = Path(__file__).resolve().parents[2]
+
+#: Modules that decide no result, and why. A name covers what lies below it.
+EXEMPT = {
+    "hdsp.base.definitions": "decides which results are still valid, not their values",
+    "hdsp.base.errors": "classes of errors, which end a computation",
+    "hdsp.base.kernel_cache": "decides when a kernel is compiled, not its code",
+    "hdsp.base.provenance": "decides which results are still valid, not their values",
+    "hdsp.base.settings": "checks settings; their checked values are part of each hash",
+}
+
+#: A function, a class, or the name of one: ``package.module:name``. Without ``:name``, the whole module.
+Entry = str | Callable[..., Any]
 
 
-def code_fingerprint(modules: Iterable[str]) -> str:
-    """Hex digest of the code of ``modules`` (dotted names) and of every module of this package that they import.
+def code_fingerprint(*entries: Entry, root: Path = ROOT) -> str:
+    """Hex digest of the code that ``entries`` reach.
 
-    Comments, docstrings and layout do not count.
+    Args:
+        entries: where to begin.
+        root: folder that holds the packages; another one for a copy of them.
+
+    Raises:
+        LookupError: if there is no definition of an entry's name.
     """
-    found: dict[str, str] = {}
-    waiting = list(modules)
-    while waiting:
-        name = waiting.pop()
-        if name in found or (path := _source(name)) is None:
-            continue
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        _drop_docstrings(tree)
-        found[name] = ast.unparse(tree)
-        waiting += _imports(tree)
-    text = "\n".join(f"# {name}\n{found[name]}" for name in sorted(found))
-    return hashlib.sha256(text.encode()).hexdigest()
+    names = _names(entries)
+    return _running_code(names) if root == ROOT else _digest(_Reach(root, names))
 
 
-def _source(name: str) -> Path | None:
-    """The file of a module or package; None if the name is neither (a function, say)."""
-    path = _ROOT.joinpath(*name.split("."))
-    places = (path.with_suffix(".py"), path / "__init__.py")
-    return next((place for place in places if place.is_file()), None)
+@cache
+def _running_code(names: tuple[str, ...]) -> str:
+    """The fingerprint of the code of this process, which later edits of its files do not change."""
+    return _digest(_Reach(ROOT, names))
 
 
-def _imports(tree: ast.Module) -> list[str]:
-    names: list[str] = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            # What is imported may be a module or something in one.
-            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-    # The root package only gives names to what lies below it.
-    return [name for name in names if name.startswith(f"{_PACKAGE}.")]
+def reached_code(*entries: Entry, root: Path = ROOT) -> dict[str, list[str]]:
+    """Names of the definitions that a fingerprint covers, by module; arguments as for `code_fingerprint`."""
+    names: dict[str, list[str]] = {}
+    for definition in _Reach(root, _names(entries)).reached:
+        names.setdefault(definition.module, []).append(definition.name)
+    return {module: sorted(names[module]) for module in sorted(names)}
 
 
-def _drop_docstrings(tree: ast.Module) -> None:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
-            node.body[:1] = [] if len(node.body) > 1 else [ast.Pass()]
+def _names(entries: tuple[Entry, ...]) -> tuple[str, ...]:
+    return tuple(entry if isinstance(entry, str) else f"{entry.__module__}:{entry.__qualname__}" for entry in entries)
+
+
+class _Reach:
+    """The definitions that entries reach.
+
+    Attributes:
+        reached: each with the definitions that its names stand for, by name.
+    """
+
+    def __init__(self, root: Path, names: tuple[str, ...]):
+        self._root, self._packages = root, {PACKAGE, *(name.partition(".")[0] for name in names)}
+        self._modules: dict[str, Module | None] = {}
+        self._run: set[str] = set()
+        self._mentioned: set[str] = set()
+        self._classes: list[Definition] = []
+        self._waiting: list[Definition] = []
+        self.reached: dict[Definition, dict[str, list[Definition]]] = {}
+        for name in names:
+            self._enter(name)
+        while self._waiting:
+            self._follow(self._waiting.pop())
+        for definition in self._classes:
+            for name, methods in definition.methods.items():
+                if found := [method for method in methods if method in self.reached]:
+                    self.reached[definition][f".{name}"] = found
+
+    def _enter(self, entry: str) -> None:
+        module, _, name = entry.partition(":")
+        owner, _, method = name.partition(".")
+        found = self._find(module, owner) if owner else self._module(module)
+        definitions = self._definitions(found)
+        if method:
+            definitions += [own for definition in definitions for own in definition.methods.get(method, [])]
+        if not definitions or (method and len(definitions) < 2):
+            raise LookupError(f"no code of the name {entry}")
+        self._add(definitions)
+
+    def _add(self, definitions: list[Definition]) -> None:
+        for definition in definitions:
+            if definition not in self.reached:
+                self.reached[definition] = {}
+                self._waiting.append(definition)
+
+    def _follow(self, definition: Definition) -> None:
+        self._run_module(definition.module)
+        self.reached[definition] = dict(self._named(definition, definition.used))
+        for found in self.reached[definition].values():
+            self._add(found)
+        for _, found in self._named(definition, definition.typed):
+            self._add(found)
+        for target in definition.imports.values():
+            self._run_module(*target)
+        for name in definition.loads:
+            self._add(self._definitions(self._module(name)))
+        if definition.methods:
+            self._classes.append(definition)
+            is_open = self._is_open(definition)
+            for method in [method for methods in definition.methods.values() for method in methods]:
+                if is_open or method.is_called_by_others or method.name.rpartition(".")[2] in self._mentioned:
+                    self._add([method])
+        for name in definition.mentions - self._mentioned:
+            self._mentioned.add(name)
+            for owner in self._classes:
+                self._add(owner.methods.get(name, []))
+
+    def _named(self, definition: Definition, chains: list[Chain]) -> Iterator[tuple[str, list[Definition]]]:
+        """What chains of names stand for."""
+        for chain in chains:
+            if chain[0] in definition.imports:
+                found = self._find(*definition.imports[chain[0]])
+            else:
+                found = self._find(definition.module, chain[0])
+            length = 1
+            while isinstance(found, Module) and length < len(chain):
+                found, length = self._find(found.name, chain[length]), length + 1
+            if definitions := self._definitions(found):
+                yield ".".join(chain[:length]), definitions
+
+    def _find(self, module: str, name: str | None) -> "list[Definition] | Module | None":
+        """What a name of a module is, through all modules that only pass it on."""
+        seen: set[tuple[str, str | None]] = set()
+        while name is not None and (module, name) not in seen:
+            seen.add((module, name))
+            source = self._module(module)
+            if source is None:
+                return None
+            if name in source.definitions:
+                return source.definitions[name]
+            if name not in source.bindings:
+                for star in [target for bound, target in source.bindings.items() if bound.startswith("*")]:
+                    if (found := self._find(star[0], name)) is not None:
+                        return found
+                return self._module(f"{module}.{name}") if source.is_package else None
+            module, name = source.bindings[name]
+        return self._module(module)
+
+    def _definitions(self, found: "list[Definition] | Module | None") -> list[Definition]:
+        """The definitions behind a name; of a module all, of a package also those that it passes on."""
+        if not isinstance(found, Module):
+            return list(found or [])
+        passed = found.bindings if found.is_package else {}
+        return [
+            *found.all(),
+            *(d for t in passed.values() if isinstance(own := self._find(*t), list) for d in own),
+        ]
+
+    def _run_module(self, module: str, name: str | None = None) -> None:
+        """Add the statements that run when a name is imported. Packages only pass names on (a test holds that)."""
+        found = self._find(module, name)
+        modules = {d.module for d in found} if isinstance(found, list) else {found.name} if found else set()
+        for own in modules - self._run:
+            self._run.add(own)
+            source = self._module(own)
+            if source is not None:
+                self._add(source.definitions.get("", []))
+                for target in source.imported if not source.is_package or source.definitions else []:
+                    self._run_module(*target)
+
+    def _is_open(self, definition: Definition) -> bool:
+        """Whether code that is not of this project may call the methods of a class: it has a base from elsewhere."""
+        bases = definition.bases
+        if bases is None:
+            return True
+        for chain in bases:
+            owners = next((found for _, found in self._named(definition, [chain])), [])
+            if not owners or any(self._is_open(owner) for owner in owners if owner is not definition):
+                return True
+        return False
+
+    def _module(self, name: str) -> Module | None:
+        """A module of this project that is not exempt."""
+        if name not in self._modules:
+            self._modules[name] = self._read(name)
+        return self._modules[name]
+
+    def _read(self, name: str) -> Module | None:
+        if name.partition(".")[0] not in self._packages or is_exempt(name):
+            return None
+        place = self._root.joinpath(*name.split("."))
+        for path in (place / "__init__.py", place.with_suffix(".py")):
+            if path.is_file():
+                return Module.parse(name, path.read_text(encoding="utf-8"), path.stem == "__init__")
+        return None
+
+
+@cache
+def is_exempt(module: str) -> bool:
+    """Whether a module, or a package that it lies in, is under `EXEMPT`."""
+    return any(module == name or module.startswith(f"{name}.") for name in EXEMPT)
+
+
+def _digest(reach: _Reach) -> str:
+    """Hash of the definitions and of which of them refers to which.
+
+    Two definitions with the same text may refer to different ones, for example to constants of the same name in two
+    modules. Hashes therefore take in those of what a definition refers to, until this tells no more of them apart.
+    """
+    names = {definition: sorted(found.items()) for definition, found in reach.reached.items()}
+    hashes = {definition: _hash(definition.text) for definition in names}
+    while True:
+        finer = {
+            definition: _hash(
+                definition.text, *(f"{name} {','.join(hashes[other] for other in found)}" for name, found in references)
+            )
+            for definition, references in names.items()
+        }
+        settled = len(set(finer.values())) == len(set(hashes.values()))
+        hashes = finer
+        if settled:
+            return _hash(*sorted(set(hashes.values())))
+
+
+def _hash(*parts: str) -> str:
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()

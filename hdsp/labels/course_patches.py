@@ -11,13 +11,14 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from hdsp.abstract.transform import feet_at
-from hdsp.base.provenance import code_fingerprint
+from hdsp.base.provenance import ROOT, code_fingerprint
 from hdsp.base.settings import Count, Natural, checked
 from hdsp.base.workers import ClusterSettings, connected
 from hdsp.detailed.world.world import build_world
@@ -72,8 +73,7 @@ class PatchRun:
 
     def inputs(self) -> dict[str, Any]:
         """Plain values by name; a fingerprint represents the code."""
-        modules = ["hdsp.labels.rules", "hdsp.labels.course_patches"]
-        return {**asdict(self), "robot": self.robot.to_dict(), "code": code_fingerprint(modules)}
+        return {**asdict(self), "robot": self.robot.to_dict(), "code": courses_code()}
 
     def hash(self) -> str:
         return hashlib.sha256(json.dumps(self.inputs(), sort_keys=True).encode()).hexdigest()
@@ -166,6 +166,11 @@ def task_set(run: PatchRun, courses: list[ScannedCourse]) -> TaskSet:
         heading=np.array([patch.start[2] % _QUARTER for _, patch in rows]),
         seed=np.full(len(rows), run.patches.seed),
     )
+
+
+def courses_code(root: Path = ROOT) -> str:
+    """Fingerprint of all code that decides the patches; ``root``: folder with another copy of the package."""
+    return code_fingerprint(scan_course, task_set, root=root)
 
 
 def _visits(places: tuple[Place, ...], random: np.random.Generator, found: list[Patch]) -> Iterator[Place]:

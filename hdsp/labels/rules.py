@@ -12,11 +12,11 @@ from hdsp.abstract.transform import feet_at
 from hdsp.base.errors import InputError
 from hdsp.detailed.search.solve import Status
 from hdsp.detailed.world.world import build_world
-from hdsp.robot.lattice import HEADINGS, HEADINGS_PER_ABSTRACT, PATCH_CELLS, Grid, robot_frame_goals
+from hdsp.robot.lattice import HEADINGS, HEADINGS_PER_ABSTRACT, N_ABSTRACT_ACTIONS, PATCH_CELLS, Grid, robot_frame_goals
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
-__all__ = ["LabelSettings", "MapTasks", "label_map"]
+__all__ = ["LabelSettings", "MapTasks", "label_map", "label_unstandable"]
 
 
 class MapTasks(NamedTuple):
@@ -61,7 +61,34 @@ def label_map(
     Raises:
         InputError: if the map is smaller than a patch, or the heading is no abstract heading.
     """
-    settings = settings or LabelSettings()
+    base = _start_base(terrain, start_heading)
+    world = build_world(terrain, robot)
+    start = feet_at(world, base)
+    if start is None:
+        return None
+    return _map_tasks(terrain, base, start, *task_costs(world, start, settings or LabelSettings()))
+
+
+def label_unstandable(
+    terrain: HeightMap, robot: Robot, settings: LabelSettings | None = None, start_heading: int = 0
+) -> MapTasks | None:
+    """Label the tasks of a map in whose middle cell the robot cannot stand: all are infeasible.
+
+    Arguments and errors as for `label_map`; no search uses the settings.
+
+    Returns:
+        The tasks, with start and goals at the start base and neutral feet; None if a valid start state exists.
+    """
+    base = _start_base(terrain, start_heading)
+    if feet_at(build_world(terrain, robot), base) is not None:
+        return None
+    start = np.array([*base, 0, 0, 0, 0])
+    goals, cost = np.tile(start, (N_ABSTRACT_ACTIONS, 1)), np.full(N_ABSTRACT_ACTIONS, np.inf)
+    return _map_tasks(terrain, base, start, goals, cost, np.full(N_ABSTRACT_ACTIONS, Status.INVALID_START))
+
+
+def _start_base(terrain: HeightMap, start_heading: int) -> tuple[int, int, int]:
+    """Detailed base state at which the tasks of a map start."""
     if min(terrain.shape) < PATCH_CELLS:
         raise InputError(
             f"map of {terrain.shape[0]} x {terrain.shape[1]} cells: labels need at least {PATCH_CELLS} x {PATCH_CELLS}"
@@ -70,17 +97,23 @@ def label_map(
         raise InputError(
             f"start heading {start_heading}: need a multiple of {HEADINGS_PER_ABSTRACT} in [0, {HEADINGS})"
         )
-    world = build_world(terrain, robot)
-    base = (terrain.shape[0] // 2, terrain.shape[1] // 2, start_heading)
-    start = feet_at(world, base)
-    if start is None:
-        return None
-    goals, cost, reason = task_costs(world, start, settings)
+    return terrain.shape[0] // 2, terrain.shape[1] // 2, start_heading
+
+
+def _map_tasks(
+    terrain: HeightMap,
+    base: tuple[int, int, int],
+    start: np.ndarray,
+    goals: np.ndarray,
+    cost: np.ndarray,
+    reason: np.ndarray,
+) -> MapTasks:
+    """The tasks of a map from detailed start and goal states and the results of the searches."""
     grid = Grid(terrain.origin, terrain.shape)
     feasible = reason == Status.SOLVED
     return MapTasks(
-        heights=terrain.crop_cells(base[0], base[1], start_heading).heights,
-        goals=robot_frame_goals(start_heading // HEADINGS_PER_ABSTRACT),
+        heights=terrain.crop_cells(*base).heights,
+        goals=robot_frame_goals(base[2] // HEADINGS_PER_ABSTRACT),
         feasible=feasible,
         cost=np.where(feasible, cost, 0).astype(np.float32),
         reason=reason.astype(np.uint8),

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from hdsp.abstract.transform import feet_at
 from hdsp.base.errors import InputError
-from hdsp.base.provenance import code_fingerprint
+from hdsp.base.provenance import ROOT, code_fingerprint
 from hdsp.base.settings import Count, Natural, NotNegative, Share, checked
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.rules import LabelSettings, MapTasks, label_map
@@ -133,21 +133,33 @@ def label_scan(
     labels_hash = hashlib.sha256(inputs.encode()).hexdigest()
     if (kept := _valid(Path(path), labels_hash)) is not None:
         return kept
+    tasks = labelled_patches(terrain, robot, patches, settings, about["place"])
+    write_shard(path, tasks, {"labels_hash": labels_hash, **about})
+    return tasks
+
+
+def labelled_patches(
+    terrain: HeightMap, robot: Robot, patches: ScanPatchSettings, settings: LabelSettings, place: str
+) -> TaskSet:
+    """The tasks of the patches drawn from a map; arguments and result as for `label_scan`."""
     starts = draw_starts(terrain, robot, patches)
     labels = [
         label_map(terrain.crop_cells(ix, iy, 0, ROTATED_MAP_CELLS), robot, settings, heading)
         for ix, iy, heading in starts.tolist()
     ]
-    tasks = _task_set(labels, starts, about["place"], patches.seed)
-    write_shard(path, tasks, {"labels_hash": labels_hash, **about})
-    return tasks
+    return _task_set(labels, starts, place, patches.seed)
+
+
+def patches_code(root: Path = ROOT) -> str:
+    """Fingerprint of all code that decides the patches of a map; ``root``: folder with another copy of the package."""
+    return code_fingerprint(labelled_patches, root=root)
 
 
 def _inputs(terrain, robot, patches, settings, about) -> dict[str, Any]:
     heights = hashlib.sha256(terrain.heights.tobytes()).hexdigest()
     return {
         "schema_version": SCHEMA_VERSION,
-        "code": code_fingerprint(["hdsp.labels.rules", "hdsp.labels.scan_patches"]),
+        "code": patches_code(),
         "map": [heights, *terrain.shape],
         "robot": robot.to_dict(),
         "patches": asdict(patches),

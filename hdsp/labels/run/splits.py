@@ -7,16 +7,19 @@ consecutive maps. A shard's name contains a hash of everything its labels depend
 import hashlib
 import json
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
-from hdsp.base.provenance import code_fingerprint
+from hdsp.base.provenance import ROOT, code_fingerprint
 from hdsp.base.settings import Count, Natural, checked, one_of
 from hdsp.labels.shards import SCHEMA_VERSION, SUFFIX
+from hdsp.labels.tasks import TaskSet
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, PATCH_CELLS
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -25,10 +28,10 @@ from hdsp.terrain.scenes import ALL_CATEGORIES, CATEGORIES, TerrainSettings, ran
 from hdsp.terrain.sensor_model import SensingSettings, sensed
 
 if TYPE_CHECKING:
-    from hdsp.labels.rules import LabelSettings
+    from hdsp.labels.rules import LabelSettings, MapTasks
 
-#: Raised when this module gives maps other numbers, headings or sizes; the rest of the code is hashed.
-LABELS_VERSION = 1
+#: (map, robot, settings, start heading) -> labels, or None for a map that the split leaves out.
+LabelMap = Callable[[HeightMap, Robot, "LabelSettings", int], "MapTasks | None"]
 
 #: Pattern of all shard names, for any split and settings.
 SHARD_NAME = re.compile(rf"\d{{5,}}-[0-9a-f]{{12}}{re.escape(SUFFIX)}")
@@ -92,11 +95,8 @@ class LabelRun:
         """Plain values by name; a fingerprint represents the code."""
         split = asdict(self.split)
         del split["maps_per_category"]  # more maps add shards, but do not change existing ones
-        if self.split.standable:  # the default is not hashed, so older shards stay valid
-            del split["standable"]
         return {
             "schema_version": SCHEMA_VERSION,
-            "labels_version": LABELS_VERSION,
             "code": labels_code(),
             "split": split,
             "robot": self.robot.hash(),
@@ -140,11 +140,42 @@ class LabelRun:
         numbers = [self.split.seed, ALL_CATEGORIES.index(category), index, 1]
         return sensed(terrain, self.sensing, np.random.default_rng(np.random.SeedSequence(numbers)))
 
+    def tasks_of(self, number: int, label: "LabelMap | None" = None) -> "MapTasks | None":
+        """The labels of map ``number``.
+
+        Args:
+            number: map number in the split.
+            label: function that labels the map; None = the labelling rule for the split.
+
+        Returns:
+            None for a map that the split leaves out.
+        """
+        label = label or self._rule()
+        return label(self.terrain_of(number), self.robot, self.settings, self.map_of(number)[2])
+
+    def _rule(self) -> "LabelMap":
+        from hdsp.labels import rules  # with all kernels; a process that only plans shards does not need them
+
+        return rules.label_map if self.split.standable else rules.label_unstandable
+
+    def task_set(self, maps: Sequence[int], labels: "Sequence[MapTasks | None]") -> TaskSet:
+        """The tasks of maps in a shard, without maps that the split leaves out."""
+        kept = [(number, tasks) for number, tasks in zip(maps, labels, strict=True) if tasks is not None]
+        if not kept:
+            return TaskSet.empty()
+        numbers, tasks = zip(*kept, strict=True)
+        category, index, heading = zip(*map(self.map_of, numbers), strict=True)
+        columns = zip(tasks[0]._fields, zip(*tasks, strict=True), strict=True)
+        arrays = {name: np.array(column) for name, column in columns}
+        return TaskSet(
+            **arrays, category=category, index=index, heading=heading, seed=np.full(len(kept), self.split.seed)
+        )
+
     def describe(self, number: int) -> str:
         """Describes map ``number`` so that a reader can make it again."""
         return "the map with seed {}, category {}, index {}, heading {}".format(self.split.seed, *self.map_of(number))
 
 
-def labels_code() -> str:
-    """Fingerprint of the code on which labels depend."""
-    return code_fingerprint(["hdsp.labels.rules", "hdsp.terrain.scenes"])
+def labels_code(root: Path = ROOT) -> str:
+    """Fingerprint of all code on which labels depend; ``root``: folder with another copy of the package."""
+    return code_fingerprint(LabelRun.tasks_of, LabelRun.task_set, root=root)

@@ -353,9 +353,8 @@ def test_maps_where_the_robot_cannot_stand_are_what_the_others_drop(tmp_path):
         np.testing.assert_array_equal(goal, np.broadcast_to(start, goal.shape))
 
 
-def test_shards_of_before_there_was_a_choice_still_hold():
+def test_maps_where_the_robot_cannot_stand_have_shards_of_their_own():
     run = LabelRun(SPLIT, ROBOT, TerrainSettings(), LabelSettings())
-    assert "standable" not in run.inputs()["split"]
     assert replace(run, split=replace(SPLIT, standable=False)).labels_hash != run.labels_hash
     with pytest.raises(InputError, match="standable is 'no'"):
         replace(SPLIT, standable="no")

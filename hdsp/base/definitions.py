@@ -1,0 +1,369 @@
+"""A module's source as definitions: statements that stand for a name, with all names that they refer to.
+
+Nothing is imported here. The normal form of a definition keeps the code that decides results. Comments, docstrings,
+layout, type annotations, imports and the words of errors are gone.
+"""
+
+import ast
+import copy
+import symtable
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+
+#: A name of another module; with None the module itself.
+Target = tuple[str, str | None]
+#: A name and the attributes that follow it: ``("lattice", "RESOLUTION")``.
+Chain = tuple[str, ...]
+
+#: Decorators without an effect beyond the function or class that they decorate.
+PURE_DECORATORS = {
+    "abstractmethod", "cache", "cached_property", "checked", "classmethod", "contextmanager", "dataclass", "final",
+    "intrinsic", "lru_cache", "njit", "overload", "override", "property", "runtime_checkable", "setter", "staticmethod",
+    "total_ordering", "wraps",
+}  # fmt: skip
+#: Base classes whose own code calls a method only if its name has double underscores.
+PASSIVE_BASES = {"ABC", "Enum", "Exception", "Generic", "IntEnum", "NamedTuple", "Protocol", "ValueError", "object"}
+
+
+@dataclass(eq=False)
+class Definition:
+    """Statements of a module that stand for one name.
+
+    Attributes:
+        module: dotted name of the module.
+        package: dotted name of the package that relative imports start from.
+        name: defined name; of a method ``Class.method``; empty for a statement that runs with its module.
+        node: the statement; a class is without its methods.
+        methods: of a class, by name.
+    """
+
+    module: str
+    package: str
+    name: str
+    node: ast.stmt
+    methods: dict[str, list["Definition"]] = field(default_factory=dict)
+
+    @cached_property
+    def normal(self) -> ast.stmt:
+        """The statement in normal form; takes the place of the statement as it was."""
+        _ = self.imports, self.typed  # read before they are gone
+        self.node = _normal(self.node)
+        return self.node
+
+    @cached_property
+    def text(self) -> str:
+        """The normal form as text, the same in all versions of Python; begins with the class of a method."""
+        return f"{self.name.rpartition('.')[0]}:{_text(self.normal)}"
+
+    @cached_property
+    def imports(self) -> dict[str, Target]:
+        """Names that import statements inside the definition bind."""
+        return dict(_imports(self.node, self.package))
+
+    @cached_property
+    def loads(self) -> list[str]:
+        """Modules that are imported by a literal name: ``import_module("hdsp.viz")``."""
+        calls = [node for node in ast.walk(self.normal) if isinstance(node, ast.Call) and node.args]
+        named = [call.args[0] for call in calls if _last_name(call.func) in ("import_module", "__import__")]
+        return [node.value for node in named if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+
+    @cached_property
+    def used(self) -> list[Chain]:
+        """Names that the code takes from its module or from an import inside, with the attributes that follow."""
+        table = symtable.symtable(ast.unparse(self.normal), self.module, "exec")
+        known = {symbol.get_name() for symbol in table.get_symbols() if symbol.is_referenced()} | self.imports.keys()
+        for inner in _inner_scopes(table):
+            known |= {symbol.get_name() for symbol in inner.get_symbols() if symbol.is_global()}
+        return [chain for chain in _chains(self.normal) if chain[0] in known]
+
+    @cached_property
+    def typed(self) -> list[Chain]:
+        """Like ``used``, from annotations: an instance of such a type can come from anywhere."""
+        return [chain for annotation in _annotations(self.node) for chain in _chains(annotation)]
+
+    @cached_property
+    def mentions(self) -> frozenset[str]:
+        """Attributes that the code takes from any object, and words that ``getattr`` could take."""
+        nodes = list(ast.walk(self.normal))
+        words = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+        return frozenset(node.attr for node in nodes if isinstance(node, ast.Attribute)) | words
+
+    @property
+    def bases(self) -> list[Chain] | None:
+        """Base classes that may call the methods of a class; None where only the code of the base could tell."""
+        if not isinstance(self.node, ast.ClassDef):
+            return []
+        plain = [base.value if isinstance(base, ast.Subscript) else base for base in self.node.bases]
+        active = [base for base in plain if _last_name(base) not in PASSIVE_BASES]
+        if self.node.keywords or any(not _chains(base) for base in active):
+            return None
+        return [_chains(base)[0] for base in active]
+
+    @property
+    def is_called_by_others(self) -> bool:
+        """Whether a method can be called without being mentioned."""
+        name = self.name.rpartition(".")[2]
+        return (name.startswith("__") and name.endswith("__")) or not _is_pure(self.node)
+
+
+@dataclass
+class Module:
+    """The definitions of a module.
+
+    Attributes:
+        name: dotted.
+        is_package: whether the source is an ``__init__.py``.
+        definitions: by name, in the order of the source; under ``""`` statements that run with the module.
+        bindings: names that import statements bind, those under ``if TYPE_CHECKING`` included.
+        imported: all that is imported at run time.
+    """
+
+    name: str
+    is_package: bool
+    definitions: dict[str, list[Definition]] = field(default_factory=dict)
+    bindings: dict[str, Target] = field(default_factory=dict)
+    imported: list[Target] = field(default_factory=list)
+
+    @staticmethod
+    @cache
+    def parse(name: str, source: str, is_package: bool) -> "Module":
+        """Read a source. Fingerprints share what they read."""
+        module, package = Module(name, is_package), name if is_package else name.rpartition(".")[0]
+        tree = ast.parse(source)
+        defined = {name for statement in tree.body for name in _defined(statement)}
+        for statement in tree.body:
+            if not isinstance(statement, _SCOPES):
+                found = dict(_imports(statement, package))
+                module.bindings |= found
+                if not _is_test_of(statement, "TYPE_CHECKING"):
+                    module.imported += found.values()
+            if _says_nothing(statement):
+                continue
+            names = _defined(statement) or _belongs_to(statement) & defined
+            definition = Definition(name, package, next(iter(sorted(names)), ""), statement)
+            if isinstance(statement, ast.ClassDef):
+                _split_methods(definition, statement)
+            for key in [*names, *([""] if not names or _has_effect(statement) else [])]:
+                module.definitions.setdefault(key, []).append(definition)
+        return module
+
+    def all(self) -> Iterator[Definition]:
+        """Every definition, methods included."""
+        for definitions in self.definitions.values():
+            for definition in definitions:
+                yield definition
+                for methods in definition.methods.values():
+                    yield from methods
+
+
+_SCOPES = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+_FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
+
+
+def _split_methods(definition: Definition, node: ast.ClassDef) -> None:
+    """Take the methods out of a class."""
+    rest = copy.copy(node)
+    rest.body = [statement for statement in node.body if not isinstance(statement, _FUNCTIONS)]
+    definition.node = rest
+    for method in node.body:
+        if isinstance(method, _FUNCTIONS):
+            own = Definition(definition.module, definition.package, f"{node.name}.{method.name}", method)
+            definition.methods.setdefault(method.name, []).append(own)
+
+
+def _defined(statement: ast.stmt) -> set[str]:
+    """Names that a statement of a module gives the module, imports apart."""
+    if isinstance(statement, _SCOPES):
+        return {statement.name}
+    inside: Iterable[ast.AST] = _same_scope(statement)
+    names = {node.id for node in inside if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    return names | {node.name for node in _same_scope(statement) if isinstance(node, _SCOPES)}
+
+
+def _same_scope(node: ast.AST) -> Iterator[ast.AST]:
+    """The node and all below it that run in the same scope, with functions and classes but not their bodies."""
+    yield node
+    if not isinstance(node, (*_SCOPES, ast.Lambda, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)):
+        for child in ast.iter_child_nodes(node):
+            yield from _same_scope(child)
+
+
+def _belongs_to(statement: ast.stmt) -> set[str]:
+    """The name whose value a statement without names of its own changes: ``TABLE[0] = 1``, ``TABLE.sort()``."""
+    if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Call):
+        changed: list[ast.expr] = [statement.value.func]
+    elif isinstance(statement, ast.Assign):
+        changed = statement.targets
+    elif isinstance(statement, ast.AugAssign | ast.AnnAssign):
+        changed = [statement.target]
+    else:
+        return set()
+    return {
+        chain[0] for node in changed for chain in _chains(node)[:1] if isinstance(node, ast.Attribute | ast.Subscript)
+    }
+
+
+def _has_effect(statement: ast.stmt) -> bool:
+    """Whether running a statement that defines names can do more than that."""
+    if isinstance(statement, _SCOPES):
+        return not _is_pure(statement)
+    return not isinstance(statement, ast.Assign | ast.AnnAssign | ast.AugAssign | ast.Expr)
+
+
+def _is_pure(statement: ast.stmt) -> bool:
+    return all(_last_name(decorator) in PURE_DECORATORS for decorator in getattr(statement, "decorator_list", []))
+
+
+def _says_nothing(statement: ast.stmt) -> bool:
+    """Whether a statement of a module decides nothing about the results of its other code."""
+    if isinstance(statement, ast.Import | ast.ImportFrom | ast.Pass) or _is_words(statement):
+        return True
+    return _defined(statement) == {"__all__"} or any(_is_test_of(statement, n) for n in ("TYPE_CHECKING", "__name__"))
+
+
+def _is_words(statement: ast.AST) -> bool:
+    """Whether a statement is a string: a docstring."""
+    return (
+        isinstance(statement, ast.Expr)
+        and isinstance(statement.value, ast.Constant)
+        and isinstance(statement.value.value, str)
+    )
+
+
+def _is_test_of(statement: ast.AST, name: str) -> bool:
+    """Whether a statement is ``if NAME`` or ``if NAME == ...``."""
+    if not isinstance(statement, ast.If):
+        return False
+    test = statement.test.left if isinstance(statement.test, ast.Compare) else statement.test
+    return _last_name(test) == name
+
+
+def _last_name(node: ast.AST) -> str:
+    """``c`` of ``a.b.c``, ``a.b.c(...)``."""
+    if isinstance(node, ast.Call):
+        return _last_name(node.func)
+    return node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
+
+
+def _imports(node: ast.AST, package: str) -> Iterator[tuple[str, Target]]:
+    """(bound name, target) of the import statements below a node."""
+    for statement in ast.walk(node):
+        if isinstance(statement, ast.Import):
+            for alias in statement.names:
+                first = alias.name.split(".")[0]
+                yield (alias.asname, (alias.name, None)) if alias.asname else (first, (first, None))
+                yield alias.name, (alias.name, None)  # loaded in any case; a name with dots is no name in code
+        elif isinstance(statement, ast.ImportFrom):
+            above = package.split(".")[: len(package.split(".")) - statement.level + 1] if statement.level else []
+            source = ".".join([*above, *([statement.module] if statement.module else [])])
+            for alias in statement.names:
+                yield alias.asname or (f"*{source}" if alias.name == "*" else alias.name), (source, alias.name)
+
+
+def _inner_scopes(table: symtable.SymbolTable) -> Iterator[symtable.SymbolTable]:
+    for inner in table.get_children():
+        yield inner
+        yield from _inner_scopes(inner)
+
+
+def _chains(node: ast.AST) -> list[Chain]:
+    """All names below a node, each with the attributes that follow it."""
+    attributes: list[str] = []
+    root = node
+    while isinstance(root, ast.Attribute):
+        attributes.insert(0, root.attr)
+        root = root.value
+    if isinstance(root, ast.Name):
+        return [(root.id, *attributes)]
+    return [chain for child in ast.iter_child_nodes(root) for chain in _chains(child)]
+
+
+def _annotations(node: ast.AST) -> Iterator[ast.AST]:
+    """Annotations below a node, those in quotes as code."""
+    for inner in ast.walk(node):
+        for annotation in (getattr(inner, "annotation", None), getattr(inner, "returns", None)):
+            if annotation is None:
+                continue
+            yield annotation
+            for part in ast.walk(annotation):
+                if isinstance(part, ast.Constant) and isinstance(part.value, str):
+                    try:
+                        yield ast.parse(part.value, mode="eval")
+                    except SyntaxError:
+                        continue  # a word of a Literal
+
+
+class _Normaliser(ast.NodeTransformer):
+    """Removes all that decides no result."""
+
+    _in_class = False
+
+    def generic_visit(self, node: ast.AST) -> ast.AST:
+        outer, self._in_class = self._in_class, isinstance(node, ast.ClassDef)
+        node = super().generic_visit(node)
+        self._in_class = outer
+        if getattr(node, "body", None) == []:
+            node.body = [ast.Pass()]  # type: ignore[attr-defined]
+        for name in ("annotation", "returns", "type_comment"):
+            if hasattr(node, name) and not isinstance(node, ast.AnnAssign):
+                setattr(node, name, None)
+        return node
+
+    def visit_Import(self, node: ast.Import) -> None:
+        return None
+
+    def visit_ImportFrom(self, node: ast.ImportFrom) -> None:
+        return None
+
+    def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
+        return None if _is_words(node) else self.generic_visit(node)
+
+    def visit_If(self, node: ast.If) -> ast.AST | list[ast.AST]:
+        if _is_test_of(node, "TYPE_CHECKING"):
+            return [self.visit(statement) for statement in node.orelse]
+        return self.generic_visit(node)
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST | None:
+        if self._in_class:  # a field of a dataclass or tuple, which an assignment without annotation is not
+            node.annotation = ast.Constant(...)
+            return self.generic_visit(node)
+        if node.value is None:
+            return None
+        return ast.copy_location(ast.Assign([self.visit(node.target)], self.visit(node.value)), node)
+
+    def visit_Raise(self, node: ast.Raise) -> ast.AST:
+        if node.exc is not None:
+            node.exc = _Wordless().visit(node.exc)
+        return self.generic_visit(node)
+
+    def visit_Assert(self, node: ast.Assert) -> ast.AST:
+        node.msg = None
+        return self.generic_visit(node)
+
+
+class _Wordless(ast.NodeTransformer):
+    """Empties strings; other arguments of an error may be read by the code that catches it."""
+
+    def visit_Constant(self, node: ast.Constant) -> ast.AST:
+        return ast.Constant("") if isinstance(node.value, str) else node
+
+    def visit_JoinedStr(self, node: ast.JoinedStr) -> ast.AST:
+        return ast.Constant("")
+
+
+def _normal(node: ast.stmt) -> ast.stmt:
+    changed = _Normaliser().visit(node)
+    return ast.fix_missing_locations(changed if isinstance(changed, ast.stmt) else ast.Pass())
+
+
+def _text(node: object) -> str:
+    """Syntax as text. `ast.dump` and `ast.unparse` differ between versions of Python."""
+    if isinstance(node, ast.AST):
+        fields = (
+            (name, getattr(node, name, None)) for name in node._fields if name not in ("ctx", "kind", "type_params")
+        )
+        return f"{type(node).__name__}({','.join(f'{n}={_text(v)}' for n, v in fields if v is not None and v != [])})"
+    if isinstance(node, list):
+        return f"[{','.join(map(_text, node))}]"
+    return repr(node)
