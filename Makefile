@@ -8,11 +8,16 @@ export MLFLOW_DISABLE_TELEMETRY := true
 # Data sets that others published are taken from this folder if it lies beside the checkout; else they are fetched.
 export HDSP_DATA_DIR ?= $(abspath $(wildcard ../shared/data))
 TEST_ARGS ?=
+# Tests of all kernels. Plans on staircases take as long as all others together, and run no kernel that these do not.
+KERNEL_TESTS := tests/detailed tests/abstract/test_dijkstra.py tests/labels/test_rules.py tests/planning/test_heuristics.py \
+	tests/learning/test_dense_edges.py tests/terrain/test_cost_maps.py tests/terrain/test_patches.py \
+	tests/terrain/test_sensor_model.py tests/terrain/simulation/test_lidar_mapping.py \
+	--ignore tests/detailed/test_staircases.py
 
-.PHONY: help repro tables test lint format params clean
+.PHONY: help repro tables test test-checked lint format params clean
 
 help:  ## this list
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
 
 repro: $(STAMP)  ## run the pipeline (only what changed) and print the paper's tables beside ours
 	dvc repro
@@ -24,9 +29,16 @@ tables: $(STAMP)  ## print the tables of the last run
 test: $(STAMP)  ## all tests
 	python -m pytest --numprocesses 2 --dist loadgroup $(TEST_ARGS)
 
-lint: $(STAMP)  ## style and simple errors
+# Compiled for itself: with checks of every index, which a kernel otherwise goes without.
+test-checked: export NUMBA_BOUNDSCHECK := 1
+test-checked: export NUMBA_CACHE_DIR := $(CURDIR)/$(VENV)/numba-checked
+test-checked: $(STAMP)  ## the tests of the kernels, with every index checked
+	python -m pytest --numprocesses 2 --dist loadgroup $(KERNEL_TESTS) $(TEST_ARGS)
+
+lint: $(STAMP)  ## style, layers of imports
 	ruff check .
 	ruff format --check --diff .
+	lint-imports
 
 format: $(STAMP)
 	ruff check --fix .
