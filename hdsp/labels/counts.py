@@ -29,7 +29,7 @@ class LabelCounts:
 
     @classmethod
     def of(cls, feasible: np.ndarray, cost: np.ndarray, reason: np.ndarray, dropped: int = 0) -> "LabelCounts":
-        """Counts the labels of n maps, arrays [n, 22]; ``dropped`` further maps have no labels."""
+        """Counts the labels for n maps, arrays [n, 22]; ``dropped`` further maps have no labels."""
         found = cost[feasible].astype(np.float64)
         reasons = np.bincount(reason.ravel(), minlength=256)
         return cls(len(feasible), dropped, reasons, len(found), float(found.sum()), float((found**2).sum()))

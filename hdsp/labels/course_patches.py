@@ -169,7 +169,7 @@ def task_set(run: PatchRun, courses: list[ScannedCourse]) -> TaskSet:
 
 
 def courses_code(root: Path = ROOT) -> str:
-    """Fingerprint of all code that decides the patches; ``root``: folder with another copy of the package."""
+    """Fingerprint of all code that determines the patches; ``root``: folder with another copy of the package."""
     return code_fingerprint(scan_course, task_set, root=root)
 
 

@@ -72,12 +72,12 @@ def label_map(
 def label_unstandable(
     terrain: HeightMap, robot: Robot, settings: LabelSettings | None = None, start_heading: int = 0
 ) -> MapTasks | None:
-    """Label the tasks of a map in whose middle cell the robot cannot stand: all are infeasible.
+    """Labels the 22 tasks of a map where the robot cannot stand in the middle cell: all tasks are infeasible.
 
     Arguments and errors as for `label_map`; no search uses the settings.
 
     Returns:
-        The tasks, with start and goals at the start base and neutral feet; None if a valid start state exists.
+        The tasks, with start and goals at the start base with neutral feet; None if a valid start state exists.
     """
     base = _start_base(terrain, start_heading)
     if feet_at(build_world(terrain, robot), base) is not None:
@@ -88,7 +88,7 @@ def label_unstandable(
 
 
 def _start_base(terrain: HeightMap, start_heading: int) -> tuple[int, int, int]:
-    """Detailed base state at which the tasks of a map start."""
+    """Detailed base state from which a map's tasks start."""
     if min(terrain.shape) < PATCH_CELLS:
         raise InputError(
             f"map of {terrain.shape[0]} x {terrain.shape[1]} cells: labels need at least {PATCH_CELLS} x {PATCH_CELLS}"
@@ -108,7 +108,7 @@ def _map_tasks(
     cost: np.ndarray,
     reason: np.ndarray,
 ) -> MapTasks:
-    """The tasks of a map from detailed start and goal states and the results of the searches."""
+    """Tasks from detailed start and goal states and search results."""
     grid = Grid(terrain.origin, terrain.shape)
     feasible = reason == Status.SOLVED
     return MapTasks(

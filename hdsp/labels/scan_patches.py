@@ -141,7 +141,7 @@ def label_scan(
 def labelled_patches(
     terrain: HeightMap, robot: Robot, patches: ScanPatchSettings, settings: LabelSettings, place: str
 ) -> TaskSet:
-    """The tasks of the patches drawn from a map; arguments and result as for `label_scan`."""
+    """Labels patches drawn from a map; arguments and result as for `label_scan`."""
     starts = draw_starts(terrain, robot, patches)
     labels = [
         label_map(terrain.crop_cells(ix, iy, 0, ROTATED_MAP_CELLS), robot, settings, heading)
@@ -151,7 +151,7 @@ def labelled_patches(
 
 
 def patches_code(root: Path = ROOT) -> str:
-    """Fingerprint of all code that decides the patches of a map; ``root``: folder with another copy of the package."""
+    """Fingerprint of all code that determines a map's patches; ``root``: folder with another copy of the package."""
     return code_fingerprint(labelled_patches, root=root)
 
 

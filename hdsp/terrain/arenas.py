@@ -85,7 +85,7 @@ class ArenaTask:
 
 @checked
 class BlockDescription:
-    """A block or a ramp in an arena; the attributes are those of `hdsp.terrain.scenes.Block`."""
+    """A block or a ramp in an arena, with the attributes of `hdsp.terrain.scenes.Block`."""
 
     x: float
     y: float
@@ -97,7 +97,7 @@ class BlockDescription:
 
 @checked
 class StaircaseDescription:
-    """Stairs in an arena; the attributes are those of `hdsp.terrain.scenes.Staircase`."""
+    """Stairs in an arena, with the attributes of `hdsp.terrain.scenes.Staircase`."""
 
     x: float
     y: float
@@ -111,15 +111,15 @@ class StaircaseDescription:
 
 @checked
 class ArenaDescription:
-    """An arena as a file describes it, as in ``conf/arena/paper.yaml``. The walls around the arena are not listed.
+    """An arena description from a file, as in ``conf/arena/paper.yaml``. It does not list the walls around the arena.
 
     Attributes:
         size: side length, m; a multiple of the cell size.
         wall_height, wall_thickness: dimensions of all walls, m.
         walls: centre lines, from x, y to x, y, m; a wall extends half its thickness beyond both ends.
         blocks, ramps, staircases: other obstacles.
-        tasks: starts and goals of the planning experiment.
-        source: the planning experiment takes the map that a simulated lidar makes of the arena.
+        tasks: starts and goals for the planning experiment.
+        source: ``scanned``; the planning experiment uses the map from a simulated lidar scan.
     """
 
     size: ArenaSize
@@ -199,14 +199,14 @@ class ArenaSettings:
 
 @checked
 class RandomArena:
-    """A random arena as a file describes it, as in ``conf/arena/small.yaml``.
+    """A random arena from a file, as in ``conf/arena/small.yaml``.
 
     Attributes:
         size: side length, m; a multiple of the cell size.
-        seed: seed of all that is drawn.
-        contents: contents of the arena.
-        tasks: starts and goals of the planning experiment.
-        source: the planning experiment takes the true heights.
+        seed: seed for the random generator.
+        contents: arena contents.
+        tasks: starts and goals for the planning experiment.
+        source: ``random``; the planning experiment uses the true heights.
     """
 
     size: ArenaSize

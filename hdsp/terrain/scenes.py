@@ -109,7 +109,7 @@ class Block:
         return (self,)
 
     def covers(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Whether points (x, y) lie on the block, sides included; bool with their shape."""
+        """Whether points (x, y) lie on the block, sides included; bool with x's shape."""
         turn = lattice.rotation(-self.yaw)
         along = turn[0, 0] * (x - self.x) + turn[0, 1] * (y - self.y)
         across = turn[1, 0] * (x - self.x) + turn[1, 1] * (y - self.y)
@@ -214,7 +214,7 @@ class Scene:
         return HeightMap(self.heights_at(x, y), origin=tuple(-offset))
 
     def heights_at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Heights at points (x, y), m; float32 with the shape of x."""
+        """Heights at points (x, y), m; float32 with x's shape."""
         heights = np.zeros(np.shape(x), np.float32)
         for obstacle in self.obstacles:
             for block in obstacle.blocks():
@@ -251,8 +251,8 @@ def random_map(
     Args:
         seed, category, index, settings: as in `random_scene`.
         cells: map side length in cells.
-        heading: the robot's detailed heading, [0, 64). The scene rotates with the robot, so the robot sees the same
-            terrain at every heading. The map must then be larger than the patch cut from it.
+        heading: detailed start heading, [0, 64). The scene rotates with the robot, so the robot sees the same terrain
+            at every heading. The map must then be larger than the patch cut from it.
 
     Returns:
         a height map with the start at world (0, 0).

@@ -106,7 +106,7 @@ def _displaced(heights: np.ndarray, cells: float, random: np.random.Generator) -
 
 
 def _mixed(heights: np.ndarray, share: float, random: np.random.Generator) -> np.ndarray:
-    """Gives a share of the cells at edges a random height between the lowest and the highest height beside them."""
+    """Gives a share of edge cells a random height between the lowest and the highest height beside them."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     low, high = minimum_filter(heights, 3, mode="nearest"), maximum_filter(heights, 3, mode="nearest")

@@ -1,4 +1,4 @@
-"""Kernels that are kept on disk: compiled again after exactly the edits that change them."""
+"""Kernels in the disk cache: compiled again after exactly the edits that change them."""
 
 import ast
 import os

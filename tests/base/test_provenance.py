@@ -1,4 +1,4 @@
-"""Fingerprints of code: of a small package, and of the code that labels depend on, in copies of this package."""
+"""Code fingerprints: for a small package, and for the labels' code in copies of this package."""
 
 import ast
 import re
@@ -107,7 +107,7 @@ def package(tmp_path):
 
 
 def edit(root: Path, old: str, new: str, times: int = 1) -> Path:
-    """Replace a text in the one file that has it, wherever that is."""
+    """Replaces a text in the only file that contains it."""
     holding = [path for path in root.rglob("*.py") if old in path.read_text()]
     assert len(holding) == 1, f"{old!r} is in {holding}"
     text = holding[0].read_text()
@@ -252,7 +252,7 @@ def test_what_decides_no_label_is_in_no_hash_of_labels(project):
 
 @pytest.fixture
 def called(monkeypatch):
-    """Runs a function; returns which functions of the package it called, as ``module:name``."""
+    """Runs a function; returns the package functions that it called, as ``module:name``."""
 
     def trace(function):
         found: set[str] = set()
@@ -291,13 +291,13 @@ def test_every_function_that_runs_for_a_patch_of_a_scan_is_in_its_hash(called):
 
 
 def missing(ran: set[str], covered: dict[str, list[str]]) -> list[str]:
-    """Functions that ran and are in no hash, exempt ones apart."""
+    """Called functions without a hash, except exempt ones."""
     own = [(name, *name.split(":")) for name in sorted(ran)]
     return [name for name, module, part in own if not is_exempt(module) and part not in covered.get(module, [])]
 
 
 def test_packages_only_give_names_to_code_below_them():
-    """Then importing a module runs no code of the packages around it, as fingerprints assume."""
+    """An import of a module then runs no code of the surrounding packages, as fingerprints assume."""
     silent = (ast.Import, ast.ImportFrom, ast.Assign, ast.AnnAssign, ast.FunctionDef, ast.ClassDef)
     for path in [*(ROOT / "hdsp").rglob("__init__.py"), *(ROOT / "pipeline").rglob("__init__.py")]:
         for statement in ast.parse(path.read_text()).body:

@@ -1,4 +1,4 @@
-"""The schema of the robot file and its page are those of the classes."""
+"""The robot file's schema and its documentation page agree with the classes."""
 
 import json
 import subprocess
@@ -44,7 +44,7 @@ def test_each_key_has_its_meaning_its_unit_and_its_range():
 
 
 def test_an_editor_refuses_what_the_loader_refuses():
-    """Unknown keys and missing ones, as far as a schema says."""
+    """Unknown and missing keys, as far as a schema can express them."""
     parts = [SCHEMA, *SCHEMA["$defs"].values()]
     assert all(part["additionalProperties"] is False and part["required"] == list(part["properties"]) for part in parts)
     assert len(parts) == 12 and set(SCHEMA["properties"]) == set(Robot.load("momaro").to_dict())

@@ -141,14 +141,14 @@ class LabelRun:
         return sensed(terrain, self.sensing, np.random.default_rng(np.random.SeedSequence(numbers)))
 
     def tasks_of(self, number: int, label: "LabelMap | None" = None) -> "MapTasks | None":
-        """The labels of map ``number``.
+        """Labels map ``number``.
 
         Args:
             number: map number in the split.
-            label: function that labels the map; None = the labelling rule for the split.
+            label: function that labels the map; None = the split's labelling rule.
 
         Returns:
-            None for a map that the split leaves out.
+            The tasks, or None for a map that the split leaves out.
         """
         label = label or self._rule()
         return label(self.terrain_of(number), self.robot, self.settings, self.map_of(number)[2])
@@ -159,7 +159,7 @@ class LabelRun:
         return rules.label_map if self.split.standable else rules.label_unstandable
 
     def task_set(self, maps: Sequence[int], labels: "Sequence[MapTasks | None]") -> TaskSet:
-        """The tasks of maps in a shard, without maps that the split leaves out."""
+        """Task set for the maps in a shard, without maps that the split leaves out."""
         kept = [(number, tasks) for number, tasks in zip(maps, labels, strict=True) if tasks is not None]
         if not kept:
             return TaskSet.empty()

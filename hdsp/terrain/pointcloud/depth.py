@@ -42,12 +42,12 @@ class Camera:
 
 @checked
 class Elevation:
-    """Scale of an image of a height map.
+    """Scale of a height map image.
 
     Attributes:
-        highest: height of the grey value 255, m.
+        highest: height for grey value 255, m.
         pixel: pixel size, m.
-        spacing: distance between the points that are made of the image, m.
+        spacing: distance between points interpolated from the image, m.
     """
 
     highest: Positive
