@@ -21,7 +21,7 @@ from benchmarks.page import shown, table, write_block
 from hdsp.detailed.search.estimate import geometric_estimate
 from hdsp.detailed.search.solve import Limits, Status, solve
 from hdsp.planning.planner import Planner
-from hdsp.robot.lattice import HEADINGS, RESOLUTION
+from hdsp.robot.lattice import HEADINGS, cells
 from hdsp.terrain.arenas import random_arena
 
 QUANTILES = 0.5, 0.9, 0.95, 0.99
@@ -83,7 +83,7 @@ def pairs(planner: Planner, rng, count: int, near: float, far: float):
     found = 0
     while found < count:
         goal = np.array([*rng.integers((0, 0), shape), rng.integers(HEADINGS), 0, 0, 0, 0])
-        distance, way = rng.uniform(near, far) / RESOLUTION, rng.uniform(0, 2 * np.pi)
+        distance, way = cells(rng.uniform(near, far)), rng.uniform(0, 2 * np.pi)
         base = goal[:2] + np.rint(distance * np.array([np.cos(way), np.sin(way)])).astype(int)
         if not ((base >= 0) & (base < shape)).all():
             continue

@@ -18,7 +18,7 @@ import numpy as np
 
 from hdsp import HeightMap, Planner
 from hdsp.planning.plans import Plan
-from hdsp.robot.lattice import RESOLUTION, Grid
+from hdsp.robot.lattice import Grid, cells
 from hdsp.terrain.scenes import Block, Scene
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -36,7 +36,7 @@ class Task:
     goal: tuple[float, float, float]
 
     def terrain(self) -> HeightMap:
-        shape = (round(self.size[0] / RESOLUTION), round(self.size[1] / RESOLUTION))
+        shape = (round(cells(self.size[0])), round(cells(self.size[1])))
         centers = Grid((0.0, 0.0), shape).center(np.stack(np.indices(shape), axis=-1))
         return HeightMap(Scene(self.blocks).heights_at(centers[..., 0], centers[..., 1]))
 

@@ -8,7 +8,7 @@ a search needs to remember one byte per state to find the way back.
 import numpy as np
 
 from hdsp.base.jit import njit
-from hdsp.robot.lattice import HEADINGS, RESOLUTION
+from hdsp.robot.lattice import HEADINGS, metres
 from hdsp.robot.robot import FEET
 
 TURN_LEFT, TURN_RIGHT = 20, 21  # 0..19 are the drive moves
@@ -96,10 +96,10 @@ def action_name(action: int) -> str:
     if action < FOOT_MOVE:
         return "turn_left" if action == TURN_LEFT else "turn_right"
     if action < BASE_FORWARD:
-        change = RESOLUTION * (1 - 2 * ((action - FOOT_MOVE) % 2))
+        change = metres(1 - 2 * ((action - FOOT_MOVE) % 2))
         return f"foot_move {FEET[(action - FOOT_MOVE) // 2]} {change:+.3f}"
     if action < STEP:
         return "base_shift " + ("forward" if action == BASE_FORWARD else "backward")
     if action == START:
         return "start"
-    return f"step {FEET[(action - STEP) // 32]} {((action - STEP) % 32 - 16) * RESOLUTION:+.3f}"
+    return f"step {FEET[(action - STEP) // 32]} {metres((action - STEP) % 32 - 16):+.3f}"

@@ -21,7 +21,7 @@ from hdsp.detailed.world.world import build_world
 from hdsp.labels.rules import LabelSettings, MapTasks, label_map
 from hdsp.labels.shards import SCHEMA_VERSION, read_shard, write_shard
 from hdsp.labels.tasks import TaskSet
-from hdsp.robot.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, RESOLUTION, cells
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, RESOLUTION, cells, is_detailed
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.patches import ROTATED_MAP_CELLS
@@ -75,7 +75,7 @@ def draw_starts(terrain: HeightMap, robot: Robot, settings: ScanPatchSettings) -
     Raises:
         InputError: if the map has another cell size.
     """
-    if abs(terrain.resolution - RESOLUTION) > 1e-9:
+    if not is_detailed(terrain.resolution):
         raise InputError(f"patches: cells of {terrain.resolution} m; need {RESOLUTION} m")
     # Unknown cells surround the map, as in the labelled cut-out: feet keep their clearance to the border of the map.
     margin = ROTATED_MAP_CELLS // 2

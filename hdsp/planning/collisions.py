@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.robot.lattice import RESOLUTION
+from hdsp.robot.lattice import metres
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.arenas import Arena
 from hdsp.terrain.scenes import Block, Ramp
@@ -30,7 +30,7 @@ FOOT_RADIUS = 0.05
 #: What a map of cells leaves open about the place of an edge, m: a cell is as high as its centre, so what stands there
 #: may reach half a cell further than the map shows. That body and feet are tested at centres of cells is no excuse:
 #: a planner has a margin for it (``hdsp.planning.planner.with_margin``), and feet their clearance.
-CELL_TOLERANCE = RESOLUTION / 2
+CELL_TOLERANCE = metres(0.5)
 
 _INCREMENT = 0.01  # m between two poses that are tested
 _LONGEST_ACTION = 0.4  # m; longer gaps between states are no motion of a robot

@@ -30,7 +30,7 @@ from hdsp.detailed.world.world_update import updated_world
 from hdsp.learning.shipped import abstraction_of, load_abstraction
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic, changed_cells
 from hdsp.planning.plans import Plan
-from hdsp.robot.lattice import RESOLUTION, Grid, heading_index
+from hdsp.robot.lattice import RESOLUTION, Grid, heading_index, is_detailed
 from hdsp.robot.robot import Box, Robot
 from hdsp.terrain.height_map import HeightMap
 
@@ -66,7 +66,7 @@ class Planner:
         self.heuristic = self._make_heuristic(heuristic)
 
     def _check(self, terrain: HeightMap) -> HeightMap:
-        if abs(terrain.resolution - RESOLUTION) > 1e-9:
+        if not is_detailed(terrain.resolution):
             raise InputError(f"terrain has cells of {terrain.resolution:g} m; the planner needs {RESOLUTION:g} m")
         return terrain
 

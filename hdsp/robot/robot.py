@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 
 from hdsp.base.errors import InputError
 from hdsp.base.settings import Name, NotNegative, Positive, checked, fault, load_settings, parse_yaml, read_yaml, unit
-from hdsp.robot.lattice import RESOLUTION, offset_steps
+from hdsp.robot.lattice import metres, offset_steps
 
 _PRESETS = resources.files("hdsp.robot") / "presets"
 
@@ -67,11 +67,11 @@ class Feet:
         if self.contact_inward > nearest:
             need = f"at most {nearest:g} m, the distance of the feet from the middle of the body"
             raise fault("contact_inward", self.contact_inward, need)
-        if max(abs(self.offset_min), abs(self.offset_max)) < _OFFSETS * RESOLUTION:
+        if max(abs(self.offset_min), abs(self.offset_max)) < metres(_OFFSETS):
             low, high = offset_steps([self.offset_min, self.offset_max])
             if low <= 0 <= high and high - low < _OFFSETS:
                 return self
-        need = f"offsets that include 0 and span less than {_OFFSETS * RESOLUTION:g} m"
+        need = f"offsets that include 0 and span less than {metres(_OFFSETS):g} m"
         raise fault("offset_max", self.offset_max, f"{need} (offset_min is {self.offset_min:g} m)")
 
 
@@ -223,7 +223,7 @@ class Step:
     """
 
     backward: bool
-    max_length: Annotated[NotNegativeMetres, Field(le=_LONGEST_STEP * RESOLUTION)]
+    max_length: Annotated[NotNegativeMetres, Field(le=metres(_LONGEST_STEP))]
     max_height: NotNegativeMetres
     max_clearance: NotNegativeMetres
     cost: NotNegative

@@ -317,7 +317,7 @@ def _passable(terrain: HeightMap, stairs: Staircase, settings: ArenaSettings) ->
     room = ndimage.distance_transform_edt(~edges)
     free = room >= lattice.cells(settings.clearance)
     pieces, _ = ndimage.label(free & (heights < settings.rise[0]))
-    ahead = stairs.y - math.copysign(settings.clearance + 2 * lattice.RESOLUTION, stairs.yaw)
+    ahead = stairs.y - math.copysign(settings.clearance + lattice.metres(2), stairs.yaw)
     foot = tuple(Grid(terrain.origin, terrain.shape).cell((stairs.x, ahead)))
     landing = free & (np.abs(heights - stairs.steps * stairs.rise) < 1e-3)
     ground = pieces == pieces[foot]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hdsp.robot.lattice import PATCH_CELLS, RESOLUTION
+from hdsp.robot.lattice import PATCH_CELLS, metres
 from hdsp.terrain.height_map import HeightMap
 from hdsp.viz.robot_drawing import draw_pose
 from hdsp.viz.style import BLACK, BLUE, GOAL, GREEN, ORANGE, PURPLE, SKY, START, VERMILLION, draw_terrain, figure, save
@@ -111,7 +111,7 @@ def _draw_error(made, axes, scanned: HeightMap, true: HeightMap) -> None:
 def _draw_patch(axes, x: float, y: float, theta: float, color: str):
     """Outlines the patch around a start and marks the heading; returns the line for a legend."""
     c, s = math.cos(theta), math.sin(theta)
-    half = PATCH_CELLS * RESOLUTION / 2
+    half = metres(PATCH_CELLS) / 2
     corners = half * np.array([(1, 1), (1, -1), (-1, -1), (-1, 1), (1, 1)])
     (line,) = axes.plot(x + corners @ (c, -s), y + corners @ (s, c), color=color, linewidth=0.8)
     axes.annotate(

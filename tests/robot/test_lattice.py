@@ -1,4 +1,6 @@
+import ast
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +10,8 @@ from hypothesis import strategies as st
 from hdsp.base.errors import InputError
 from hdsp.robot import lattice
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, DRIVE_MOVES, HEADINGS, RESOLUTION, Grid
+
+ROOT = Path(__file__).parents[2]
 
 grids = st.builds(
     Grid, st.tuples(st.floats(-50, 50), st.floats(-50, 50)), st.tuples(st.integers(1, 500), st.integers(1, 500))
@@ -105,3 +109,36 @@ def test_abstract_steps_undo_themselves():
     np.testing.assert_allclose(world[0], [0.1, -0.2, math.pi / 8])
     np.testing.assert_allclose(lattice.abstract_steps(world), steps)
     assert lattice.abstract_shape((75, 80)) == (18, 20)
+
+
+def test_lengths_become_cells_and_cells_lengths():
+    assert lattice.cells(0.1) == pytest.approx(4) and lattice.metres(4) == pytest.approx(0.1)
+    np.testing.assert_allclose(lattice.metres(lattice.cells(np.array([0.3, -1.2]))), [0.3, -1.2])
+    assert lattice.is_detailed(RESOLUTION + 1e-12) and not lattice.is_detailed(0.026)
+
+
+def calculations_with(tree, names):
+    """Lines with an arithmetic operation or comparison on one of these names."""
+    for node in ast.walk(tree):
+        operands = []
+        if isinstance(node, ast.BinOp):
+            operands = [node.left, node.right]
+        elif isinstance(node, ast.AugAssign):
+            operands = [node.value]
+        elif isinstance(node, ast.Compare):
+            operands = [node.left, *node.comparators]
+        if any(getattr(operand, "id", getattr(operand, "attr", None)) in names for operand in operands):
+            yield node.lineno
+
+
+def test_only_the_lattice_calculates_with_a_resolution():
+    names = {"RESOLUTION", "ABSTRACT_RESOLUTION"}
+    assert list(calculations_with(ast.parse("a = 2 * lattice.RESOLUTION"), names)) == [1]
+    found = [
+        f"{path.relative_to(ROOT)}:{line}"
+        for folder in ("hdsp", "pipeline", "benchmarks", "examples")
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        if path != ROOT / "hdsp/robot/lattice.py"
+        for line in calculations_with(ast.parse(path.read_text()), names)
+    ]
+    assert found == []

@@ -15,7 +15,7 @@ from hdsp.detailed.actions.state_costs import foot_row
 from hdsp.detailed.motion.motion import PHASES, Motion
 from hdsp.detailed.motion.stance import FOUND, OUT_OF_REACH, UNBALANCED, Ground, find_stance, limits_of, resting_stances
 from hdsp.detailed.world.world import World, cell_index
-from hdsp.robot.lattice import RESOLUTION, Grid
+from hdsp.robot.lattice import RESOLUTION, Grid, metres
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.height_map import HeightMap
 
@@ -156,9 +156,9 @@ class _Refinement:
     def _highest_between(self, start: np.ndarray, end: np.ndarray) -> float:
         """Highest known ground (m) within the clearance of a foot on its way; unknown ground is not stepped over."""
         reach = self.robot.feet.clearance
-        n = int(np.ceil(np.linalg.norm((end - start)[:2]) / (RESOLUTION / 2))) + 1
+        n = int(np.ceil(np.linalg.norm((end - start)[:2]) / metres(0.5))) + 1
         line = start[:2] + np.linspace(0, 1, n)[:, None] * (end - start)[:2]
-        steps = np.arange(-reach, reach + RESOLUTION / 2, RESOLUTION / 2)
+        steps = np.arange(-reach, reach + metres(0.5), metres(0.5))
         around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
         around = around[np.linalg.norm(around, axis=1) <= reach + 1e-9]
         heights = self.terrain.height_at(line[:, None, 0] + around[:, 0], line[:, None, 1] + around[:, 1])

@@ -5,7 +5,7 @@ import numpy as np
 from hdsp.detailed.actions.state_costs import foot_row
 from hdsp.detailed.relaxed.proofs import FOOT, Unreachable, body_hits
 from hdsp.detailed.world.world import World, body_is_free, cell_index
-from hdsp.robot.lattice import RESOLUTION, Grid, heading_angle
+from hdsp.robot.lattice import Grid, heading_angle, metres
 from hdsp.robot.robot import FEET, Robot
 
 
@@ -37,7 +37,7 @@ def problems(world: World, grid: Grid, robot: Robot, state: np.ndarray) -> list[
             why = f"an edge higher than {robot.drive.max_height_difference:g} m is within {robot.feet.clearance:g} m"
         found.append(f"the {name} foot cannot stand at ({x:.2f}, {y:.2f}) m: {why}")
     for side, front, rear in (("left", 0, 1), ("right", 3, 2)):
-        apart = 2 * robot.feet.neutral_x + (state[3 + front] - state[3 + rear]) * RESOLUTION
+        apart = 2 * robot.feet.neutral_x + metres(state[3 + front] - state[3 + rear])
         if apart < robot.feet.min_separation - 1e-9:
             least = robot.feet.min_separation
             found.append(f"the {side} feet are too close to each other: {apart:.3f} m, and {least:g} m are needed")

@@ -9,7 +9,7 @@ import numpy as np
 
 from hdsp.base.jit import njit
 from hdsp.detailed.states import unpack
-from hdsp.robot.lattice import HEADINGS, RESOLUTION
+from hdsp.robot.lattice import HEADINGS, metres
 
 
 class Estimate(NamedTuple):
@@ -130,7 +130,7 @@ def geometric_estimate(world, goal) -> Estimate:
     """
     c = world.constants
     return Estimate(
-        distance=min(RESOLUTION * float(world.tables.deviation.min()), c.base_shift),
+        distance=min(metres(float(world.tables.deviation.min())), c.base_shift),
         turn=c.turn,
         goal_x=int(goal[0]),
         goal_y=int(goal[1]),
@@ -188,4 +188,4 @@ def with_footing(e: Estimate, footing, efforts: np.ndarray) -> Estimate:
 def least_foot_cost(world) -> float:
     """Least cost per cell by which one foot moves relative to the others."""
     c, longest = world.constants, world.tables.line.shape[1] - 1
-    return min(c.foot_move, c.step_per_metre * RESOLUTION + c.step / max(longest, 1))
+    return min(c.foot_move, c.step_per_metre * metres(1.0) + c.step / max(longest, 1))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hdsp.robot.lattice import DRIVE_MOVES, HEADINGS, RESOLUTION, cells, heading_angle, rotation
+from hdsp.robot.lattice import DRIVE_MOVES, HEADINGS, cells, heading_angle, rotation
 from hdsp.robot.robot import Rectangle, Robot
 
 #: How far a position exactly between two cells is nudged before rounding, in cells.
@@ -54,7 +54,7 @@ def foot_cells(robot: Robot) -> np.ndarray:
         MOVE_SAMPLES.
     """
     low, high = robot.offset_range()
-    neutral = robot.neutral_feet() / RESOLUTION
+    neutral = cells(robot.neutral_feet())
     offsets = np.arange(low, high + 1)
     table = np.empty((HEADINGS, 4, len(offsets), len(MOVE_SAMPLES.displacement), 2), dtype=np.int64)
     for heading in range(HEADINGS):
@@ -74,7 +74,7 @@ def contact_cells(robot: Robot) -> np.ndarray:
     """
     low, high = robot.offset_range()
     neutral = robot.neutral_feet()
-    middle = (neutral - np.sign(neutral) * robot.feet.contact_inward) / RESOLUTION
+    middle = cells(neutral - np.sign(neutral) * robot.feet.contact_inward)
     offsets = np.arange(low, high + 1)
     table = np.empty((HEADINGS, 4, len(offsets), len(MOVE_SAMPLES.displacement), 2), dtype=np.int64)
     for heading in range(HEADINGS):

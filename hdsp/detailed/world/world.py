@@ -21,10 +21,12 @@ from hdsp.detailed.world.geometry import (
     rectangle_cells,
     step_line,
 )
-from hdsp.robot.lattice import DRIVE_MOVES, HEADINGS, RESOLUTION, cells, heading_angle
+from hdsp.robot.lattice import DRIVE_MOVES, HEADINGS, cells, heading_angle, metres
 from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import CostMaps, cost_maps, disc_mask
 from hdsp.terrain.height_map import HeightMap
+
+_CELL = metres(1.0)  # m, side of a cell
 
 
 class Tables(NamedTuple):
@@ -178,8 +180,8 @@ def _constants(robot: Robot) -> Constants:
         turn=robot.turn.cost,
         turn_unevenness=robot.turn.unevenness_cost,
         level=robot.drive.level,
-        foot_move=robot.foot_move.cost_per_metre * RESOLUTION,
-        base_shift=robot.base_shift.cost_per_metre * RESOLUTION,
+        foot_move=robot.foot_move.cost_per_metre * _CELL,
+        base_shift=robot.base_shift.cost_per_metre * _CELL,
         shift_backward=robot.base_shift.backward,
         step_backward=step.backward,
         step=step.cost,
@@ -190,7 +192,7 @@ def _constants(robot: Robot) -> Constants:
         support_margin=cells(step.support_margin),
         neutral_x=cells(robot.feet.neutral_x),
         neutral_y=cells(robot.feet.neutral_y),
-        neutral_penalty=robot.feet.neutral_preference * RESOLUTION / robot.drive.unevenness_cost,
+        neutral_penalty=robot.feet.neutral_preference * _CELL / robot.drive.unevenness_cost,
         min_separation=math.ceil(cells(robot.feet.min_separation) - 1e-9),
     )
 
@@ -214,7 +216,7 @@ def _tables(robot: Robot, stride: int, size: int) -> Tables:
     turned = travel[None, :] - heading_angle(np.arange(HEADINGS))[:, None]
     deviation = abs(np.mod(turned + math.pi, 2 * math.pi) - math.pi)
     factor = np.vectorize(robot.drive.deviation_cost)(np.round(deviation, 12))
-    length = np.hypot(DRIVE_MOVES[:, 0], DRIVE_MOVES[:, 1]) * RESOLUTION
+    length = metres(np.hypot(DRIVE_MOVES[:, 0], DRIVE_MOVES[:, 1]))
     straight = np.minimum(deviation, math.pi - deviation) <= robot.drive.straight_deviation + 1e-9
     return Tables(
         feet=np.ascontiguousarray(feet.astype(np.int32).ravel()),
@@ -274,7 +276,7 @@ def step_fits(before, after, highest, max_height, max_clearance):
 @njit(inline="always")
 def step_effort(fixed, per_metre, per_height, length, before, after):
     """What a step costs beside the state costs: ``length`` in cells, from height ``before`` to ``after`` (m)."""
-    return fixed + per_metre * length * RESOLUTION + per_height * abs(after - before)
+    return fixed + per_metre * length * _CELL + per_height * abs(after - before)
 
 
 @njit(inline="always")

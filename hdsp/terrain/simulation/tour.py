@@ -31,7 +31,7 @@ def tour(arena: Arena, start: tuple[float, float], clearance: float = 0.3, spaci
         InputError: if the start is not free.
     """
     free = _free_ground(arena, clearance)
-    cell = lattice.RESOLUTION * _COARSE
+    cell = lattice.metres(_COARSE)
     index = np.floor(np.asarray(start[:2], float) / cell).astype(int)
     if not ((index >= 0) & (index < len(free))).all() or not free[tuple(index)]:
         raise InputError(f"tour: start {tuple(start)} is not on free ground with {clearance} m around it")
@@ -61,7 +61,7 @@ def _free_ground(arena: Arena, clearance: float) -> np.ndarray:
     """Coarse cells over which the sensor may be carried, bool [n, n]: low ground, away from edges."""
     heights = arena.height_map().heights
     edges = ndimage.maximum_filter(heights, 3) - ndimage.minimum_filter(heights, 3) > _DRIVABLE
-    room = ndimage.distance_transform_edt(~edges) * lattice.RESOLUTION
+    room = lattice.metres(ndimage.distance_transform_edt(~edges))
     free = (room >= clearance) & (heights <= _DRIVABLE)
     n = len(free) // _COARSE
     return free[: n * _COARSE, : n * _COARSE].reshape(n, _COARSE, n, _COARSE).all(axis=(1, 3))
