@@ -294,7 +294,7 @@ def _draw(random: np.random.Generator, size: float, settings: ArenaSettings) -> 
 
 
 def _stairs(random: np.random.Generator, far: float, inside: Range, settings: ArenaSettings) -> Staircase:
-    """Stairs along the farther room's wall up to a landing in one of its corners."""
+    """Stairs along the farther room's wall up to a landing in a corner."""
     landing, tread = random.uniform(*settings.platform), random.uniform(*settings.tread)
     length = landing + (settings.steps - 1) * tread
     up = random.random() < 0.5

@@ -246,7 +246,7 @@ def random_map(
     cells: int = PATCH_CELLS,
     heading: int = 0,
 ) -> HeightMap:
-    """Makes the map of `random_scene` for a robot that starts at the centre of cell (cells // 2, cells // 2).
+    """Makes the map for a robot that starts in a random scene, at the centre of cell (cells // 2, cells // 2).
 
     Args:
         seed, category, index, settings: as in `random_scene`.
