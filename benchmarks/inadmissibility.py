@@ -19,7 +19,8 @@ import numpy as np
 
 from benchmarks.page import shown, table, write_block
 from hdsp.detailed.search.estimate import geometric_estimate
-from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.detailed.search.outcome import Limits, Status
+from hdsp.detailed.search.weighted_astar import solve
 from hdsp.planning.planner import Planner
 from hdsp.robot.lattice import HEADINGS, cells
 from hdsp.terrain.arenas import random_arena
@@ -99,7 +100,7 @@ def least_way(planner: Planner, start, goal, arguments) -> tuple[np.ndarray, np.
     result = solve(planner.world, start, goal[None], view, limits=limits)
     if result.status[0] != Status.SOLVED:
         return None
-    return spread(result.states[0], result.edge_costs[0], arguments.suffixes, arguments.least)
+    return spread(result.paths[0].states, result.paths[0].costs, arguments.suffixes, arguments.least)
 
 
 def spread(states: np.ndarray, edge_costs: np.ndarray, suffixes: int, least: float):

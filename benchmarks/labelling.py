@@ -27,7 +27,7 @@ import numpy as np
 
 from hdsp.abstract import oracle
 from hdsp.abstract.transform import feet_at
-from hdsp.detailed.search.solve import Status
+from hdsp.detailed.search.outcome import Status
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.run.split_run import ClusterSettings, label_split
 from hdsp.labels.run.splits import LabelRun

@@ -14,7 +14,7 @@ import time
 from collections import Counter
 
 from hdsp.abstract import oracle
-from hdsp.detailed.search.solve import Status
+from hdsp.detailed.search.outcome import Status
 from hdsp.labels.rules import LabelSettings, label_map
 from hdsp.robot.robot import Robot
 from hdsp.terrain.scenes import CATEGORIES, TerrainSettings, random_map

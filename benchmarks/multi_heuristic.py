@@ -28,8 +28,9 @@ import yaml
 from benchmarks.page import shown, table, write_block
 from benchmarks.search import far_apart
 from hdsp.detailed.search.estimate import geometric_estimate
-from hdsp.detailed.search.multi import solve_multi
-from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.detailed.search.multi_heuristic import solve_multi
+from hdsp.detailed.search.outcome import Limits, Status
+from hdsp.detailed.search.weighted_astar import solve
 from hdsp.planning.planner import Planner
 from hdsp.terrain.arenas import random_arena, read_arena
 from hdsp.terrain.height_map import HeightMap

@@ -16,7 +16,7 @@ from collections import Counter
 
 import numpy as np
 
-from hdsp.detailed.search.solve import Status
+from hdsp.detailed.search.outcome import Status
 from hdsp.labels.published_tasks import read_published, terrain_kind
 from hdsp.labels.rules import LabelSettings, label_map
 from hdsp.robot.lattice import ABSTRACT_ACTIONS

@@ -16,7 +16,8 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.detailed.search.estimate import geometric_estimate
-from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.detailed.search.outcome import Limits, Status
+from hdsp.detailed.search.weighted_astar import solve
 from hdsp.planning.planner import Planner
 from hdsp.robot.lattice import HEADINGS
 from hdsp.terrain.arenas import random_arena

@@ -13,7 +13,7 @@ is the trained abstraction that comes with it; training is in ``hdsp.learning``,
 
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.detailed.motion.motion import Motion
-from hdsp.detailed.search.solve import Status
+from hdsp.detailed.search.outcome import Status
 from hdsp.labels.shards import read_tasks
 from hdsp.learning.shipped import load_abstraction
 from hdsp.planning.planner import Planner

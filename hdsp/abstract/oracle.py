@@ -13,10 +13,12 @@ from pydantic import Field
 from hdsp.abstract.transform import feet_at_all
 from hdsp.base.settings import Count, Positive, checked
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_footing
-from hdsp.detailed.relaxed.relaxed import Poses, costs_to_go, explore, least_costs, new_poses
-from hdsp.detailed.search.estimate import least_foot_cost, pose_estimate, with_footing
-from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_foothold_regions
+from hdsp.detailed.relaxed.poses import Poses, new_poses
+from hdsp.detailed.relaxed.relaxed_costs import costs_to_go, explore, least_costs
+from hdsp.detailed.search.estimate import least_foot_cost, pose_estimate, with_step_efforts
+from hdsp.detailed.search.outcome import Limits, Status
+from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import World
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, CELLS_PER_ABSTRACT, HEADINGS, HEADINGS_PER_ABSTRACT
 
@@ -91,9 +93,9 @@ def _search(world: World, start: np.ndarray, goals: np.ndarray, rules: Rules, se
     # A goal with a lower limit gets an initial cost, so that one limit on f serves all goals.
     highest = limit[chosen].max()
     to_go, cut = costs_to_go(world, rules, relaxed, start, goals[chosen], highest - limit[chosen], highest)
-    footing = find_footing(world, rules, least_foot_cost(world))
+    regions = find_foothold_regions(world, rules, least_foot_cost(world))
     view = pose_estimate(world, to_go, relaxed.follow, goals[chosen, 3:])
-    view = with_footing(view, footing, efforts_to(footing, world, goals[chosen]))
+    view = with_step_efforts(view, regions.region, efforts_to(regions, world, goals[chosen]))
     limits = Limits(cost=highest, expansions=settings.max_expansions)
     result = solve(world, start, goals[chosen], view, rules=rules, limits=limits, paths=False)
     ended = np.array(result.status)

@@ -91,6 +91,6 @@ def split_summary(by_category: Mapping[str, LabelCounts], maps_per_category: int
 
 def reason_name(reason: int) -> str:
     """Name of a ``Status``, or ``unknown``."""
-    from hdsp.detailed.search.solve import Status
+    from hdsp.detailed.search.outcome import Status
 
     return "unknown" if reason == REASON_UNKNOWN else str(Status(reason))

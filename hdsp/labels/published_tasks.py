@@ -51,7 +51,7 @@ STAIRS_MAPS = frozenset({44, 45, *range(47, 57)})
 #: Axes of the heights in a line, slowest first: height number ``ix * 72 + iy`` belongs to cell ``[ix, iy]``.
 AXES = "xy"
 
-_SOLVED = 0  # hdsp.detailed.search.solve.Status.SOLVED; importing that here would load the planner
+_SOLVED = 0  # hdsp.detailed.search.outcome.Status.SOLVED; importing that here would load the planner
 _DIGITS = 6
 
 

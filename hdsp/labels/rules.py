@@ -10,7 +10,7 @@ import numpy as np
 from hdsp.abstract.oracle import LabelSettings, task_costs
 from hdsp.abstract.transform import feet_at
 from hdsp.base.errors import InputError
-from hdsp.detailed.search.solve import Status
+from hdsp.detailed.search.outcome import Status
 from hdsp.detailed.world.world import build_world
 from hdsp.robot.lattice import HEADINGS, HEADINGS_PER_ABSTRACT, N_ABSTRACT_ACTIONS, PATCH_CELLS, Grid, robot_frame_goals
 from hdsp.robot.robot import Robot

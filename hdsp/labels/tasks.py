@@ -8,7 +8,7 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.robot.lattice import N_ABSTRACT_ACTIONS, PATCH_CELLS
 
-#: `TaskSet.reason` for labels without a reason. `hdsp.detailed.search.solve.Status` defines the other values.
+#: `TaskSet.reason` for labels without a reason. `hdsp.detailed.search.outcome.Status` defines the other values.
 REASON_UNKNOWN = 255
 
 _PATCH = (PATCH_CELLS, PATCH_CELLS)

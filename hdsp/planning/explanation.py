@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hdsp.detailed.search.solve import Status
+from hdsp.detailed.search.outcome import Status
 from hdsp.robot.robot import FEET
 
 if TYPE_CHECKING:

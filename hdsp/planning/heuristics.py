@@ -16,8 +16,8 @@ from hdsp.base.errors import InputError
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import foot_row
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.relaxed.foothold_regions import Footing, efforts_to, find_footing
-from hdsp.detailed.search.estimate import Estimate, estimate, geometric_estimate, least_foot_cost, with_footing
+from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, efforts_to, find_foothold_regions
+from hdsp.detailed.search.estimate import Estimate, estimate, geometric_estimate, least_foot_cost, with_step_efforts
 from hdsp.detailed.states import pack_states
 from hdsp.detailed.world.world import World, body_is_free, cell_index
 from hdsp.robot.lattice import (
@@ -45,7 +45,7 @@ class Heuristic(ABC):
     #: Whether estimates never exceed the true cost; weighted A* then keeps its bound of W times optimal.
     admissible: bool
     #: Whether no action lowers the estimate by more than it costs, and the goal's is 0. Such a heuristic is admissible,
-    #: and weighted A* keeps its bound even if it expands no state twice (``hdsp.detailed.search.once``).
+    #: and weighted A* keeps its bound even if it expands no state twice (``solve(..., reopen=False)``).
     consistent: bool = False
 
     def __init__(self, world: World):
@@ -123,7 +123,7 @@ class AbstractHeuristic(Heuristic):
         self._graph: PreparedGraph | None = None
         self._standing = np.empty(0, bool)  # of the graph
         self._reached: tuple[tuple[int, int, int], np.ndarray] | None = None  # abstract goal, distances to it
-        self._footing: Footing | None = None
+        self._foothold_regions: FootholdRegions | None = None
 
     @property
     def graph(self) -> PreparedGraph:
@@ -134,11 +134,11 @@ class AbstractHeuristic(Heuristic):
         return self._graph
 
     @property
-    def footing(self) -> Footing:
+    def foothold_regions(self) -> FootholdRegions:
         """Regions in which feet can roll, and the steps between them; computed when first used."""
-        if self._footing is None:
-            self._footing = find_footing(self.world, Rules(), least_foot_cost(self.world))
-        return self._footing
+        if self._foothold_regions is None:
+            self._foothold_regions = find_foothold_regions(self.world, Rules(), least_foot_cost(self.world))
+        return self._foothold_regions
 
     def forget(self) -> None:
         super().forget()
@@ -146,15 +146,15 @@ class AbstractHeuristic(Heuristic):
 
     def prepare(self) -> None:
         """Compute what the heuristic needs of the whole map, whatever the goal."""
-        _ = self.graph.passed_over, self.footing
+        _ = self.graph.passed_over, self.foothold_regions
 
     def _prepare(self, goal: np.ndarray) -> Estimate:
         shape = abstract_shape(self.terrain.shape)
         a, b, k = (int(v) for v in detailed_to_abstract(goal))
         to_go = self._cost_to_go((min(a, shape[0] - 1), min(b, shape[1] - 1), k))
         finite = to_go[np.isfinite(to_go)]
-        efforts = efforts_to(self.footing, self.world, goal[None])
-        return with_footing(geometric_estimate(self.world, goal), self.footing, efforts)._replace(
+        efforts = efforts_to(self.foothold_regions, self.world, goal[None])
+        return with_step_efforts(geometric_estimate(self.world, goal), self.foothold_regions.region, efforts)._replace(
             table=np.ascontiguousarray(to_go, dtype=np.float32).ravel(),
             table_nx=to_go.shape[1],
             table_ny=to_go.shape[2],
@@ -173,7 +173,7 @@ class AbstractHeuristic(Heuristic):
         their edges are computed again, and only those costs-to-go of the last goal that depend on them."""
         changed = changed_cells(self.terrain, terrain, region)
         super().update(world, terrain, region)
-        self.terrain, self._footing = terrain, None
+        self.terrain, self._foothold_regions = terrain, None
         if self._graph is None or changed is None or not isinstance(self.costs, LocalCosts):
             self._graph = self._reached = None
             return

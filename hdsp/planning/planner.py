@@ -20,10 +20,11 @@ from hdsp.detailed.motion.refinement import ban, last_step
 from hdsp.detailed.relaxed.proofs import Unreachable, why_unreachable
 from hdsp.detailed.relaxed.validity import in_words, problems
 from hdsp.detailed.search import anytime
+from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
 from hdsp.detailed.search.estimate import geometric_estimate
-from hdsp.detailed.search.multi import solve_multi
-from hdsp.detailed.search.once import solve_once
-from hdsp.detailed.search.solve import Limits, SearchResult, Status, solve
+from hdsp.detailed.search.multi_heuristic import solve_multi
+from hdsp.detailed.search.outcome import Limits, SearchResult, Status
+from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.states import action_name
 from hdsp.detailed.world.world import World, build_world
 from hdsp.detailed.world.world_update import updated_world
@@ -268,17 +269,14 @@ class Planner:
 
     def _search(self, ends, kernel_view, weight: float, progress, world: World, limits: Limits) -> Plan:
         start, goal = ends["start"], ends["goal"]
-        guide = {"weight": weight, "limits": limits, "progress": progress}
-        if weight > 1 and limits.cost == np.inf and self._may_expand_once():
-            result = solve_once(world, start, goal, kernel_view, **guide)
-        else:
-            result = solve(world, start, goal[None], kernel_view, admissible=self.heuristic.admissible, **guide)
+        once = weight > 1 and limits.cost == np.inf and self._may_expand_once()
+        result = solve(
+            world, start, goal, kernel_view, weight=weight, admissible=self.heuristic.admissible, reopen=not once,
+            limits=limits, progress=progress,
+        )  # fmt: skip
         plan = self._plan_of(result, weight)
-        if plan.solved and self.heuristic.admissible:
-            plan.bound = float(weight)
-            plan.stats["lower_bound"] = plan.cost / weight * (1 - anytime.rounding(world) * plan.cost)
-        elif plan.status in (Status.INFEASIBLE, Status.COST_LIMIT):
-            plan.stats["lower_bound"] = limits.cost if plan.status == Status.COST_LIMIT else np.inf
+        plan.bound = result.bound
+        plan.stats["lower_bound"] = result.lower_bound
         return plan
 
     def _may_expand_once(self) -> bool:
@@ -318,9 +316,7 @@ class Planner:
             "search_seconds": result.seconds,
             "lower_bound": 0.0,
         }
-        states = result.states[0] if result.states and result.states[0] is not None else np.empty((0, 7))
-        codes = result.actions[0] if result.states and result.actions[0] is not None else []
-        costs = result.edge_costs[0] if result.states and result.edge_costs[0] is not None else np.empty(0)
+        states, codes, costs = result.paths[0] or (np.empty((0, 7)), [], np.empty(0))
         return Plan(
             status=result.status[0],
             cost=float(result.cost[0]),
@@ -378,18 +374,18 @@ class Planner:
     def _improving(self, ends, kernel_view, weights, limits: Limits, refinable: bool, progress, prepared: float):
         """The plans of ``improve`` that are news."""
         best, last, shown, lower, refused = None, None, np.inf, 0.0, []
-        error = anytime.rounding(self.world)
+        error = rounding(self.world)
         rounds = self._rounds(ends, kernel_view, weights, limits, refinable, progress, refused)
         with closing(rounds):
             for plan, least, ended in rounds:
                 lower = max(lower, least)
-                better = plan.solved and (best is None or plan.cost < best.cost * (1 - anytime.LEAST_GAIN))
+                better = plan.solved and (best is None or plan.cost < best.cost * (1 - LEAST_GAIN))
                 best = plan if better else best
                 if best is None and ended is None:
                     continue
                 if best is not None and ended in (Status.INFEASIBLE, Status.COST_LIMIT):
                     ended = Status.SOLVED  # there is no other plan without the refused steps
-                bound = np.inf if best is None else anytime.suboptimality(best.cost, lower, error)
+                bound = np.inf if best is None else suboptimality(best.cost, lower, error)
                 how = None if ended is None else str(ended)
                 if last is not None and not better and bound >= shown:
                     last.stats["ended"] = how
@@ -422,7 +418,7 @@ class Planner:
             for found in rounds:
                 plan = self._plan_of(found.result, found.weight)
                 plan.stats |= {"expansions": plan.stats["expansions"] + spent, "search_seconds": _now() - began}
-                if refinable and plan.solved and plan.cost < cost * (1 - anytime.LEAST_GAIN):
+                if refinable and plan.solved and plan.cost < cost * (1 - LEAST_GAIN):
                     banned = self._ban_what_cannot_be_done(plan, world.banned, refused)
                     if banned is not None:
                         world, spent = world._replace(banned=banned), plan.stats["expansions"]
@@ -433,7 +429,7 @@ class Planner:
                     proof = proofs[-1] if proofs else why_unreachable(self.world, ends["start"], ends["goal"])
                     if proof is not None:
                         self._note_proof(plan, proof)
-                yield plan, found.lower_bound, found.ended
+                yield plan, found.result.lower_bound, found.ended
             else:
                 return
 

@@ -11,7 +11,7 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.motion.refinement import refine
-from hdsp.detailed.search.solve import Status
+from hdsp.detailed.search.outcome import Status
 from hdsp.planning.explanation import explain
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap

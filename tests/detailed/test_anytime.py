@@ -8,10 +8,12 @@ import pytest
 
 from hdsp import HeightMap, InputError, Planner, Status
 from hdsp.abstract import FlatCosts
-from hdsp.detailed.search import anytime, open_list, store
-from hdsp.detailed.search import solve as solving
+from hdsp.detailed.search import anytime, life_cycle, open_list, store
 from hdsp.detailed.search.estimate import geometric_estimate
-from hdsp.detailed.search.solve import Limits, solve
+from hdsp.detailed.search.open_list import OpenList
+from hdsp.detailed.search.outcome import Limits
+from hdsp.detailed.search.store import Store
+from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import build_world
 from tests.detailed.instances import action_tuple, blocky, near_edges, toy, valid_states
 from tests.detailed.test_refinable import refusing, steps_of
@@ -65,23 +67,22 @@ def improvements(task, guided=False, weights=WEIGHTS, **options):
 @pytest.mark.parametrize("guided", [False, True], ids=["admissible", "exaggerated"])
 @pytest.mark.parametrize("steps", [20_000, 30], ids=["rounds", "slices"])
 def test_bounds_hold_costs_never_rise_and_the_last_plan_is_optimal(tasks, monkeypatch, guided, steps):
-    monkeypatch.setattr(solving, "_SLICE", steps)  # expansions between two checks for better plans
+    monkeypatch.setattr(life_cycle, "_SLICE", steps)  # expansions between two checks for better plans
     assert len(tasks) >= 60
     first_was_worse = 0
     for task in tasks:
-        world, twin, start, goal, least = task
+        _, twin, start, goal, least = task
         found = improvements(task, guided)
         assert [each.ended for each in found[:-1]] == [None] * (len(found) - 1)
         assert found[-1].ended == Status.SOLVED
-        error = anytime.rounding(world)
-        bounds = [anytime.suboptimality(float(each.result.cost[0]), each.lower_bound, error) for each in found]
+        bounds = [each.result.bound for each in found]
         for each, bound in zip(found, bounds, strict=True):
-            if each.result.states[0] is not None:
+            if each.result.paths[0] is not None:
                 assert least - 1e-6 <= each.result.cost[0] <= (bound + 1e-5) * least
-            assert each.lower_bound <= least * (1 + 1e-6)
+            assert each.result.lower_bound <= least * (1 + 1e-6)
         for before, after in pairwise(found):
             assert after.result.cost[0] <= before.result.cost[0]
-            assert after.lower_bound >= before.lower_bound
+            assert after.result.lower_bound >= before.result.lower_bound
         assert bounds[-1] == 1
         assert found[-1].result.cost[0] == pytest.approx(least, rel=1e-5, abs=1e-6)
         first_was_worse += found[0].result.cost[0] > least * 1.001
@@ -90,12 +91,14 @@ def test_bounds_hold_costs_never_rise_and_the_last_plan_is_optimal(tasks, monkey
 
 
 def assert_legal(twin, result, start, goal):
-    states = [tuple(state) for state in result.states[0].tolist()]
+    states = [tuple(state) for state in result.paths[0].states.tolist()]
     assert states[0] == start and states[-1] == goal
-    for state, reached, code, cost in zip(states, states[1:], result.actions[0], result.edge_costs[0], strict=False):
+    for state, reached, code, cost in zip(
+        states, states[1:], result.paths[0].actions, result.paths[0].costs, strict=False
+    ):
         legal = {(a, s): c for a, s, c in twin.successors(state)}
         assert legal[action_tuple(int(code)), reached] == pytest.approx(cost, rel=1e-6)
-    assert result.edge_costs[0].sum() == pytest.approx(result.cost[0], rel=1e-9)
+    assert result.paths[0].costs.sum() == pytest.approx(result.cost[0], rel=1e-9)
 
 
 def test_limits_end_the_search_with_the_best_plan_so_far(tasks):
@@ -105,13 +108,13 @@ def test_limits_end_the_search_with_the_best_plan_so_far(tasks):
     enough = needed[0].result.expansions + 1  # enough for the first plan, too few for the best plan
     (*_, last) = improvements(task, limits=Limits(expansions=enough))
     assert last.ended == Status.EXPANSION_LIMIT and last.result.status == [Status.SOLVED]
-    assert last.result.expansions == enough and 0 < last.lower_bound <= task[4] * (1 + 1e-6)
+    assert last.result.expansions == enough and 0 < last.result.lower_bound <= task[4] * (1 + 1e-6)
     (only,) = improvements(task, limits=Limits(expansions=1))
-    assert only.ended == Status.EXPANSION_LIMIT == only.result.status[0] and 0 < only.lower_bound <= task[4]
+    assert only.ended == Status.EXPANSION_LIMIT == only.result.status[0] and 0 < only.result.lower_bound <= task[4]
     *some, last = improvements(task, limits=Limits(cost=0.99 * task[4]))
-    assert last.ended == Status.COST_LIMIT and last.result.states == [None]
-    assert all(each.result.states == [None] for each in some)
-    assert 0.98 * task[4] <= last.lower_bound <= task[4]
+    assert last.ended == Status.COST_LIMIT and last.result.paths == [None]
+    assert all(each.result.paths == [None] for each in some)
+    assert 0.98 * task[4] <= last.result.lower_bound <= task[4]
     within = improvements(task, limits=Limits(cost=1.01 * task[4]))
     assert within[-1].ended == Status.SOLVED
     assert 0 < min(each.result.cost[0] for each in within) <= 1.01 * task[4]
@@ -120,28 +123,30 @@ def test_limits_end_the_search_with_the_best_plan_so_far(tasks):
 def test_all_memory_counts_also_that_into_which_the_store_is_copied(monkeypatch):
     world = build_world(HeightMap.flat((100, 100)), NIMBLE)
     start, goal = np.array((20, 20, 0, 0, 0, 0, 0)), np.array((80, 80, 32, 0, 0, 0, 0))
-    alive, most = [], 0
+    times, most = 0, 0
 
-    def watched(grow):
+    def watched(grow, other):
         def growing(old, *more):
-            nonlocal most
+            nonlocal times, most
             new = grow(old, *more)
             arrays = {id(array): array.nbytes for array in (*old, *new) if isinstance(array, np.ndarray)}
-            most = max(most, sum(arrays.values()))
-            alive.append(new.nbytes())
+            held[type(new)] = new.nbytes()
+            times, most = times + 1, max(most, sum(arrays.values()) + held[other])
             return new
 
         return growing
 
-    monkeypatch.setattr(solving, "grown", watched(store.grown))
-    monkeypatch.setattr(open_list, "with_room", watched(open_list.with_room))
+    held = {OpenList: open_list.new_open_list().nbytes()}
+    monkeypatch.setattr(life_cycle, "grown", watched(store.grown, OpenList))
+    monkeypatch.setattr(open_list, "with_room", watched(open_list.with_room, Store))
     estimate = geometric_estimate(world, goal)
     free = solve(world, start, goal, estimate)
-    assert free.status == [Status.SOLVED] and len(alive) > 4
+    assert free.status == [Status.SOLVED] and times > 4
     needed, most = most, 0
+    held[OpenList] = open_list.new_open_list().nbytes()
     assert solve(world, start, goal, estimate, limits=Limits(memory=needed)).status == [Status.SOLVED]
     assert most == needed
-    most = 0
+    most, held[OpenList] = 0, open_list.new_open_list().nbytes()
     short = solve(world, start, goal, estimate, limits=Limits(memory=needed - 1))
     assert short.status == [Status.MEMORY_LIMIT]
     assert needed / 2 < most < needed  # the search uses the memory that the limit allows
@@ -226,11 +231,11 @@ def test_each_limit_ends_with_its_status(planner):
 
 
 def test_time_runs_while_the_caller_thinks(planner, monkeypatch):
-    monkeypatch.setattr(solving, "_SLICE", 500)
+    monkeypatch.setattr(life_cycle, "_SLICE", 500)
     plans = planner.improve(START, GOAL, time=1000.0)
     first = next(plans)
-    clock = solving.time.perf_counter
-    monkeypatch.setattr(solving.time, "perf_counter", lambda: clock() + 2000)
+    clock = life_cycle.time.perf_counter
+    monkeypatch.setattr(life_cycle.time, "perf_counter", lambda: clock() + 2000)
     rest = list(plans)
     assert_each_is_news([first, *rest])
     assert ([first, *rest])[-1].stats["ended"] == "time_limit"

@@ -8,9 +8,15 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_footing
-from hdsp.detailed.relaxed.relaxed import costs_to_go, explore, least_costs
-from hdsp.detailed.search.estimate import estimate, geometric_estimate, least_foot_cost, pose_estimate, with_footing
+from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_foothold_regions
+from hdsp.detailed.relaxed.relaxed_costs import costs_to_go, explore, least_costs
+from hdsp.detailed.search.estimate import (
+    estimate,
+    geometric_estimate,
+    least_foot_cost,
+    pose_estimate,
+    with_step_efforts,
+)
 from hdsp.detailed.states import pack_states, unpack_states
 from hdsp.detailed.world.world import build_world
 from hdsp.robot.lattice import HEADINGS
@@ -101,14 +107,14 @@ def test_geometric_heuristic_of_momaro_is_consistent(category):
 def test_relaxed_costs_feet_and_steps_never_exceed_the_true_cost(robot, seed, limit):
     world, twin, states = scene(robot, seed)
     rules, start = Rules(), np.array(states[0])
-    footing, relaxed = find_footing(world, rules, least_foot_cost(world)), explore(world, rules, start, limit)
+    regions, relaxed = find_foothold_regions(world, rules, least_foot_cost(world)), explore(world, rules, start, limit)
     true = {state: cost for state, cost in dijkstra(twin, states[0], most=80).cost.items() if cost <= limit}
     goals = np.array(list(true))
     least = least_costs(world, relaxed, start, goals)
     assert (least <= np.array(list(true.values())) * (1 + 1e-5) + 1e-6).all()
     for goal in goals[::13]:
         parameters = relaxed_estimate(world, rules, relaxed, start, goal[None], limit)
-        parameters = with_footing(parameters, footing, efforts_to(footing, world, goal[None]))
+        parameters = with_step_efforts(parameters, regions.region, efforts_to(regions, world, goal[None]))
         assert estimates(parameters, world, [start])[0] <= true[tuple(goal.tolist())] * (1 + 1e-5) + 1e-6
         assert estimates(parameters, world, [goal])[0] == pytest.approx(0, abs=1e-6)
 
@@ -124,11 +130,11 @@ def test_the_relaxed_heuristic_is_consistent_along_every_edge(robot, seed):
     world, twin, states = scene(robot, seed)
     rules, start = Rules(), np.array(states[0])
     relaxed = explore(world, rules, start, 20.0)
-    footing = find_footing(world, rules, least_foot_cost(world))
+    regions = find_foothold_regions(world, rules, least_foot_cost(world))
     reached = list(dijkstra(twin, states[0], most=60).cost)
     goals = np.array(reached[-3:])
     parameters = relaxed_estimate(world, rules, relaxed, start, goals, 20.0)
-    parameters = with_footing(parameters, footing, efforts_to(footing, world, goals))
+    parameters = with_step_efforts(parameters, regions.region, efforts_to(regions, world, goals))
     for state in reached[::4]:
         keys, prices, _ = successor_arrays(world, state)
         here = estimates(parameters, world, [state])[0]

@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 from hdsp import HeightMap, InputError, Planner, Status
 from hdsp.abstract import FlatCosts
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.relaxed.relaxed import costs_to_go, explore
-from hdsp.detailed.search import multi
-from hdsp.detailed.search.anytime import rounding
+from hdsp.detailed.relaxed.relaxed_costs import costs_to_go, explore
+from hdsp.detailed.search import life_cycle, open_list
+from hdsp.detailed.search.bounds import rounding
 from hdsp.detailed.search.estimate import estimate, geometric_estimate, pose_estimate
-from hdsp.detailed.search.multi import solve_multi
-from hdsp.detailed.search.solve import Limits, solve
+from hdsp.detailed.search.multi_heuristic import solve_multi
+from hdsp.detailed.search.outcome import Limits
+from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.states import pack_states
 from hdsp.detailed.world.world import build_world
 from hdsp.terrain.scenes import CATEGORIES
@@ -141,9 +142,9 @@ def test_weights_of_one_find_what_plain_dijkstra_finds(category):
 def test_plans_are_legal_and_as_dear_as_the_textbook_says(category):
     for task in search_tasks(category)[::5]:
         result = found(task, [exaggerated(task)], 1.5, 2.0)
-        states = [tuple(state) for state in result.states[0].tolist()]
+        states = [tuple(state) for state in result.paths[0].states.tolist()]
         assert states[0] == task.start and states[-1] == task.goal
-        edges = zip(states, states[1:], result.actions[0], result.edge_costs[0], strict=False)
+        edges = zip(states, states[1:], result.paths[0].actions, result.paths[0].costs, strict=False)
         for state, reached, code, cost in edges:
             legal = {(a, s): c for a, s, c in task.twin.successors(state)}
             assert legal[action_tuple(int(code)), reached] == pytest.approx(cost, rel=1e-6)
@@ -233,7 +234,7 @@ def long_way():
 def free(long_way):
     """Result without limits."""
     result = solve_multi(*long_way, anchor_weight=1.1)
-    assert result.status == [Status.SOLVED] and result.expansions > multi._SLICE
+    assert result.status == [Status.SOLVED] and result.expansions > life_cycle._SLICE
     return result
 
 
@@ -249,11 +250,11 @@ def test_no_search_holds_more_memory_than_its_limit(long_way, free, share):
 
 
 def test_growing_memory_loses_nothing(long_way, free, monkeypatch):
-    monkeypatch.setattr(multi, "_ROOM", 1)
-    monkeypatch.setattr(multi, "_SLICE", 700)
+    monkeypatch.setattr(open_list, "_ROOM", 1)
+    monkeypatch.setattr(life_cycle, "_SLICE", 700)
     after = solve_multi(*long_way, anchor_weight=1.1)
     assert (after.cost[0], after.expansions_by, after.seen) == (free.cost[0], free.expansions_by, free.seen)
-    assert (after.states[0] == free.states[0]).all()
+    assert (after.paths[0].states == free.paths[0].states).all()
 
 
 def test_a_time_limit_ends_with_its_own_status(long_way):
@@ -282,7 +283,7 @@ def test_start_and_goal_must_be_valid(long_way):
     assert solve_multi(world, off, goal, anchor, guides).status == [Status.INVALID_START]
     assert solve_multi(world, start, off, anchor, guides).status == [Status.INVALID_GOAL]
     same = solve_multi(world, goal, goal, anchor, guides)
-    assert (same.status, same.cost[0], same.bound, len(same.actions[0])) == ([Status.SOLVED], 0.0, 1.0, 0)
+    assert (same.status, same.cost[0], same.bound, len(same.paths[0].actions)) == ([Status.SOLVED], 0.0, 1.0, 0)
 
 
 @pytest.mark.parametrize("weights", [(0.9, 1.0), (1.0, 0.5), (np.nan, 1.0), (1.0, np.inf)])

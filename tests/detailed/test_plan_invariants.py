@@ -10,7 +10,8 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from hdsp.detailed.search.estimate import geometric_estimate
-from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.detailed.search.outcome import Limits, Status
+from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import build_world
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -69,7 +70,7 @@ def test_plans_of_all_kinds_of_action_keep_them(category):
     for task in search_tasks(category):
         result = planned(task.world, task.start, task.goal)
         assert_legal(task.twin, task.start, task.goal, result)
-        kinds.update(action_tuple(int(code))[0] for code in result.actions[0])
+        kinds.update(action_tuple(int(code))[0] for code in result.paths[0].actions)
     assert min(kinds[kind] for kind in MOTIONS) >= 5, kinds
 
 
@@ -97,15 +98,17 @@ def inner(state, heights):
 
 
 def assert_legal(twin, start, goal, result):
-    states = [tuple(state) for state in result.states[0].tolist()]
+    states = [tuple(state) for state in result.paths[0].states.tolist()]
     assert states[0] == start and states[-1] == goal
-    assert len(states) == len(result.actions[0]) + 1 == len(result.edge_costs[0]) + 1
-    assert sum(result.edge_costs[0]) == pytest.approx(result.cost[0], rel=1e-9)
+    assert len(states) == len(result.paths[0].actions) + 1 == len(result.paths[0].costs) + 1
+    assert sum(result.paths[0].costs) == pytest.approx(result.cost[0], rel=1e-9)
     assert len(set(states)) == len(states), "a plan that comes by twice is not the cheapest"
     for state in states:
         assert twin.valid(state)
         assert not any(state[3:]) or twin.separated(state)
-    for (state, reached), code, cost in zip(pairwise(states), result.actions[0], result.edge_costs[0], strict=True):
+    for (state, reached), code, cost in zip(
+        pairwise(states), result.paths[0].actions, result.paths[0].costs, strict=True
+    ):
         action = action_tuple(int(code))
         legal = {(a, s): c for a, s, c in twin.successors(state)}
         assert legal[action, reached] == pytest.approx(cost, rel=1e-6)
@@ -190,7 +193,7 @@ def test_nobody_gets_through_a_wall(robot, at, thick, gap, seed, diagonal):
     if gap == 0:
         assert result.status == [Status.INFEASIBLE]
     if result.status == [Status.SOLVED]:
-        for state, reached in pairwise(result.states[0]):
+        for state, reached in pairwise(result.paths[0].states):
             for t in np.linspace(0, 1, 17):
                 cell = np.rint(state[:2] + t * (reached[:2] - state[:2])).astype(int)
                 assert not wall[tuple(cell)], f"from {state} to {reached} the base goes through the wall"

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.relaxed.proofs import FOOT, POSE, why_unreachable
 from hdsp.detailed.search.estimate import geometric_estimate
-from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.detailed.search.outcome import Limits, Status
+from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import build_world
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap

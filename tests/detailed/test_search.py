@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.search import kernel as search
-from hdsp.detailed.search import solve as solving
+from hdsp.detailed.search import life_cycle
 from hdsp.detailed.search.estimate import geometric_estimate, pose_estimate
-from hdsp.detailed.search.once import solve_once
-from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.detailed.search.outcome import Limits, Status
+from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import build_world
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import CATEGORIES
@@ -67,11 +66,12 @@ def test_a_search_that_expands_no_state_twice_stays_within_its_bound_too(categor
         goal = np.array(task.goal)
         for weight in (1.25, 3.0):
             guide = geometric_estimate(task.world, goal)
-            result = solve_once(task.world, np.array(task.start), goal, guide, weight=weight)
+            result = solve(task.world, np.array(task.start), goal, guide, weight=weight, reopen=False)
             assert result.status == [Status.SOLVED]
             assert result.expansions <= result.seen
             assert task.cost - 1e-6 <= result.cost[0] * (1 + 1e-6) and result.cost[0] <= weight * task.cost + 1e-6
-            assert result.cost[0] == result.edge_costs[0].sum() and len(result.states[0]) == len(result.actions[0]) + 1
+            assert result.cost[0] == result.paths[0].costs.sum()
+            assert len(result.paths[0].states) == len(result.paths[0].actions) + 1
 
 
 def exhausted(category):
@@ -105,9 +105,8 @@ def inconsistent(world, to_go, rng):
 
 
 @by_category
-def test_inconsistent_heuristics_lose_no_optimality_because_states_are_reopened(category, monkeypatch):
+def test_inconsistent_heuristics_lose_no_optimality_because_states_are_reopened(category):
     compared, reopened, worse = 0, 0, 0
-    reopening = search.run
     for world, _, rules, start, graph in exhausted(category):
         rng = np.random.default_rng(len(graph))
         ends = sorted(graph)
@@ -120,9 +119,7 @@ def test_inconsistent_heuristics_lose_no_optimality_because_states_are_reopened(
             assert result.cost[0] == pytest.approx(to_go[start], rel=1e-5, abs=1e-6), f"from {start} to {goal}"
             weighted = solve(world, *task, heuristic, rules=rules, weight=2.0)
             assert weighted.cost[0] <= 2 * to_go[start] + 1e-6
-            with monkeypatch.context() as patch:
-                patch.setattr(search, "run", lambda *arguments: reopening(*arguments[:-1], False))
-                never = solve(world, *task, heuristic, rules=rules)
+            never = solve(world, *task, heuristic, rules=rules, reopen=False)
             compared += 1
             reopened += result.expansions > never.expansions
             worse += never.cost[0] > to_go[start] * (1 + 1e-4)
@@ -138,7 +135,7 @@ def test_infeasibility_is_proved_by_exhausting_what_the_textbook_search_reaches(
         for goal in [state for state in states if state not in graph][:4]:
             result = planned(world, start, goal, rules=rules)
             assert result.status == [Status.INFEASIBLE]
-            assert np.isinf(result.cost[0]) and result.states == [None]
+            assert np.isinf(result.cost[0]) and result.paths == [None]
             assert result.seen == result.expansions == len(graph) or result.expansions > result.seen == len(graph)
             proved += 1
     assert proved >= 4
@@ -159,8 +156,8 @@ def test_many_goals_in_one_search_end_as_they_do_alone(category):
         alone = [planned(world, start, goal) for goal in goals]
         assert together.status == [result.status[0] for result in alone]
         assert together.cost == pytest.approx([result.cost[0] for result in alone], rel=1e-5, abs=1e-6)
-        for goal, cost, states in zip(goals, together.cost, together.states, strict=True):
-            assert states is None if np.isinf(cost) else (states[[0, -1]] == [start, goal]).all()
+        for goal, cost, path in zip(goals, together.cost, together.paths, strict=True):
+            assert path is None if np.isinf(cost) else (path.states[[0, -1]] == [start, goal]).all()
         statuses.update(together.status)
     assert min(statuses[kind] for kind in (Status.SOLVED, Status.INFEASIBLE, Status.INVALID_GOAL)) >= 1, statuses
 
@@ -233,13 +230,13 @@ def test_growing_memory_loses_nothing(monkeypatch):
     world, twin = build_world(HeightMap(heights), NIMBLE), Naive(heights, NIMBLE)
     states = valid_states(twin, np.random.default_rng(6), 8, headings=[0, 1, 2])
     before = [planned(world, start, goal) for start, goal in pairwise(states)]
-    ordinary = solving.new_store
-    monkeypatch.setattr(solving, "new_store", lambda shape, neutral: ordinary(shape, neutral, blocks=0))
+    ordinary = life_cycle.new_store
+    monkeypatch.setattr(life_cycle, "new_store", lambda shape, neutral: ordinary(shape, neutral, blocks=0))
     for (start, goal), expected in zip(pairwise(states), before, strict=True):
         result = planned(world, start, goal)
         assert result.cost[0] == expected.cost[0]
         assert (result.expansions, result.seen) == (expected.expansions, expected.seen)
-        assert (result.states[0] == expected.states[0]).all()
+        assert (result.paths[0].states == expected.paths[0].states).all()
     assert sum(result.seen > 4096 for result in before) >= 3
 
 
@@ -256,4 +253,4 @@ def test_a_start_that_is_the_goal_costs_nothing():
     world = build_world(HeightMap.flat((12, 12)), toy())
     state = (6, 6, 5, 0, 0, 0, 0)
     result = planned(world, state, state)
-    assert (result.status, result.cost[0], len(result.actions[0])) == ([Status.SOLVED], 0.0, 0)
+    assert (result.status, result.cost[0], len(result.paths[0].actions)) == ([Status.SOLVED], 0.0, 0)

@@ -7,7 +7,8 @@ import pytest
 
 from hdsp.abstract.transform import best_feet, feet_at
 from hdsp.detailed.search.estimate import geometric_estimate
-from hdsp.detailed.search.solve import Status, solve
+from hdsp.detailed.search.outcome import Status
+from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.rules import label_map
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, HEADINGS
@@ -153,7 +154,7 @@ def test_plans_of_mirrored_and_turned_worlds_cost_the_same(category):
         for of, of_state, _ in VIEWS:
             other = plan(of(heights), task.twin.robot, of_state(task.start, ny), of_state(task.goal, ny))
             assert other.cost[0] == pytest.approx(task.cost, rel=1e-5, abs=1e-6)
-        kinds.update(action_tuple(int(code))[0] for code in there.actions[0])
+        kinds.update(action_tuple(int(code))[0] for code in there.paths[0].actions)
     assert min(kinds[kind] for kind in KINDS) >= 2, kinds
 
 

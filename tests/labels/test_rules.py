@@ -5,7 +5,8 @@ from hdsp.abstract.transform import best_feet, feet_at, to_detailed
 from hdsp.base.errors import InputError
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.search.estimate import geometric_estimate
-from hdsp.detailed.search.solve import Limits, Status, solve
+from hdsp.detailed.search.outcome import Limits, Status
+from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.rules import LabelSettings, label_map
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, Grid, abstract_anchor, detailed_to_abstract

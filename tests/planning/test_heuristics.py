@@ -40,13 +40,13 @@ def heuristics(terrain, world):
 def least_steps(heuristic, states, goal=None):
     """Least cost of foot steps from each state to the goal (default: the first state)."""
     goal = states[0] if goal is None else goal
-    efforts = efforts_to(heuristic.footing, heuristic.world, goal[None])
+    efforts = efforts_to(heuristic.foothold_regions, heuristic.world, goal[None])
     twin = Naive(heuristic.terrain.heights, MOMARO)
     totals = []
     for state in states.tolist():
         cells = [twin.foothold(state, foot) for foot in range(4)]
         flat = [int(cell_index(heuristic.world, *cell)) for cell in cells]
-        totals.append(sum(efforts[foot, heuristic.footing.region[cell]] for foot, cell in enumerate(flat)))
+        totals.append(sum(efforts[foot, heuristic.foothold_regions.region[cell]] for foot, cell in enumerate(flat)))
     return np.array(totals)
 
 

@@ -18,7 +18,6 @@ from hdsp.robot.lattice import HEADINGS
 MAX_SUCCESSORS = 160
 
 _INF = np.inf
-_ONE = np.float32(1)
 
 
 class Rules(NamedTuple):
@@ -35,6 +34,12 @@ class Rules(NamedTuple):
     heading_window: int = HEADINGS
     turn_cost_factor: float = 1.0
     drive_only: bool = False
+
+
+def allowed_headings(rules: Rules) -> np.ndarray:
+    """Which headings lie within the window, bool [64]."""
+    off = (np.arange(HEADINGS) - rules.heading_center + HEADINGS // 2) % HEADINGS - HEADINGS // 2
+    return abs(off) <= rules.heading_window
 
 
 @njit(allocates=False)

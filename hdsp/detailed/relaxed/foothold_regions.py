@@ -14,12 +14,12 @@ import numpy as np
 
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import foot_row
-from hdsp.detailed.actions.successors import Rules
+from hdsp.detailed.actions.successors import Rules, allowed_headings
 from hdsp.detailed.world.world import World, cell_index, step_effort, step_fits
 from hdsp.robot.lattice import HEADINGS
 
 
-class Footing(NamedTuple):
+class FootholdRegions(NamedTuple):
     """Regions of footholds and the steps between them.
 
     Attributes:
@@ -32,7 +32,7 @@ class Footing(NamedTuple):
     effort: np.ndarray
 
 
-def find_footing(world: World, rules: Rules, counted_per_cell: float) -> Footing:
+def find_foothold_regions(world: World, rules: Rules, counted_per_cell: float) -> FootholdRegions:
     """Regions and steps of a terrain under the headings that ``rules`` allow.
 
     Args:
@@ -57,33 +57,32 @@ def find_footing(world: World, rules: Rules, counted_per_cell: float) -> Footing
     effort = np.full((count, count), np.inf, dtype=np.float32)
     np.fill_diagonal(effort, 0)
     if count > 1:
-        off = (np.arange(HEADINGS) - rules.heading_center + HEADINGS // 2) % HEADINGS - HEADINGS // 2
-        allowed = abs(off) <= rules.heading_window
+        allowed = allowed_headings(rules)
         toward = allowed | np.roll(allowed, HEADINGS // 2)
         _collect_steps(world, region, np.flatnonzero(toward), counted_per_cell, effort)
-    return Footing(region, effort)
+    return FootholdRegions(region, effort)
 
 
-def efforts_to(footing: Footing, world: World, goals: np.ndarray) -> np.ndarray:
+def efforts_to(regions: FootholdRegions, world: World, goals: np.ndarray) -> np.ndarray:
     """Least effort of steps from each region to the nearest of several goals.
 
     Args:
-        footing: regions and steps.
+        regions: the regions and the steps between them.
         world: terrain and robot.
         goals: int64 [n, 7], valid states in lattice units.
 
     Returns:
         float32 [4, regions]: per foot; inf where a foot cannot get to any goal.
     """
-    n, t = len(footing.effort), world.tables
+    n, t = len(regions.effort), world.tables
     result = np.full((4, n), np.inf, dtype=np.float32)
     for foot in range(4):
         rows = foot_row(t, goals[:, 2], foot, goals[:, 3 + foot] - t.lowest)
         cells = cell_index(world, goals[:, 0], goals[:, 1]) + t.feet[rows]
-        result[foot, footing.region[cells]] = 0
+        result[foot, regions.region[cells]] = 0
         # Bellman-Ford: there are few regions, and a foot seldom crosses more than a few of them.
         for _ in range(n):
-            through = (footing.effort + result[foot][None, :]).min(axis=1)
+            through = (regions.effort + result[foot][None, :]).min(axis=1)
             if not (through < result[foot]).any():
                 break
             result[foot] = np.minimum(result[foot], through)

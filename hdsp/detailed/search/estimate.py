@@ -29,7 +29,7 @@ class Estimate(NamedTuple):
         table_nx, table_ny: its extent.
         cells: detailed cells per table cell.
         heading_steps: detailed headings per table heading.
-        region: int32 flat as in ``World``, the region of each foothold (see ``footing``).
+        region: int32 flat as in ``World``, the region of each foothold (see ``foothold_regions``).
         effort: float32 [4 * regions], per foot the least effort of steps from a region to the goal; empty = none.
         feet, n_offsets, n_samples, pad, stride: where the feet are, as in ``World`` and its tables.
         outside: added to the geometric part where the table is inf or ends; inf to cut such states off.
@@ -180,9 +180,15 @@ def pose_estimate(world, to_go: np.ndarray, follow: float, feet: np.ndarray) -> 
     )
 
 
-def with_footing(e: Estimate, footing, efforts: np.ndarray) -> Estimate:
-    """The estimate plus the steps that each foot must make at least: ``efforts`` float32 [4, regions]."""
-    return e._replace(region=footing.region, effort=np.ascontiguousarray(efforts, dtype=np.float32).ravel())
+def with_step_efforts(e: Estimate, region: np.ndarray, efforts: np.ndarray) -> Estimate:
+    """The estimate plus the least effort of the steps that each foot must make.
+
+    Args:
+        e: the estimate.
+        region: int32 flat, region of each foothold (``FootholdRegions.region``).
+        efforts: float32 [4, regions], per foot from a region to the goal.
+    """
+    return e._replace(region=region, effort=np.ascontiguousarray(efforts, dtype=np.float32).ravel())
 
 
 def least_foot_cost(world) -> float:

@@ -8,27 +8,23 @@ twice at the same cost. ``store`` keeps the states, ``open_list`` those still to
 import numpy as np
 
 from hdsp.base.jit import njit
-from hdsp.detailed.actions.successors import MAX_SUCCESSORS, other_successors, pose_successors
 from hdsp.detailed.search.estimate import estimate
-from hdsp.detailed.search.open_list import pop, push, refill
+from hdsp.detailed.search.expansion import begin_at, expand, offer, relax
+from hdsp.detailed.search.open_list import FAR, NEAR, list_has_room, pop, push, refill
 from hdsp.detailed.search.store import (
     BLOCK,
     BLOCKS,
     CLOSED,
     CUT,
     EXPANDED,
-    FAR,
     GOAL,
     GOALS_LEFT,
-    NEAR,
-    SEEN,
     VISITED,
     has_room,
     key_of,
     node_of,
     waits,
 )
-from hdsp.detailed.states import FEET_MASK, START
 
 RUNNING, SOLVED, EXHAUSTED, OVER_COST_LIMIT, FULL = range(5)
 
@@ -40,24 +36,19 @@ def mark_goal(store, goal):
 
 
 @njit(allocates=False)
-def insert_start(store, heuristic, weight, start):
+def insert_start(store, open_list, heuristic, weight, start):
     """Begin a search at a packed state."""
-    node = node_of(store, start)
-    store.g[node] = 0
-    store.action[node] = START
-    store.count[SEEN] = 1
-    push(store, np.float32(weight * estimate(heuristic, start)), node)
+    node = begin_at(store, start)
+    push(open_list, np.float32(weight * estimate(heuristic, start)), node)
 
 
 @njit(allocates=False)
-def push_waiting(store, heuristic, weight):
+def push_waiting(store, open_list, heuristic, weight):
     """Begin a round: fill an empty open list with all states that wait for their expansion."""
     for node in range(BLOCK, BLOCK * store.count[BLOCKS]):
         store.flags[node] &= ~np.uint8(VISITED)
         if waits(store, node):
-            h = estimate(heuristic, key_of(store, node))
-            if h < np.inf:
-                push(store, np.float32(np.float64(store.g[node]) + weight * h), node)
+            offer(open_list, store, heuristic, weight, key_of(store, node), node)
 
 
 @njit(allocates=False)
@@ -75,14 +66,14 @@ def least_f(store, heuristic):
 
 
 @njit(allocates=False)
-def run(world, rules, heuristic, store, weight, goals, goal_cost, cost_limit, f_limit, expansions, reopen):
+def run(world, rules, heuristic, store, open_list, weight, goals, goal_cost, cost_limit, f_limit, expansions, reopen):
     """Search on until something happens.
 
     Args:
         world: terrain and robot.
         rules: restrictions of this search.
         heuristic: estimate of the cost to the goals.
-        store: the search so far; changed in place.
+        store, open_list: the search so far; changed in place.
         weight: W >= 1.
         goals: int64 [n], packed goal states, each marked.
         goal_cost: float32 [n], inf where a goal is not settled; changed in place.
@@ -95,24 +86,23 @@ def run(world, rules, heuristic, store, weight, goals, goal_cost, cost_limit, f_
     Returns:
         RUNNING, SOLVED (all goals settled), EXHAUSTED (nothing left to expand), OVER_COST_LIMIT or FULL.
     """
-    costs, actions, flags, count = store.g, store.action, store.flags, store.count
-    out_key, out_cost, out_action = store.out_key, store.out_cost, store.out_action
+    flags, count = store.flags, store.count
     until = count[EXPANDED] + expansions
     while count[EXPANDED] < until:
-        if count[NEAR] + count[FAR] + MAX_SUCCESSORS > len(store.open_f) or not has_room(store):
+        if not list_has_room(open_list) or not has_room(store):
             return FULL
-        if count[NEAR] == 0:
-            if count[FAR] == 0:
+        if open_list.count[NEAR] == 0:
+            if open_list.count[FAR] == 0:
                 return OVER_COST_LIMIT if count[CUT] else EXHAUSTED
-            refill(store)
+            refill(open_list, flags)
             continue
-        if store.open_f[0] > f_limit:
+        if open_list.f[0] > f_limit:
             return OVER_COST_LIMIT
-        node = pop(store)
+        node = pop(open_list)
         if flags[node] & CLOSED:
             continue
         key = key_of(store, node)
-        g = np.float64(costs[node])
+        g = np.float64(store.g[node])
         if flags[node] & GOAL:
             for k in range(len(goals)):
                 if goals[k] == key:
@@ -122,27 +112,8 @@ def run(world, rules, heuristic, store, weight, goals, goal_cost, cost_limit, f_
                 return SOLVED
         flags[node] |= CLOSED | VISITED
         count[EXPANDED] += 1
-        if key & FEET_MASK == store.neutral:
-            n = pose_successors(world, rules, key, out_key, out_cost, out_action)
-        elif not rules.drive_only:
-            n = other_successors(world, key, out_key, out_cost, out_action)
-        else:
-            n = 0
-        for k in range(n):
-            cost = np.float32(g + out_cost[k])
-            if cost > cost_limit:
-                count[CUT] = 1
-                continue
-            at = node_of(store, out_key[k])
-            before = costs[at]
-            if cost >= before:
-                continue
-            count[SEEN] += before == np.inf
-            costs[at] = cost
-            actions[at] = out_action[k]
-            postponed = not reopen and flags[at] & VISITED
-            flags[at] &= ~np.uint8(CLOSED)
-            h = estimate(heuristic, out_key[k])
-            if h < np.inf and not postponed:
-                push(store, np.float32(np.float64(cost) + weight * h), at)
+        for k in range(expand(world, rules, store, key)):
+            reached = relax(store, k, g, cost_limit)
+            if reached >= 0 and (reopen or not flags[reached] & VISITED):
+                offer(open_list, store, heuristic, weight, store.out_key[k], reached)
     return RUNNING

@@ -19,7 +19,7 @@ from hdsp.detailed.states import FEET_MASK, START, pack, undo, unpack
 from hdsp.robot.lattice import HEADINGS
 
 #: Slots of ``Store.count``.
-SEEN, BLOCKS, KEYS, NEAR, FAR, EXPANDED, GOALS_LEFT, CUT = range(8)
+SEEN, BLOCKS, KEYS, EXPANDED, GOALS_LEFT, CUT = range(6)
 
 #: Bits of ``Store.flags``.
 CLOSED = 1  # expanded since its present cost was found
@@ -34,8 +34,10 @@ _GROWTH = 1.25
 
 
 class Store(NamedTuple):
-    """Everything a search has seen, and what it has yet to expand; fixed arrays, exchanged for larger ones by
-    ``grown``. Block 0 stays empty: it stands for all tiles that were never touched."""
+    """Everything a search has seen; fixed arrays, exchanged for larger ones by ``grown``.
+
+    Block 0 stays empty: it stands for all tiles that were never touched.
+    """
 
     directory: np.ndarray  # int32 [64 * tiles along x * tiles along y], block of a tile, 0 = none
     tiles_x: int
@@ -48,10 +50,7 @@ class Store(NamedTuple):
     key: np.ndarray  # int64 [states off neutral], packed
     key_block: np.ndarray  # int32 [states off neutral / 64], the block that holds their nodes
     slot: np.ndarray  # int32 [power of two], hash table: place in ``key``, -1 = free
-    open_f: np.ndarray  # float32 [room], see ``open_list``
-    open_node: np.ndarray  # int32 [room]
-    open_least: np.ndarray  # float32 [4], the last is the bound between its parts
-    count: np.ndarray  # int64 [8]; CUT tells whether the cost limit kept a state out
+    count: np.ndarray  # int64 [6]; CUT tells whether the cost limit kept a state out
     out_key: np.ndarray  # buffers for the successors of one state
     out_cost: np.ndarray
     out_action: np.ndarray
@@ -59,10 +58,6 @@ class Store(NamedTuple):
     def nbytes(self) -> int:
         """Bytes of all arrays."""
         return sum(array.nbytes for array in self if isinstance(array, np.ndarray))
-
-    def open_nbytes(self) -> int:
-        """Bytes of the open list, part of ``nbytes``."""
-        return self.open_f.nbytes + self.open_node.nbytes
 
 
 def new_store(shape: tuple[int, int], neutral: int, blocks: int = 128) -> Store:
@@ -76,7 +71,7 @@ def new_store(shape: tuple[int, int], neutral: int, blocks: int = 128) -> Store:
     tiles_x, tiles_y = (-(-n // TILE) for n in shape)
     blocks = max(blocks, 2 * SPARE_BLOCKS)
     keys = 4 * BLOCK
-    count = np.zeros(8, np.int64)
+    count = np.zeros(6, np.int64)
     count[BLOCKS] = 1
     store = Store(
         directory=np.zeros(HEADINGS * tiles_x * tiles_y, np.int32),
@@ -90,9 +85,6 @@ def new_store(shape: tuple[int, int], neutral: int, blocks: int = 128) -> Store:
         key=np.empty(keys, np.int64),
         key_block=np.empty(keys // BLOCK, np.int32),
         slot=np.full(2 * keys, -1, np.int32),
-        open_f=np.empty(1 << 11, np.float32),
-        open_node=np.empty(1 << 11, np.int32),
-        open_least=np.full(4, -np.inf, np.float32),
         count=count,
         out_key=np.empty(MAX_SUCCESSORS, np.int64),
         out_cost=np.empty(MAX_SUCCESSORS, np.float64),

@@ -11,7 +11,7 @@ import pytest
 
 from hdsp.abstract.transform import feet_at
 from hdsp.base.errors import InputError
-from hdsp.detailed.search.solve import Status
+from hdsp.detailed.search.outcome import Status
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.counts import LabelCounts, split_summary
 from hdsp.labels.rules import LabelSettings

@@ -1,0 +1,58 @@
+"""A priority queue of Dijkstra's algorithm: nodes in buckets by cost, each a list that is linked both ways."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.jit import njit
+
+_OUT = np.int32(-(2**31))
+
+
+class BucketQueue(NamedTuple):
+    """Nodes that wait.
+
+    Attributes:
+        width: cost that a bucket spans.
+        heads: int32 [buckets], first node, -1 = none.
+        after: int32 [nodes], next node of the bucket, -1 = none.
+        ahead: int32 [nodes], previous node; -1 - b in front of bucket b; _OUT where a node does not wait.
+    """
+
+    width: float
+    heads: np.ndarray
+    after: np.ndarray
+    ahead: np.ndarray
+
+
+def new_bucket_queue(width: float, most: float, nodes: int) -> BucketQueue:
+    """An empty queue for ``nodes`` nodes at costs from 0 to ``most``."""
+    heads = np.full(int(most / width) + 2, -1, dtype=np.int32)
+    return BucketQueue(width, heads, np.empty(nodes, dtype=np.int32), np.full(nodes, _OUT, dtype=np.int32))
+
+
+@njit(inline="always")
+def put(queue, node, cost):
+    """Have a node wait at a cost; it leaves the bucket in which it waited before."""
+    heads, after, ahead = queue.heads, queue.after, queue.ahead
+    if ahead[node] != _OUT:
+        take(queue, node)
+    b = int(cost / queue.width)
+    second = heads[b]
+    heads[b], after[node], ahead[node] = node, second, -1 - b
+    if second >= 0:
+        ahead[second] = node
+
+
+@njit(inline="always")
+def take(queue, node):
+    """Take a waiting node out of its bucket."""
+    heads, after, ahead = queue.heads, queue.after, queue.ahead
+    one, other = ahead[node], after[node]
+    if one >= 0:
+        after[one] = other
+    else:
+        heads[-1 - one] = other
+    if other >= 0:
+        ahead[other] = one
+    ahead[node] = _OUT

@@ -1,0 +1,223 @@
+"""What a robot can reach by base pose, with the headings at a cell as the bits of one word: all are moved at once."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.jit import njit
+from hdsp.detailed.actions.state_costs import feet_cells
+from hdsp.detailed.actions.successors import Rules, allowed_headings
+from hdsp.detailed.world.world import World, cell_index, collides
+from hdsp.robot.lattice import HEADINGS
+
+
+class HeadingMasks(NamedTuple):
+    """What is possible at each cell, one bit a heading; computed when first asked for.
+
+    Attributes:
+        plain: bool [nx, ny], even ground all around: neutral feet stand and roll at every heading.
+        known: uint8 [nx, ny], bit 0: the masks for neutral feet are filled in, bit 1: ``some`` is.
+        neutral: uint64 [nx, ny], the robot can stand on neutral feet.
+        level: uint64 [nx, ny], and these feet are level.
+        step: uint64 [nx, ny], and one of them can step.
+        some: uint64 [nx, ny], the body is free and each foot finds some foothold.
+    """
+
+    plain: np.ndarray
+    known: np.ndarray
+    neutral: np.ndarray
+    level: np.ndarray
+    step: np.ndarray
+    some: np.ndarray
+
+
+class PoseFlood:
+    """The relaxed problem of poses of one terrain under the rules of a search."""
+
+    def __init__(self, world: World, rules: Rules):
+        self._world = world
+        self._allowed = np.uint64(_bits(allowed_headings(rules)))
+        self._tables, self._masks = _mask_tables(world), _new_masks(world)
+
+    def reached_from(self, state: np.ndarray, drive_only: bool) -> np.ndarray:
+        """Headings at each cell that are reached from a state int64 [7], as bits; uint64 [2, nx, ny], layer 0 on
+        neutral feet, 1 on any."""
+        reached = np.zeros((2, self._world.nx, self._world.ny), dtype=np.uint64)
+        reached[int(state[3:].any()), state[0], state[1]] = _ONE << np.uint64(state[2])
+        _flood(self._world, self._allowed, self._tables, self._masks, reached, state[0], state[1], drive_only)
+        return reached
+
+
+def holds(reached: np.ndarray, state: np.ndarray) -> bool:
+    """Whether a state int64 [7] is among those reached."""
+    return bool(reached[int(state[3:].any()), state[0], state[1]] >> np.uint64(state[2]) & _ONE)
+
+
+class MaskTables(NamedTuple):
+    """Actions by headings as bits."""
+
+    straight: np.ndarray  # uint64 [20], headings at which a drive move leads ahead or back
+    shift_dx: np.ndarray  # int64 [n], displacements of base shifts
+    shift_dy: np.ndarray
+    shift_headings: np.ndarray  # uint64 [n], headings at which they are possible
+
+
+_ONE = np.uint64(1)
+_LAST = np.uint64(63)
+
+
+def _bits(flags: np.ndarray) -> np.ndarray:
+    """Rows of 64 flags as words, uint64 [...]."""
+    return (flags.astype(np.uint64) << np.arange(HEADINGS, dtype=np.uint64)).sum(axis=-1, dtype=np.uint64)
+
+
+def _mask_tables(world: World) -> MaskTables:
+    t = world.tables
+    shifts = t.shifts[:, :2]
+    ways = [shifts, -shifts] if world.constants.shift_backward else [shifts]
+    found = np.unique(np.concatenate(ways), axis=0)
+    headings = [_bits(np.any([(way == d).all(axis=1) for way in ways], axis=0)) for d in found]
+    return MaskTables(_bits(t.straight.T), found[:, 0].copy(), found[:, 1].copy(), np.array(headings, np.uint64))
+
+
+def _new_masks(world: World) -> HeadingMasks:
+    from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
+
+    inner = (slice(world.pad, world.pad + world.nx), slice(world.pad, world.pad + world.ny))
+    height, standable = world.height.reshape(-1, world.stride), world.standable.reshape(-1, world.stride)
+    # Neutral feet can stand, and roll on, at every heading; so none steps.
+    feet = math.hypot(world.constants.neutral_x, world.constants.neutral_y) + 3
+    even = distance_transform_edt(standable)[inner] > feet
+    # No heading brings the body or two feet to heights that differ enough to matter.
+    window = 2 * math.ceil(feet) + 1
+    highest = np.maximum(maximum_filter(height, window), world.window_height.reshape(height.shape))
+    most = min([world.constants.level, *world.tables.box_above.tolist()])
+    even &= (highest <= minimum_filter(height, window) + most)[inner]
+    masks = [np.zeros((world.nx, world.ny), dtype=np.uint64) for _ in range(4)]
+    return HeadingMasks(even, np.zeros((world.nx, world.ny), np.uint8), *masks)
+
+
+@njit()
+def _flood(world, allowed, tables, masks, reached, x, y, drive_only):
+    nx, ny, move_dx, move_dy = world.nx, world.ny, world.tables.move_dx, world.tables.move_dy
+    straight, shift_headings = tables.straight, tables.shift_headings
+    shift_dx, shift_dy = tables.shift_dx, tables.shift_dy
+    known, neutral, level, step, some = masks.known, masks.neutral, masks.level, masks.step, masks.some
+    room = nx * ny + 1
+    queue, waits = np.empty(room, np.int64), np.zeros((nx, ny), np.bool_)
+    queue[0] = x * ny + y
+    first, last = 0, 1
+    while first != last:
+        x, y = queue[first] // ny, queue[first] % ny
+        first = (first + 1) % room
+        waits[x, y] = False
+        if known[x, y] == 0:
+            _fill_neutral(world, allowed, masks, x, y)
+        free = level[x, y]
+        on_any = reached[1, x, y]
+        on_neutral = reached[0, x, y] | (on_any & neutral[x, y])
+        before = ~on_neutral
+        while before != on_neutral:
+            before = on_neutral
+            turning = on_neutral & free
+            turning = (turning << _ONE) | (turning >> _LAST) | (turning >> _ONE) | (turning << _LAST)
+            on_neutral |= turning & neutral[x, y]
+        if not drive_only:
+            on_any |= on_neutral & step[x, y]
+        reached[0, x, y], reached[1, x, y] = on_neutral, on_any
+        for m in range(len(move_dx)):
+            u, v = x + move_dx[m], y + move_dy[m]
+            moved = on_neutral & (free | straight[m])
+            if moved == 0 or not (0 <= u < nx and 0 <= v < ny) or moved & ~reached[0, u, v] == 0:
+                continue
+            if known[u, v] == 0:
+                _fill_neutral(world, allowed, masks, u, v)
+            new = moved & neutral[u, v] & ~reached[0, u, v]
+            if new != 0:
+                reached[0, u, v] |= new
+                if not waits[u, v]:
+                    waits[u, v] = True
+                    queue[last] = u * ny + v
+                    last = (last + 1) % room
+        if on_any == 0 or drive_only:
+            continue
+        for m in range(len(shift_dx)):
+            moved = on_any & shift_headings[m]
+            u, v = x + shift_dx[m], y + shift_dy[m]
+            if moved == 0 or not (0 <= u < nx and 0 <= v < ny) or moved & ~reached[1, u, v] == 0:
+                continue
+            if known[u, v] != 3:
+                _fill_some(world, allowed, masks, u, v)
+            new = moved & some[u, v] & ~reached[1, u, v]
+            if new != 0:
+                reached[1, u, v] |= new
+                if not waits[u, v]:
+                    waits[u, v] = True
+                    queue[last] = u * ny + v
+                    last = (last + 1) % room
+
+
+@njit()
+def _fill_neutral(world, allowed, masks, x, y):
+    """Compute the masks of a cell for neutral feet."""
+    if masks.plain[x, y]:
+        masks.neutral[x, y] = masks.level[x, y] = masks.some[x, y] = allowed
+        masks.known[x, y] = 3
+        return
+    t = world.tables
+    standable, feet, height, steps = world.standable, t.feet, world.height, world.steps
+    n_offsets, n_samples, neutral_offset, limit = t.n_offsets, t.n_samples, -t.lowest, world.constants.level
+    step_backward = world.constants.step_backward
+    p = cell_index(world, x, y)
+    neutral, level, step = np.uint64(0), np.uint64(0), np.uint64(0)
+    for h in range(HEADINGS):
+        bit = _ONE << np.uint64(h)
+        if allowed & bit == 0:
+            continue
+        o = neutral_offset
+        p0, p1, p2, p3 = feet_cells(p, feet, n_offsets, n_samples, h, o, o, o, o)
+        if not (standable[p0] and standable[p1] and standable[p2] and standable[p3]) or collides(world, h, p):
+            continue
+        neutral |= bit
+        h0, h1, h2, h3 = height[p0], height[p1], height[p2], height[p3]
+        if max(max(h0, h1), max(h2, h3)) - min(min(h0, h1), min(h2, h3)) <= limit:
+            level |= bit
+        ways = steps[p0] | steps[p1] | steps[p2] | steps[p3]
+        if step_backward:
+            ways |= (ways << np.uint64(HEADINGS // 2)) | (ways >> np.uint64(HEADINGS // 2))
+        step |= ways & bit
+    masks.neutral[x, y], masks.level[x, y], masks.step[x, y] = neutral, level, step
+    masks.known[x, y] = 1
+
+
+@njit()
+def _fill_some(world, allowed, masks, x, y):
+    """Compute the mask of a cell for any feet."""
+    if masks.known[x, y] == 0:
+        _fill_neutral(world, allowed, masks, x, y)
+    if masks.known[x, y] == 3:
+        return
+    p = cell_index(world, x, y)
+    some = masks.neutral[x, y]
+    for h in range(HEADINGS):
+        bit = _ONE << np.uint64(h)
+        if (allowed & ~some) & bit != 0 and missing_feet(world, p, h) == 0 and not collides(world, h, p):
+            some |= bit
+    masks.some[x, y] = some
+    masks.known[x, y] = 3
+
+
+@njit()
+def missing_feet(world, p, heading):
+    """Feet that find no foothold at flat cell ``p``, as bits."""
+    standable, feet = world.standable, world.tables.feet
+    n_offsets, n_samples = world.tables.n_offsets, world.tables.n_samples
+    missing = 0
+    for foot in range(4):
+        row = (heading * 4 + foot) * n_offsets
+        found = False
+        for offset in range(n_offsets):
+            found = found or standable[p + feet[(row + offset) * n_samples]]
+        missing |= (not found) << foot
+    return missing

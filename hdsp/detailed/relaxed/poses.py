@@ -1,0 +1,119 @@
+"""The poses of the relaxed problem: what the robot could at best do at a base pose; see ``relaxed_costs``."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.jit import njit
+from hdsp.detailed.actions.state_costs import feet_cells, foot_row, state_cost
+from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, pose_successors
+from hdsp.detailed.states import pack
+from hdsp.detailed.world.world import World, body_is_free, cell_index
+from hdsp.robot.lattice import HEADINGS
+
+
+class Poses(NamedTuple):
+    """What the robot can do at each pose of some neighbouring headings, computed when first asked for.
+
+    A pose is ``(slot * nx + ix) * ny + iy``; slots are the headings from ``first`` on.
+
+    Attributes:
+        first: heading of slot 0.
+        slots: how many headings.
+        edge: float32 [poses, 22]; costs of driving and turning on neutral feet, turns at their normal cost.
+        known: bool [poses]; whether ``edge`` and ``stepping`` are filled in.
+        stepping: bool [poses]; whether a foot can step while all are neutral.
+        some: float32 [poses]; least state cost over all feet, inf where impossible, 0 where nobody asked.
+        successors: buffers for those of one state.
+    """
+
+    first: int
+    slots: int
+    edge: np.ndarray
+    known: np.ndarray
+    stepping: np.ndarray
+    some: np.ndarray
+    successors: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def new_poses(world: World, center: int, window: int) -> Poses:
+    """Poses at all headings at most ``window`` steps from ``center``."""
+    slots = min(2 * window + 1, HEADINGS)
+    n = slots * world.nx * world.ny
+    return Poses(
+        first=(center - window) % HEADINGS if slots < HEADINGS else 0,
+        slots=slots,
+        edge=np.empty((n, 22), dtype=np.float32),
+        known=np.zeros(n, dtype=np.bool_),
+        stepping=np.zeros(n, dtype=np.bool_),
+        some=np.zeros(n, dtype=np.float32),
+        successors=(np.empty(MAX_SUCCESSORS, np.int64), np.empty(MAX_SUCCESSORS), np.empty(MAX_SUCCESSORS, np.uint8)),
+    )
+
+
+def nodes_of(world: World, poses: Poses, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Layer (0 on neutral feet, 1 on others) and pose of states int64 [n, 7]."""
+    slot = (states[:, 2] - poses.first) % HEADINGS
+    return states[:, 3:].any(axis=1).astype(np.int64), (slot * world.nx + states[:, 0]) * world.ny + states[:, 1]
+
+
+@njit(inline="always")
+def look_at_pose(world, poses, pose, x, y, heading):
+    """Fill in ``edge`` and ``stepping`` of a pose."""
+    out_key, out_cost, out_action = poses.successors
+    zero = -world.tables.lowest
+    poses.edge[pose] = np.inf
+    key = pack(x, y, heading, zero, zero, zero, zero)
+    for k in range(pose_successors(world, Rules(0, HEADINGS, 1.0, True), key, out_key, out_cost, out_action)):
+        poses.edge[pose, out_action[k]] = out_cost[k]
+    poses.stepping[pose] = can_step_from_neutral(world, x, y, heading)
+    poses.known[pose] = True
+
+
+@njit(inline="always")
+def look_at_feet(world, poses, pose, x, y, heading):
+    """Fill in ``some`` of a pose; returns it."""
+    if poses.some[pose] == 0:
+        poses.some[pose] = least_pose_cost(world, x, y, heading)
+    return poses.some[pose]
+
+
+@njit(allocates=False)
+def stands_on_neutral(world, x, y, heading):
+    """Whether the robot can stand on neutral feet."""
+    zero = -world.tables.lowest
+    return state_cost(world, pack(x, y, heading, zero, zero, zero, zero)) < np.inf
+
+
+@njit(allocates=False)
+def can_step_from_neutral(world, x, y, heading):
+    """Whether some foot can step while all are neutral."""
+    t = world.tables
+    steps, feet, n_offsets, n_samples, zero = world.steps, t.feet, t.n_offsets, t.n_samples, -t.lowest
+    p = cell_index(world, x, y)
+    p0, p1, p2, p3 = feet_cells(p, feet, n_offsets, n_samples, heading, zero, zero, zero, zero)
+    ways = steps[p0] | steps[p1] | steps[p2] | steps[p3]
+    if world.constants.step_backward:
+        ways |= (ways << np.uint64(HEADINGS // 2)) | (ways >> np.uint64(HEADINGS // 2))
+    return (ways >> np.uint64(heading)) & np.uint64(1) != 0
+
+
+@njit(allocates=False)
+def least_pose_cost(world, x, y, heading):
+    """Least state cost at a pose over all feet; inf where no state is valid."""
+    t = world.tables
+    uneven, contacts, n_offsets, n_samples = world.uneven, t.contacts, t.n_offsets, t.n_samples
+    p = cell_index(world, x, y)
+    if not body_is_free(world, heading, p):
+        return np.inf
+    total = largest = np.float32(0)
+    for i in range(4):
+        row = foot_row(t, heading, i, 0)
+        # The neutral offset first: on even ground nothing is better.
+        best = uneven[p + contacts[row - t.lowest * n_samples]]
+        if best > 0:
+            for offset in range(n_offsets):
+                best = min(best, uneven[p + contacts[row + offset * n_samples]])
+        total += best
+        largest = max(largest, best)
+    return 1.0 + world.constants.unevenness * (np.float64(largest) + total)

@@ -1,0 +1,204 @@
+"""The life cycle of a search: begin, advance until it ends, read off its result.
+
+All drivers share it: ``weighted_astar``, ``anytime`` and ``multi_heuristic``.
+"""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from hdsp.detailed.actions.state_costs import state_cost
+from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, successors
+from hdsp.detailed.search import kernel, open_list
+from hdsp.detailed.search.estimate import Estimate
+from hdsp.detailed.search.open_list import OpenList
+from hdsp.detailed.search.outcome import Limits, Path, SearchResult, Status
+from hdsp.detailed.search.store import (
+    EXPANDED,
+    GOALS_LEFT,
+    SEEN,
+    count_waiting,
+    grown,
+    growth_nbytes,
+    has_room,
+    new_store,
+    trace,
+)
+from hdsp.detailed.states import neutral_feet, pack_states, unpack_states
+from hdsp.detailed.world.world import World
+
+#: Called now and then with (expansions, seconds).
+Progress = Callable[[int, float], object]
+
+_SLICE = 20_000  # expansions between two looks at the clock
+_ENDS = {
+    kernel.SOLVED: Status.SOLVED,
+    kernel.EXHAUSTED: Status.INFEASIBLE,
+    kernel.OVER_COST_LIMIT: Status.COST_LIMIT,
+}
+
+
+class Search:
+    """A search under way from one start to one or several goals.
+
+    Args:
+        world: terrain and robot.
+        start: int64 [7], lattice units (ix, iy, heading, 4 foot offsets).
+        goals: int64 [n, 7] or [7].
+        rules: restrictions; default: none.
+        limits: when to give up.
+        progress: called now and then.
+
+    Attributes:
+        goals: int64 [n], packed.
+        goal_cost: float32 [n], inf where a goal is not settled.
+        invalid: of each goal, the status that an invalid start or goal gives it; None where both are valid. A search
+            may begin if there is such a goal.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        start: np.ndarray,
+        goals: np.ndarray,
+        rules: Rules | None = None,
+        limits: Limits | None = None,
+        progress: Progress | None = None,
+    ):
+        self.began = time.perf_counter()
+        self.world, self.rules, self.limits, self.progress = world, rules or Rules(), limits or Limits(), progress
+        self.start = int(pack_states(start, world.tables.lowest)[0])
+        self.goals = pack_states(goals, world.tables.lowest)
+        self.goal_cost = np.full(len(self.goals), np.inf, dtype=np.float32)
+        self.invalid = self._invalid_ends()
+
+    def _invalid_ends(self) -> list[Status | None]:
+        if not np.isfinite(state_cost(self.world, self.start)):
+            return [Status.INVALID_START] * len(self.goals)
+        valid = [np.isfinite(state_cost(self.world, int(goal))) for goal in self.goals]
+        return [None if each else Status.INVALID_GOAL for each in valid]
+
+    def begin(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool = True) -> Status | None:
+        """Put the start in the open list.
+
+        Args:
+            heuristic: of the cost to the nearest goal.
+            weight: W >= 1.
+            admissible: whether the heuristic never exceeds that cost.
+            reopen: whether a state found cheaper after its expansion is expanded again.
+
+        Returns:
+            None if the search goes on, as from ``advance``; else the status that ends it.
+        """
+        self._set_up(lists=1)
+        self._set_order(heuristic, weight, admissible, reopen)
+        kernel.insert_start(self.store, self.lists[0], heuristic, self._weight, self.start)
+        return self._memory_limit()
+
+    def begin_round(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool) -> Status | None:
+        """Fill the open list again, in another order, with all states that wait; arguments as of ``begin``."""
+        self._set_order(heuristic, weight, admissible, reopen)
+        open_list.clear(self.lists[0])
+        if not self._grow(count_waiting(self.store)):
+            return Status.MEMORY_LIMIT
+        kernel.push_waiting(self.store, self.lists[0], heuristic, self._weight)
+        return None
+
+    def _set_up(self, lists: int) -> None:
+        """Make an empty store, in which the goals are marked, and empty open lists."""
+        # Held nowhere else, so that arrays exchanged for larger ones are freed.
+        self.store = new_store((self.world.nx, self.world.ny), neutral_feet(self.world.tables.lowest))
+        self.lists: list[OpenList] = [open_list.new_open_list() for _ in range(lists)]
+        valid = [goal for goal, wrong in zip(self.goals, self.invalid, strict=True) if wrong is None]
+        for key in valid:
+            if not has_room(self.store):
+                self.store = grown(self.store)
+            kernel.mark_goal(self.store, key)
+        self.store.count[GOALS_LEFT] = len(valid)
+
+    def _set_order(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool) -> None:
+        self._heuristic, self._weight, self._reopen = heuristic, float(weight), reopen
+        self._f_limit = weight * self.limits.cost if admissible else np.inf
+
+    def _memory_limit(self) -> Status | None:
+        return None if self.nbytes() <= self.limits.memory else Status.MEMORY_LIMIT
+
+    def advance(self) -> Status | None:
+        """Search on for a while; returns how the search ended, None if it did not."""
+        left = self.limits.expansions - int(self.store.count[EXPANDED])
+        if left <= 0:
+            return Status.EXPANSION_LIMIT
+        code = self._run(min(left, _SLICE))
+        if code in _ENDS:
+            return _ENDS[code]
+        if code == kernel.FULL and not self._grow():
+            return Status.MEMORY_LIMIT
+        elapsed = time.perf_counter() - self.began
+        if self.progress is not None:
+            self.progress(int(self.store.count[EXPANDED]), elapsed)
+        return Status.TIME_LIMIT if elapsed > self.limits.time else None
+
+    def _run(self, expansions: int) -> int:
+        """Have the kernel expand so many states at most; returns what ended that."""
+        return kernel.run(
+            self.world, self.rules, self._heuristic, self.store, self.lists[0], self._weight, self.goals,
+            self.goal_cost, self.limits.cost, self._f_limit, expansions, self._reopen,
+        )  # fmt: skip
+
+    def _grow(self, entries: int = MAX_SUCCESSORS) -> bool:
+        """Make room for the successors of one more state and so many entries in each open list; False if an array and
+        the larger one into which it is copied would exceed the limit together."""
+        if self.nbytes() + growth_nbytes(self.store) > self.limits.memory:
+            return False
+        self.store = grown(self.store)
+        for i in range(len(self.lists)):
+            more = open_list.growth_nbytes(self.lists[i], self.store.flags, entries)
+            if self.nbytes() + more > self.limits.memory:
+                return False
+            self.lists[i] = open_list.with_room(self.lists[i], self.store.flags, entries)
+        return True
+
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        return self.store.nbytes() + self._open_nbytes()
+
+    def _open_nbytes(self) -> int:
+        return sum(entries.nbytes() for entries in self.lists)
+
+    def path(self, goal: int) -> Path:
+        """The way to a packed state that was seen."""
+        keys, actions = trace(self.world, self.store, goal)
+        edges = zip(keys, keys[1:], actions, strict=False)
+        costs = [edge_cost(self.world, self.rules, int(a), int(b), int(action)) for a, b, action in edges]
+        return Path(unpack_states(keys, self.world.tables.lowest), actions, np.array(costs, dtype=float))
+
+    def result(self, ended: Status, paths: bool = True) -> SearchResult:
+        """The result of a search that ended so; ``paths``: whether to return states and actions, too."""
+        settled = np.isfinite(self.goal_cost)
+        status = [Status.SOLVED if found else ended for found in settled]
+        status = [of if wrong is None else wrong for of, wrong in zip(status, self.invalid, strict=True)]
+        if paths:
+            found = [self.path(int(goal)) if solved else None for goal, solved in zip(self.goals, settled, strict=True)]
+            result = SearchResult.of(status, found)
+        else:
+            result = SearchResult(status, self.goal_cost.astype(float))
+        self.count(result)
+        return result
+
+    def count(self, result: SearchResult) -> None:
+        """Enter what was spent so far."""
+        result.expansions, result.seen = int(self.store.count[EXPANDED]), int(self.store.count[SEEN])
+        result.memory, result.open_memory = self.nbytes(), self._open_nbytes()
+        result.seconds = time.perf_counter() - self.began
+
+
+def edge_cost(world: World, rules: Rules, key: int, reached: int, action: int) -> float:
+    """Cost of one action between two packed states; inf if it is not legal."""
+    keys, costs = np.empty(MAX_SUCCESSORS, np.int64), np.empty(MAX_SUCCESSORS)
+    actions = np.empty(MAX_SUCCESSORS, np.uint8)
+    n = successors(world, rules, key, keys, costs, actions)
+    for k in range(n):
+        if keys[k] == reached and actions[k] == action:
+            return float(costs[k])
+    return float("inf")

@@ -1,0 +1,102 @@
+"""The search kernel of shared multi-heuristic A*; see ``multi_heuristic``."""
+
+import numpy as np
+
+from hdsp.base.jit import njit
+from hdsp.detailed.search.expansion import begin_at, expand, offer, relax
+from hdsp.detailed.search.kernel import EXHAUSTED, FULL, OVER_COST_LIMIT, RUNNING, SOLVED
+from hdsp.detailed.search.open_list import first_f, list_has_room, pop
+from hdsp.detailed.search.store import CLOSED, CUT, EXPANDED, has_room, key_of
+
+#: Further bits of ``Store.flags``: expanded once for the anchor; once for the guides.
+ANCHORED, GUIDED = 8, 16
+
+
+@njit(allocates=False)
+def insert_start(store, anchor_list, guide_lists, anchor, guides, weight, start, once):
+    """Begin a search at a packed state."""
+    node = begin_at(store, start)
+    _offer_all(store, anchor_list, guide_lists, anchor, guides, weight, start, node, once)
+
+
+@njit(inline="always")
+def _offer_all(store, anchor_list, guide_lists, anchor, guides, weight, key, node, once):
+    """Put a state whose cost fell into the lists of all that may still expand it."""
+    flags = store.flags[node]
+    if flags & once:
+        return
+    if not offer(anchor_list, store, anchor, weight, key, node):
+        return
+    if flags & (ANCHORED | GUIDED):
+        return
+    for i in range(len(guide_lists)):
+        offer(guide_lists[i], store, guides[i], weight, key, node)
+
+
+@njit(inline="always")
+def _all_have_room(store, anchor_list, guide_lists):
+    room = has_room(store) and list_has_room(anchor_list)
+    for i in range(len(guide_lists)):
+        room = room and list_has_room(guide_lists[i])
+    return room
+
+
+@njit(allocates=False)
+def run(
+    world, rules, anchor, guides, store, anchor_list, guide_lists, guided, weight, anchor_weight, goal, cost_limit,
+    expansions, once,
+):  # fmt: skip
+    """Search on until something happens.
+
+    Args:
+        world: terrain and robot.
+        rules: restrictions of this search.
+        anchor: consistent heuristic.
+        guides: tuple of heuristics.
+        store: the states seen so far; changed in place.
+        anchor_list: open list of the anchor; changed in place.
+        guide_lists: tuple, open lists of the guides; changed in place.
+        guided: int64 [guides], expansions of each guide so far; changed in place.
+        weight, anchor_weight: W1 and W2, each >= 1.
+        goal: its node.
+        cost_limit: leave out states that cost more to reach; stop when no plan up to it is left.
+        expansions: return after so many, so that the caller can look at the clock.
+        once: bits of states that the anchor does not expand again; ``ANCHORED``, or 0 if all may be.
+
+    Returns:
+        As ``kernel.run``.
+    """
+    costs, flags, count = store.g, store.flags, store.count
+    until = count[EXPANDED] + expansions
+    while count[EXPANDED] < until:
+        if not _all_have_room(store, anchor_list, guide_lists):
+            return FULL
+        least = np.float64(first_f(anchor_list, flags, once))
+        if costs[goal] <= least:
+            if costs[goal] < np.inf:
+                return SOLVED
+            return OVER_COST_LIMIT if count[CUT] else EXHAUSTED
+        if least > weight * cost_limit:
+            return OVER_COST_LIMIT
+        turn = count[EXPANDED] % len(guide_lists)  # every turn is one expansion
+        guide_list = guide_lists[turn]
+        first = first_f(guide_list, flags, ANCHORED | GUIDED)
+        if first < np.inf and first <= anchor_weight * least:
+            if costs[goal] <= first:
+                return SOLVED
+            node = pop(guide_list)
+            guided[turn] += 1
+            flags[node] |= CLOSED | GUIDED
+        else:
+            if costs[goal] <= anchor_weight * least:
+                return SOLVED
+            node = pop(anchor_list)
+            flags[node] |= CLOSED | ANCHORED
+        count[EXPANDED] += 1
+        g = np.float64(costs[node])
+        for k in range(expand(world, rules, store, key_of(store, node))):
+            reached = relax(store, k, g, cost_limit)
+            if reached >= 0:
+                key = store.out_key[k]
+                _offer_all(store, anchor_list, guide_lists, anchor, guides, weight, key, reached, once)
+    return RUNNING

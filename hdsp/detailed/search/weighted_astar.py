@@ -1,0 +1,80 @@
+"""Weighted A*: plans that cost at most W times the optimum, for planning (one goal) and labels (many goals)."""
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.detailed.actions.successors import Rules
+from hdsp.detailed.search.bounds import rounding
+from hdsp.detailed.search.estimate import Estimate
+from hdsp.detailed.search.life_cycle import Progress, Search
+from hdsp.detailed.search.outcome import Limits, SearchResult, Status
+from hdsp.detailed.world.world import World
+
+
+def solve(
+    world: World,
+    start: np.ndarray,
+    goals: np.ndarray,
+    heuristic: Estimate,
+    *,
+    weight: float = 1.0,
+    admissible: bool = True,
+    reopen: bool = True,
+    rules: Rules | None = None,
+    limits: Limits | None = None,
+    paths: bool = True,
+    progress: Progress | None = None,
+) -> SearchResult:
+    """Weighted A* from one detailed state to all of several others.
+
+    With a weight above 1 a state is often expanded before the cheapest way to it is found. Expanding it again each time
+    a cheaper one turns up can take hundreds of expansions a state. Without, the plan still costs at most W times the
+    optimum if the heuristic is consistent (M. Likhachev et al., ARA*, NIPS 2003, theorem 2): each state then costs at
+    most W times its optimum when it is expanded.
+
+    Args:
+        world: terrain and robot.
+        start: int64 [7], lattice units (ix, iy, heading, 4 foot offsets).
+        goals: int64 [n, 7].
+        heuristic: must not exceed the cost to the nearest goal by more than the plan may be worse than optimal.
+        weight: W >= 1; with an admissible heuristic, costs are at most W times optimal.
+        admissible: whether the heuristic never exceeds the cost to the nearest goal; if so, it helps to prove that a
+            cost limit cannot be kept.
+        reopen: whether a state is expanded again when a cheaper way to it is found. Without, the bound needs a
+            consistent heuristic, and nothing is proved about costs: their limit has to be infinite.
+        rules: restrictions, e.g. of labelling.
+        limits: when to give up.
+        paths: whether to return states and actions.
+        progress: called with (expansions, seconds) now and then.
+
+    Returns:
+        A result with one status per goal; with one goal also the proved bounds.
+
+    Raises:
+        InputError: for a cost limit without reopening.
+    """
+    limits = limits or Limits()
+    if not reopen and np.isfinite(limits.cost):
+        raise InputError(f"cost limit {limits.cost:g}: a search that expands no state twice proves none; need inf")
+    search = Search(world, start, goals, rules, limits, progress)
+    if None not in search.invalid:
+        return SearchResult.of([status for status in search.invalid if status], [None] * len(search.goals))
+    ended = search.begin(heuristic, weight, admissible, reopen)
+    while ended is None:
+        ended = search.advance()
+    result = search.result(ended, paths)
+    if len(search.goals) == 1:
+        _enter_bounds(result, world, weight if admissible else np.inf, limits)
+    return result
+
+
+def _enter_bounds(result: SearchResult, world: World, bound: float, limits: Limits) -> None:
+    """Enter the proved bounds of a search for one goal whose plan costs at most ``bound`` times the optimum."""
+    (status,), cost = result.status, float(result.cost[0])
+    if status == Status.SOLVED and np.isfinite(bound):
+        result.bound = float(bound)
+        result.lower_bound = cost / bound * (1 - rounding(world) * cost)
+    elif status == Status.INFEASIBLE:
+        result.lower_bound = np.inf
+    elif status == Status.COST_LIMIT:
+        result.lower_bound = limits.cost
