@@ -165,7 +165,7 @@ def test_relaxed_distances_equal_a_plain_dijkstra(robot, seed, factor):
 
 
 def plain_relaxed_distances(twin, start, follow):
-    """{(layer, x, y, heading): cost} according to the documentation of `hdsp.detailed.relaxed.relaxed`."""
+    """{(layer, x, y, heading): cost} according to the documentation of `hdsp.detailed.relaxed.relaxed_costs`."""
     low, high = twin.robot.offset_range()
     price = twin.robot.base_shift.cost_per_metre * 0.025
     ways = (1, -1) if twin.robot.base_shift.backward else (1,)
