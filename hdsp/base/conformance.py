@@ -10,7 +10,7 @@ import numpy as np
 
 
 class ConformanceError(AssertionError):
-    """Raised when an implementation breaks a rule of its contract.
+    """Raised when an implementation breaks a contract rule.
 
     The error is an ``AssertionError`` instead of an ``InputError``, because the fault lies in code, and checkers run in
     tests. The message is a single line.
@@ -68,7 +68,7 @@ class Contract:
         Args:
             rule: rule name.
             found, expected: arrays with the same shape; NaN equals NaN, and inf equals inf alone.
-            words: name of the arrays in the message.
+            words: array name in the message.
             tolerance: largest difference between two finite values.
 
         Raises:
@@ -89,10 +89,10 @@ class Contract:
             rule: rule name.
             error: error type.
             call: function without arguments.
-            words: name of the call in the message.
+            words: call name in the message.
 
         Raises:
-            ConformanceError: the call returns, or raises an error of another type.
+            ConformanceError: the call returns, or raises another error type.
         """
         try:
             call()

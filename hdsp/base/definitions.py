@@ -1,7 +1,7 @@
-"""A module's source as definitions: statements that stand for a name, with all names that they refer to.
+"""Definitions in a module's source: statements that define a name, with all names they refer to.
 
-Nothing is imported here. The normal form of a definition keeps the code that decides results. Comments, docstrings,
-layout, type annotations, imports and the words of errors are gone.
+This module imports no analysed code. A definition's normal form keeps the code that decides results, without comments,
+docstrings, layout, type annotations, imports and error messages.
 """
 
 import ast
@@ -11,31 +11,31 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 
-#: A name of another module; with None the module itself.
+#: Module and a name in it; None = the module itself.
 Target = tuple[str, str | None]
-#: A name and the attributes that follow it: ``("lattice", "RESOLUTION")``.
+#: Name with its attributes: ``("lattice", "RESOLUTION")``.
 Chain = tuple[str, ...]
 
-#: Decorators without an effect beyond the function or class that they decorate.
+#: Decorators without effects beyond their function or class.
 PURE_DECORATORS = {
     "abstractmethod", "cache", "cached_property", "checked", "classmethod", "contextmanager", "dataclass", "final",
     "intrinsic", "lru_cache", "njit", "overload", "override", "property", "runtime_checkable", "setter", "staticmethod",
     "total_ordering", "wraps",
 }  # fmt: skip
-#: Base classes whose own code calls a method only if its name has double underscores.
+#: Base classes whose code only calls methods with double underscores.
 PASSIVE_BASES = {"ABC", "Enum", "Exception", "Generic", "IntEnum", "NamedTuple", "Protocol", "ValueError", "object"}
 
 
 @dataclass(eq=False)
 class Definition:
-    """Statements of a module that stand for one name.
+    """Statements in a module that define one name.
 
     Attributes:
-        module: dotted name of the module.
-        package: dotted name of the package that relative imports start from.
-        name: defined name; of a method ``Class.method``; empty for a statement that runs with its module.
-        node: the statement; a class is without its methods.
-        methods: of a class, by name.
+        module: dotted module name.
+        package: dotted name of the package for relative imports.
+        name: defined name; ``Class.method`` for a method; empty for a statement executed with its module.
+        node: statement; a class without its methods.
+        methods: a class's methods, by name.
     """
 
     module: str
@@ -46,31 +46,31 @@ class Definition:
 
     @cached_property
     def normal(self) -> ast.stmt:
-        """The statement in normal form; takes the place of the statement as it was."""
-        _ = self.imports, self.typed  # read before they are gone
+        """Statement in normal form, which replaces the original statement."""
+        _ = self.imports, self.typed  # the normal form lacks imports and annotations
         self.node = _normal(self.node)
         return self.node
 
     @cached_property
     def text(self) -> str:
-        """The normal form as text, the same in all versions of Python; begins with the class of a method."""
+        """Normal form as text, equal in all Python versions; a method's text begins with its class."""
         return f"{self.name.rpartition('.')[0]}:{_text(self.normal)}"
 
     @cached_property
     def imports(self) -> dict[str, Target]:
-        """Names that import statements inside the definition bind."""
+        """Names bound by import statements inside the definition."""
         return dict(_imports(self.node, self.package))
 
     @cached_property
     def loads(self) -> list[str]:
-        """Modules that are imported by a literal name: ``import_module("hdsp.viz")``."""
+        """Modules imported by a literal name: ``import_module("hdsp.viz")``."""
         calls = [node for node in ast.walk(self.normal) if isinstance(node, ast.Call) and node.args]
         named = [call.args[0] for call in calls if _last_name(call.func) in ("import_module", "__import__")]
         return [node.value for node in named if isinstance(node, ast.Constant) and isinstance(node.value, str)]
 
     @cached_property
     def used(self) -> list[Chain]:
-        """Names that the code takes from its module or from an import inside, with the attributes that follow."""
+        """Names read from the module or from an inner import, with their attributes."""
         table = symtable.symtable(ast.unparse(self.normal), self.module, "exec")
         known = {symbol.get_name() for symbol in table.get_symbols() if symbol.is_referenced()} | self.imports.keys()
         for inner in _inner_scopes(table):
@@ -79,19 +79,19 @@ class Definition:
 
     @cached_property
     def typed(self) -> list[Chain]:
-        """Like ``used``, from annotations: an instance of such a type can come from anywhere."""
+        """Like ``used``, for names in annotations, because an instance of an annotated type may come from anywhere."""
         return [chain for annotation in _annotations(self.node) for chain in _chains(annotation)]
 
     @cached_property
     def mentions(self) -> frozenset[str]:
-        """Attributes that the code takes from any object, and words that ``getattr`` could take."""
+        """Attributes read from any object, and strings that ``getattr`` could receive."""
         nodes = list(ast.walk(self.normal))
         words = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
         return frozenset(node.attr for node in nodes if isinstance(node, ast.Attribute)) | words
 
     @property
     def bases(self) -> list[Chain] | None:
-        """Base classes that may call the methods of a class; None where only the code of the base could tell."""
+        """Base classes that may call the class's methods; None if the source does not name them."""
         if not isinstance(self.node, ast.ClassDef):
             return []
         plain = [base.value if isinstance(base, ast.Subscript) else base for base in self.node.bases]
@@ -102,21 +102,21 @@ class Definition:
 
     @property
     def is_called_by_others(self) -> bool:
-        """Whether a method can be called without being mentioned."""
+        """Whether other code can call a method without mentioning its name."""
         name = self.name.rpartition(".")[2]
         return (name.startswith("__") and name.endswith("__")) or not _is_pure(self.node)
 
 
 @dataclass
 class Module:
-    """The definitions of a module.
+    """A module's definitions.
 
     Attributes:
-        name: dotted.
+        name: dotted name.
         is_package: whether the source is an ``__init__.py``.
-        definitions: by name, in the order of the source; under ``""`` statements that run with the module.
-        bindings: names that import statements bind, those under ``if TYPE_CHECKING`` included.
-        imported: all that is imported at run time.
+        definitions: by name, in source order; statements executed with the module under ``""``.
+        bindings: names bound by import statements, including ``if TYPE_CHECKING``.
+        imported: all run-time imports.
     """
 
     name: str
@@ -128,7 +128,7 @@ class Module:
     @staticmethod
     @cache
     def parse(name: str, source: str, is_package: bool) -> "Module":
-        """Read a source. Fingerprints share what they read."""
+        """Parses a source; fingerprints share the result."""
         module, package = Module(name, is_package), name if is_package else name.rpartition(".")[0]
         tree = ast.parse(source)
         defined = {name for statement in tree.body for name in _defined(statement)}
@@ -149,7 +149,7 @@ class Module:
         return module
 
     def all(self) -> Iterator[Definition]:
-        """Every definition, methods included."""
+        """Yields every definition, including methods."""
         for definitions in self.definitions.values():
             for definition in definitions:
                 yield definition
@@ -162,7 +162,7 @@ _FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
 
 def _split_methods(definition: Definition, node: ast.ClassDef) -> None:
-    """Take the methods out of a class."""
+    """Separates a class's methods from the class."""
     rest = copy.copy(node)
     rest.body = [statement for statement in node.body if not isinstance(statement, _FUNCTIONS)]
     definition.node = rest
@@ -173,7 +173,7 @@ def _split_methods(definition: Definition, node: ast.ClassDef) -> None:
 
 
 def _defined(statement: ast.stmt) -> set[str]:
-    """Names that a statement of a module gives the module, imports apart."""
+    """Names defined by a module statement, except imports."""
     if isinstance(statement, _SCOPES):
         return {statement.name}
     inside: Iterable[ast.AST] = _same_scope(statement)
@@ -182,7 +182,7 @@ def _defined(statement: ast.stmt) -> set[str]:
 
 
 def _same_scope(node: ast.AST) -> Iterator[ast.AST]:
-    """The node and all below it that run in the same scope, with functions and classes but not their bodies."""
+    """The node and all nodes below it in the same scope; functions and classes without their bodies."""
     yield node
     if not isinstance(node, (*_SCOPES, ast.Lambda, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)):
         for child in ast.iter_child_nodes(node):
@@ -190,7 +190,7 @@ def _same_scope(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def _belongs_to(statement: ast.stmt) -> set[str]:
-    """The name whose value a statement without names of its own changes: ``TABLE[0] = 1``, ``TABLE.sort()``."""
+    """Name whose value is changed by a statement without own names: ``TABLE[0] = 1``, ``TABLE.sort()``."""
     if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Call):
         changed: list[ast.expr] = [statement.value.func]
     elif isinstance(statement, ast.Assign):
@@ -205,7 +205,7 @@ def _belongs_to(statement: ast.stmt) -> set[str]:
 
 
 def _has_effect(statement: ast.stmt) -> bool:
-    """Whether running a statement that defines names can do more than that."""
+    """Whether a statement with defined names can have further effects when it runs."""
     if isinstance(statement, _SCOPES):
         return not _is_pure(statement)
     return not isinstance(statement, ast.Assign | ast.AnnAssign | ast.AugAssign | ast.Expr)
@@ -216,14 +216,14 @@ def _is_pure(statement: ast.stmt) -> bool:
 
 
 def _says_nothing(statement: ast.stmt) -> bool:
-    """Whether a statement of a module decides nothing about the results of its other code."""
+    """Whether a module statement has no influence on results of other code in the module."""
     if isinstance(statement, ast.Import | ast.ImportFrom | ast.Pass) or _is_words(statement):
         return True
     return _defined(statement) == {"__all__"} or any(_is_test_of(statement, n) for n in ("TYPE_CHECKING", "__name__"))
 
 
 def _is_words(statement: ast.AST) -> bool:
-    """Whether a statement is a string: a docstring."""
+    """Whether a statement is a string, such as a docstring."""
     return (
         isinstance(statement, ast.Expr)
         and isinstance(statement.value, ast.Constant)
@@ -240,20 +240,20 @@ def _is_test_of(statement: ast.AST, name: str) -> bool:
 
 
 def _last_name(node: ast.AST) -> str:
-    """``c`` of ``a.b.c``, ``a.b.c(...)``."""
+    """``c`` in ``a.b.c`` or ``a.b.c(...)``."""
     if isinstance(node, ast.Call):
         return _last_name(node.func)
     return node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
 
 
 def _imports(node: ast.AST, package: str) -> Iterator[tuple[str, Target]]:
-    """(bound name, target) of the import statements below a node."""
+    """Yields (bound name, target) for import statements below a node."""
     for statement in ast.walk(node):
         if isinstance(statement, ast.Import):
             for alias in statement.names:
                 first = alias.name.split(".")[0]
                 yield (alias.asname, (alias.name, None)) if alias.asname else (first, (first, None))
-                yield alias.name, (alias.name, None)  # loaded in any case; a name with dots is no name in code
+                yield alias.name, (alias.name, None)  # loaded in any case; code has no names with dots
         elif isinstance(statement, ast.ImportFrom):
             above = package.split(".")[: len(package.split(".")) - statement.level + 1] if statement.level else []
             source = ".".join([*above, *([statement.module] if statement.module else [])])
@@ -268,7 +268,7 @@ def _inner_scopes(table: symtable.SymbolTable) -> Iterator[symtable.SymbolTable]
 
 
 def _chains(node: ast.AST) -> list[Chain]:
-    """All names below a node, each with the attributes that follow it."""
+    """All names below a node, each with its attributes."""
     attributes: list[str] = []
     root = node
     while isinstance(root, ast.Attribute):
@@ -280,7 +280,7 @@ def _chains(node: ast.AST) -> list[Chain]:
 
 
 def _annotations(node: ast.AST) -> Iterator[ast.AST]:
-    """Annotations below a node, those in quotes as code."""
+    """Annotations below a node; quoted ones are parsed as code."""
     for inner in ast.walk(node):
         for annotation in (getattr(inner, "annotation", None), getattr(inner, "returns", None)):
             if annotation is None:
@@ -295,7 +295,7 @@ def _annotations(node: ast.AST) -> Iterator[ast.AST]:
 
 
 class _Normaliser(ast.NodeTransformer):
-    """Removes all that decides no result."""
+    """Removes all parts without influence on results."""
 
     _in_class = False
 
@@ -325,7 +325,7 @@ class _Normaliser(ast.NodeTransformer):
         return self.generic_visit(node)
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST | None:
-        if self._in_class:  # a field of a dataclass or tuple, which an assignment without annotation is not
+        if self._in_class:  # only an annotated assignment is a dataclass or tuple field
             node.annotation = ast.Constant(...)
             return self.generic_visit(node)
         if node.value is None:
@@ -343,7 +343,7 @@ class _Normaliser(ast.NodeTransformer):
 
 
 class _Wordless(ast.NodeTransformer):
-    """Empties strings; other arguments of an error may be read by the code that catches it."""
+    """Empties strings only, because code that catches the error may read its other arguments."""
 
     def visit_Constant(self, node: ast.Constant) -> ast.AST:
         return ast.Constant("") if isinstance(node.value, str) else node
@@ -358,7 +358,7 @@ def _normal(node: ast.stmt) -> ast.stmt:
 
 
 def _text(node: object) -> str:
-    """Syntax as text. `ast.dump` and `ast.unparse` differ between versions of Python."""
+    """Converts syntax to text; `ast.dump` and `ast.unparse` differ between Python versions."""
     if isinstance(node, ast.AST):
         fields = (
             (name, getattr(node, name, None)) for name in node._fields if name not in ("ctx", "kind", "type_params")

@@ -12,7 +12,7 @@ class RefinementError(Exception):
     """Raised if a plan cannot be executed as a motion.
 
     Attributes:
-        action: index of the plan's first action that cannot be executed; -1 for its start.
+        action: index of the plan's first impossible action; -1 for its start.
     """
 
     def __init__(self, action: int, words: str):

@@ -1,9 +1,9 @@
-"""Keys of the kernels that Numba keeps on disk: a key covers all code and every constant that a kernel freezes.
+"""Keys for kernels in Numba's disk cache: a key covers all code and every constant that a kernel freezes.
 
-Numba's own key is the time stamp of the file in which a function stands. A kernel that calls functions of other files,
-or uses their constants, would go on with the old ones after these were edited. The key here is taken from the kernel
-itself when it is first called: its bytecode and options, the functions and constants that it names, and all that these
-name. An edit of comments or of code that a kernel does not use compiles nothing.
+Numba's own key is a source file's time stamp. A kernel with functions or constants from other files would keep their
+old versions after an edit. The key in this module comes from the kernel itself at its first call: its bytecode and
+options, its named functions and constants, and everything they name in turn. Edits of comments or unused code cause no
+compilation.
 """
 
 import dis
@@ -21,18 +21,18 @@ from numba.core.caching import IndexDataCacheFile
 
 
 def key_by_content(kernel: Any) -> None:
-    """Give a kernel that Numba caches the key described above."""
+    """Gives a cached Numba kernel a key from its content."""
     cache = getattr(kernel, "_cache", None)
-    if hasattr(cache, "_cache_file"):  # not when the JIT is off
+    if hasattr(cache, "_cache_file"):  # missing without the JIT
         cache._cache_file = _Index(kernel, cache)
 
 
 class _Index(IndexDataCacheFile):
-    """Numba's list of the machine code of a kernel, under its content instead of the time and line of its source."""
+    """Numba's index of a kernel's machine code, keyed by content instead of source time and line."""
 
     def __init__(self, kernel: Any, cache: Any):
         self._kernel = kernel
-        # `kernel-123.py311` without the line: a kernel that moves down replaces its old machine code.
+        # `kernel-123.py311` without the line: a kernel at another line replaces its old machine code.
         super().__init__(cache._cache_path, re.sub(r"-\d+(\.py\d+\w*)$", r"\1", cache._impl.filename_base), None)
 
     @cached_property
@@ -45,12 +45,12 @@ class _Index(IndexDataCacheFile):
 
     @_source_stamp.setter
     def _source_stamp(self, stamp: Any) -> None:
-        """Numba sets a stamp of its own first."""
+        """Ignores Numba's own stamp."""
 
     def _load_index(self) -> dict:
         try:
             return super()._load_index()
-        except Exception:  # a damaged file, or types of arguments that were somewhere else then: compile again
+        except Exception:  # a damaged file, or argument types that moved since: compile again
             return {}
 
     def load(self, key: Any) -> Any:
@@ -61,16 +61,16 @@ class _Index(IndexDataCacheFile):
 
 
 def content_of(kernel: Any) -> str:
-    """Hex digest of a kernel: bytecode, options, and all functions and constants of its package that it reaches.
+    """Returns a kernel's hex digest: bytecode, options, and all functions and constants it reaches in its package.
 
     Raises:
-        TypeError: if it names a value that cannot be told from another one by its text.
+        TypeError: the kernel names a value whose text does not identify it.
     """
-    digest = hashlib.sha256(f"bounds checked: {numba.config.BOUNDSCHECK}".encode())  # a switch that Numba's key lacks
+    digest = hashlib.sha256(f"bounds checked: {numba.config.BOUNDSCHECK}".encode())  # missing in Numba's key
     found = [kernel]
     numbers = {id(_python(kernel)): 0}
     package = _python(kernel).__module__.partition(".")[0]
-    for function in found:  # grows while it is read
+    for function in found:  # grows during the loop
         for value in _parts(function, package):
             if (code := _python(value)) is None:
                 text = _in_words(value)
@@ -84,7 +84,7 @@ def content_of(kernel: Any) -> str:
 
 
 def _python(value: Any) -> FunctionType | None:
-    """The Python function inside a kernel or an intrinsic; None if the value is neither these nor a function."""
+    """Python function inside a kernel, an intrinsic or a function; None for other values."""
     if isinstance(value, type):
         return None
     inner = getattr(value, "py_func", getattr(value, "__wrapped__", value))
@@ -92,7 +92,7 @@ def _python(value: Any) -> FunctionType | None:
 
 
 def _parts(kernel: Any, package: str) -> Iterator[Any]:
-    """All that one function is made of: instructions, options, constants, and what its names stand for."""
+    """All parts of a function: instructions, options, constants, and the values of its names."""
     function = _python(kernel)
     assert function is not None
     yield getattr(kernel, "targetoptions", None)
@@ -109,7 +109,7 @@ def _parts_of_code(code: CodeType, function: FunctionType, package: str) -> Iter
     for number, constant in enumerate(code.co_consts):
         if isinstance(constant, CodeType):
             yield from _parts_of_code(constant, function, package)
-        elif number or constant != function.__doc__:  # the first one is the docstring
+        elif number or constant != function.__doc__:  # constant 0 is the docstring
             yield constant
     for value in (function.__globals__[name] for name in _global_names(code) if name in function.__globals__):
         if isinstance(value, ModuleType) and value.__name__.partition(".")[0] == package:
@@ -120,13 +120,13 @@ def _parts_of_code(code: CodeType, function: FunctionType, package: str) -> Iter
 
 @cache
 def _global_names(code: CodeType) -> list[str]:
-    """Names that code takes from its module or from the builtins, in order."""
+    """Names that code reads from its module or from builtins, in order."""
     steps = dis.get_instructions(code)
     return list(dict.fromkeys(step.argval for step in steps if step.opname == "LOAD_GLOBAL"))
 
 
 def _in_words(value: Any) -> str:
-    """A text that two different values do not share, the same in every process."""
+    """Text that identifies a value, the same in every process."""
     if isinstance(value, ModuleType):
         return value.__name__
     if isinstance(value, enum.EnumType):

@@ -1,13 +1,13 @@
-"""Fingerprints of the code that a result depends on, so that results made by other code are not taken for valid.
+"""Code fingerprints, so that results from other code do not count as valid.
 
-The fingerprint of a function covers its body and the bodies of all definitions of this project that it reaches: names
-that it uses, names that these use, and so on. A method counts when its class is reached and its name is mentioned.
-Names of modules, places in files, imports, docstrings, comments, layout, type annotations and the words of errors do
-not count (`hdsp.base.definitions`), nor does code that nothing reached refers to. Moving code leaves a fingerprint as
-it is. Modules under `EXEMPT` are left out.
+A function's fingerprint covers its body and all project definitions it reaches: names in its body, names in their
+bodies, and so on. A method counts if its class is reached and its name is mentioned. The fingerprint ignores module
+names, positions in files, imports, docstrings, comments, layout, type annotations and error messages
+(`hdsp.base.definitions`), and all code out of reach. Moved code keeps its fingerprint. Modules under `EXEMPT` are left
+out.
 
-Limit: names that are put together at run time are not seen. `importlib.import_module(name)` is an example; who imports
-so has to name the modules as entries.
+Limit: names built at run time are invisible, for example in `importlib.import_module(name)`. A caller with such imports
+has to pass the modules as entries.
 """
 
 import hashlib
@@ -19,10 +19,10 @@ from typing import Any
 from hdsp.base.definitions import Chain, Definition, Module
 
 PACKAGE = __name__.partition(".")[0]
-#: Folder that holds the packages.
+#: Folder with the packages.
 ROOT = Path(__file__).resolve().parents[2]
 
-#: Modules that decide no result, and why. A name covers what lies below it.
+#: Modules without influence on results, and the reason. A name includes all modules below it.
 EXEMPT = {
     "hdsp.base.definitions": "decides which results are still valid, not their values",
     "hdsp.base.errors": "classes of errors, which end a computation",
@@ -31,19 +31,19 @@ EXEMPT = {
     "hdsp.base.settings": "checks settings; their checked values are part of each hash",
 }
 
-#: A function, a class, or the name of one: ``package.module:name``. Without ``:name``, the whole module.
+#: Function, class, or its name ``package.module:name``; the whole module without ``:name``.
 Entry = str | Callable[..., Any]
 
 
 def code_fingerprint(*entries: Entry, root: Path = ROOT) -> str:
-    """Hex digest of the code that ``entries`` reach.
+    """Returns the hex digest of all code that ``entries`` reach.
 
     Args:
-        entries: where to begin.
-        root: folder that holds the packages; another one for a copy of them.
+        entries: start of the search.
+        root: folder with the packages; another folder for a copy of them.
 
     Raises:
-        LookupError: if there is no definition of an entry's name.
+        LookupError: an entry's name has no definition.
     """
     names = _names(entries)
     return _running_code(names) if root == ROOT else _digest(_Reach(root, names))
@@ -51,12 +51,12 @@ def code_fingerprint(*entries: Entry, root: Path = ROOT) -> str:
 
 @cache
 def _running_code(names: tuple[str, ...]) -> str:
-    """The fingerprint of the code of this process, which later edits of its files do not change."""
+    """Fingerprint of this process's code, independent of later file edits."""
     return _digest(_Reach(ROOT, names))
 
 
 def reached_code(*entries: Entry, root: Path = ROOT) -> dict[str, list[str]]:
-    """Names of the definitions that a fingerprint covers, by module; arguments as for `code_fingerprint`."""
+    """Returns the names of all definitions in a fingerprint, by module; arguments as in `code_fingerprint`."""
     names: dict[str, list[str]] = {}
     for definition in _Reach(root, _names(entries)).reached:
         names.setdefault(definition.module, []).append(definition.name)
@@ -68,10 +68,10 @@ def _names(entries: tuple[Entry, ...]) -> tuple[str, ...]:
 
 
 class _Reach:
-    """The definitions that entries reach.
+    """Definitions in reach of the entries.
 
     Attributes:
-        reached: each with the definitions that its names stand for, by name.
+        reached: for each definition, the definitions behind its names, by name.
     """
 
     def __init__(self, root: Path, names: tuple[str, ...]):
@@ -131,7 +131,7 @@ class _Reach:
                 self._add(owner.methods.get(name, []))
 
     def _named(self, definition: Definition, chains: list[Chain]) -> Iterator[tuple[str, list[Definition]]]:
-        """What chains of names stand for."""
+        """Definitions behind name chains."""
         for chain in chains:
             if chain[0] in definition.imports:
                 found = self._find(*definition.imports[chain[0]])
@@ -144,7 +144,7 @@ class _Reach:
                 yield ".".join(chain[:length]), definitions
 
     def _find(self, module: str, name: str | None) -> "list[Definition] | Module | None":
-        """What a name of a module is, through all modules that only pass it on."""
+        """Resolves a name in a module, through all modules that re-export it."""
         seen: set[tuple[str, str | None]] = set()
         while name is not None and (module, name) not in seen:
             seen.add((module, name))
@@ -162,7 +162,7 @@ class _Reach:
         return self._module(module)
 
     def _definitions(self, found: "list[Definition] | Module | None") -> list[Definition]:
-        """The definitions behind a name; of a module all, of a package also those that it passes on."""
+        """Definitions behind a name; all definitions in a module, and for a package also its re-exported ones."""
         if not isinstance(found, Module):
             return list(found or [])
         passed = found.bindings if found.is_package else {}
@@ -172,7 +172,7 @@ class _Reach:
         ]
 
     def _run_module(self, module: str, name: str | None = None) -> None:
-        """Add the statements that run when a name is imported. Packages only pass names on (a test holds that)."""
+        """Adds all statements that run when a name is imported. Packages only re-export names (checked by a test)."""
         found = self._find(module, name)
         modules = {d.module for d in found} if isinstance(found, list) else {found.name} if found else set()
         for own in modules - self._run:
@@ -184,7 +184,7 @@ class _Reach:
                     self._run_module(*target)
 
     def _is_open(self, definition: Definition) -> bool:
-        """Whether code that is not of this project may call the methods of a class: it has a base from elsewhere."""
+        """Whether a class has a base from outside the project, whose code may call the class's methods."""
         bases = definition.bases
         if bases is None:
             return True
@@ -195,7 +195,7 @@ class _Reach:
         return False
 
     def _module(self, name: str) -> Module | None:
-        """A module of this project that is not exempt."""
+        """Returns a project module; None if it is exempt or does not exist."""
         if name not in self._modules:
             self._modules[name] = self._read(name)
         return self._modules[name]
@@ -212,15 +212,16 @@ class _Reach:
 
 @cache
 def is_exempt(module: str) -> bool:
-    """Whether a module, or a package that it lies in, is under `EXEMPT`."""
+    """Whether a module or one of its parent packages is under `EXEMPT`."""
     return any(module == name or module.startswith(f"{name}.") for name in EXEMPT)
 
 
 def _digest(reach: _Reach) -> str:
-    """Hash of the definitions and of which of them refers to which.
+    """Hash over all definitions and their references.
 
-    Two definitions with the same text may refer to different ones, for example to constants of the same name in two
-    modules. Hashes therefore take in those of what a definition refers to, until this tells no more of them apart.
+    Two definitions with equal text may refer to different definitions, for example to constants with the same name in
+    two modules. Each round therefore adds the hashes of all referenced definitions to a definition's hash, until a
+    round separates no further definitions.
     """
     names = {definition: sorted(found.items()) for definition, found in reach.reached.items()}
     hashes = {definition: _hash(definition.text) for definition in names}

@@ -1,11 +1,12 @@
-"""Typed settings: the one way from a file, a mapping or arguments to checked, frozen values.
+"""Typed settings: the only conversion from a file, a mapping or arguments to checked, frozen values.
 
 A settings class is a frozen dataclass with the decorator ``checked``. Its annotations are the rules: types, ranges (the
-shared types below), defaults. Rules between fields are pydantic's model validators, which raise `fault`. Every fault is
-an ``InputError`` of one line with the path of the key (``robot.step.max_length``), its value, and the allowed values.
+shared types below), defaults. Rules between fields are pydantic model validators, which raise `fault`. Every fault
+becomes an ``InputError`` in one line with the key's path (``robot.step.max_length``), its value, and the allowed
+values.
 
-Convention: no value is converted, with two exceptions: a whole number is accepted as a float, a list as a tuple. A
-number is finite unless its field says otherwise.
+Convention: values keep their type, with two exceptions: a float field accepts a whole number, a tuple field accepts a
+list. Numbers are finite unless the field allows others.
 """
 
 import difflib
@@ -31,13 +32,13 @@ Path = Sequence[str | int]
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
-#: A share or a probability, 0 and 1 included.
+#: Share or probability, including 0 and 1.
 Share = Annotated[float, Field(ge=0, le=1)]
-#: A number of things, at least one.
+#: Number of items, at least one.
 Count = Annotated[int, Field(ge=1)]
-#: A number of things that may be none; a seed.
+#: Number of items, zero included; a seed.
 Natural = Annotated[int, Field(ge=0)]
-#: A text that is not empty.
+#: Non-empty text.
 Name = Annotated[str, Field(min_length=1)]
 
 _CONFIG = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -46,12 +47,12 @@ _LONGEST = 100  # characters of a value in a message
 
 
 def unit(name: str) -> Any:
-    """Annotation of a field's type with its unit, which the JSON schema of the class then states."""
+    """Annotation with a field's unit, for the class's JSON schema."""
     return Field(json_schema_extra={"unit": name})
 
 
 def one_of(names: Sequence[str]) -> AfterValidator:
-    """Annotation of a text that is one of these names."""
+    """Annotation for a text field with these allowed names."""
 
     def known(value: str) -> str:
         if value not in names:
@@ -62,12 +63,12 @@ def one_of(names: Sequence[str]) -> AfterValidator:
 
 
 def fault(key: str, value: Any, need: str) -> PydanticCustomError:
-    """The error that a validator raises about one key of its class.
+    """Returns the error for a validator to raise about a key in its class.
 
     Args:
-        key: name of the field, or a path below it (``boxes[0].above``); empty = the whole class.
-        value: of that key.
-        need: the allowed values; the message is "KEY is VALUE; need NEED".
+        key: field name, or a path below it (``boxes[0].above``); empty = the whole class.
+        value: the key's value.
+        need: allowed values; the message is "KEY is VALUE; need NEED".
     """
     return PydanticCustomError("fault", "{text}", {"key": key, "text": f"is {shown(value)}; need {need}"})
 
@@ -78,7 +79,7 @@ def _rising(values: tuple) -> tuple:
     return values
 
 
-#: Two numbers, the smaller one first: the ends of a range.
+#: Ends of a range, the smaller number first.
 Range = Annotated[tuple[Positive, Positive], AfterValidator(_rising)]
 RangeFromZero = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_rising)]
 CountRange = Annotated[tuple[Count, Count], AfterValidator(_rising)]
@@ -86,10 +87,10 @@ CountRange = Annotated[tuple[Count, Count], AfterValidator(_rising)]
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field, Field))
 def checked(cls: type[T]) -> type[T]:
-    """Makes a class of settings: a frozen dataclass whose values are checked, however it is made.
+    """Turns a class into a settings class: a frozen dataclass that checks its values on every construction.
 
-    Arguments of its constructor and mappings (`load_settings`) follow the same rules. Lists become tuples, numbers of
-    numpy become those of Python. ``dataclasses.replace``, ``asdict`` and ``fields`` work as for any dataclass.
+    Constructor arguments and mappings (`load_settings`) follow the same rules. Lists become tuples, numpy numbers
+    become Python numbers. ``dataclasses.replace``, ``asdict`` and ``fields`` work as for any dataclass.
     """
 
     def prepared(own: type, values: Any) -> Any:
@@ -102,9 +103,9 @@ def checked(cls: type[T]) -> type[T]:
 
     def schema(own: type, source: Any, handler: Callable[[Any], Any]) -> Any:
         whole = part = handler(source)
-        while part["type"] != "dataclass":  # it stands inside of the validators
+        while part["type"] != "dataclass":  # validators wrap the dataclass schema
             part = part["schema"]
-        part["strict"] = False  # strict fields, but a mapping is taken for a dataclass
+        part["strict"] = False  # fields stay strict, but a mapping is accepted as dataclass
         return whole
 
     def init(self: Any, *args: Any, **kwargs: Any) -> None:
@@ -117,7 +118,7 @@ def checked(cls: type[T]) -> type[T]:
         except ValidationError as error:
             raise InputError(_first_fault(error, type(self).__name__)) from None
 
-    # One name in all settings classes: the validator of a subclass takes the place of its parent's.
+    # One name in all settings classes, so that a subclass's validator replaces its parent's.
     before: Any = model_validator(mode="before")
     added = {"_prepared": before(classmethod(prepared)), "__get_pydantic_core_schema__": classmethod(schema)}
     for name, value in {**added, "__pydantic_config__": _CONFIG}.items():
@@ -131,10 +132,10 @@ class Document(NamedTuple):
     """Contents of a YAML file.
 
     Attributes:
-        values: its mapping, plain.
-        name: of the file, for messages.
-        text: of the file.
-        root: the parsed nodes, which know their lines.
+        values: the file's mapping, plain.
+        name: file name in messages.
+        text: file text.
+        root: parsed nodes with their lines.
     """
 
     values: dict[Any, Any]
@@ -143,7 +144,7 @@ class Document(NamedTuple):
     root: yaml.Node
 
     def line(self, path: Path) -> int:
-        """Line, counted from 1, of the key at a path, or of the innermost part of the path that exists."""
+        """Returns the line, counted from 1, of the key at a path, or of the path's innermost existing part."""
         node, line = self.root, self.root.start_mark.line
         for part in path:
             if isinstance(node, yaml.MappingNode):
@@ -160,16 +161,16 @@ class Document(NamedTuple):
 
 
 def load_settings(kind: type[T], values: Any, where: str = "", document: Document | None = None) -> T:
-    """The settings ``kind`` from a mapping with its keys; an instance of ``kind`` is returned as it is.
+    """Builds settings of class ``kind`` from a mapping; returns an instance of ``kind`` unchanged.
 
     Args:
-        kind: a settings class (`checked`).
+        kind: settings class (`checked`).
         values: plain nested values.
-        where: name of this part of the configuration, the first part of the paths in messages.
-        document: where the values come from; messages then begin with file and line.
+        where: name of this configuration part, the first part of all paths in messages.
+        document: origin of the values; messages then begin with file and line.
 
     Raises:
-        InputError: names the first key that is unknown, missing or wrong.
+        InputError: a key is unknown, missing or wrong; the message names the first one.
     """
     if isinstance(values, kind):
         return values
@@ -182,23 +183,29 @@ def load_settings(kind: type[T], values: Any, where: str = "", document: Documen
 
 
 def read_yaml(path: str | os.PathLike, what: str) -> Document:
-    """The mapping in a YAML file; ``what`` is the word for the file in messages.
+    """Reads the mapping in a YAML file.
+
+    Args:
+        path: path of the file.
+        what: the file's name in messages.
 
     Raises:
-        InputError: there is no such file, or it holds no mapping; with the line where reading ends.
+        InputError: the file does not exist, or holds no mapping; with the line of the fault.
     """
     return parse_yaml(_read_text(path, what), str(path))
 
 
 def parse_yaml(text: str, name: str) -> Document:
-    """The mapping in a YAML text. A key may stand once in a mapping; numbers such as ``1e-3`` are numbers.
+    """Parses the mapping in a YAML text.
+
+    A key may appear only once in a mapping; numbers like ``1e-3`` are numbers.
 
     Args:
-        text: of the file.
-        name: of the file, for messages.
+        text: file text.
+        name: file name in messages.
 
     Raises:
-        InputError: it is no YAML, or no mapping; with the line.
+        InputError: the text is not YAML, or no mapping; with the line.
     """
     loader = None
     try:
@@ -225,22 +232,22 @@ def parse_yaml(text: str, name: str) -> Document:
 
 
 def read_json(path: str | os.PathLike, what: str) -> Any:
-    """The value in a JSON file; ``what`` is the word for the file in messages.
+    """Reads the value in a JSON file; arguments as in `read_yaml`.
 
     Raises:
-        InputError: there is no such file, or it is no JSON; with the line.
+        InputError: the file does not exist, or is not JSON; with the line.
     """
     text = _read_text(path, what)
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:
         raise InputError(f"{path}, line {error.lineno}: not JSON: {error.msg}") from None
-    except (RecursionError, ValueError) as error:  # ValueError: a number of thousands of digits
+    except (RecursionError, ValueError) as error:  # ValueError: a number with thousands of digits
         raise InputError(f"{path}: not JSON: {_one_line(error)}") from None
 
 
 def unknown_key(key: Any, allowed: Iterable[str]) -> str:
-    """Words about a key that does not exist: the nearest key that does, and all of them."""
+    """Message about an unknown key: the nearest existing key, and all allowed keys."""
     names = sorted(allowed)
     if not isinstance(key, str):
         return f"key {shown(key)} is no text; allowed are {', '.join(names)}"
@@ -249,7 +256,7 @@ def unknown_key(key: Any, allowed: Iterable[str]) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value in a message: as in Python, lists for tuples, shortened, on one line."""
+    """Formats a value for a message: Python syntax, lists for tuples, shortened, on one line."""
     text = _one_line(_SHORT.repr(value))
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 4]} ..."
 
@@ -266,7 +273,7 @@ class _Short(reprlib.Repr):
     def repr_int(self, x: int, level: int) -> str:
         try:
             return super().repr_int(x, level)
-        except ValueError:  # Python writes no number of thousands of digits
+        except ValueError:  # Python prints no number with thousands of digits
             return hex(x)[:40] + "..."
 
 
@@ -274,12 +281,12 @@ _SHORT = _Short()
 
 
 class _Loader(yaml.SafeLoader):
-    """As PyYAML's, with numbers without a point, and without keys that stand twice."""
+    """PyYAML's safe loader; it also accepts exponents without a point, and rejects duplicate keys."""
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:
             return super().construct_object(node, deep)
-        except (ValueError, OverflowError) as error:  # of dates that do not exist, numbers of thousands of digits
+        except (ValueError, OverflowError) as error:  # invalid dates, numbers with thousands of digits
             raise yaml.constructor.ConstructorError(None, None, str(error), node.start_mark) from None
 
     def construct_mapping(self, node: yaml.Node, deep: bool = False) -> dict[Any, Any]:
@@ -301,7 +308,7 @@ _Loader.add_implicit_resolver(
 
 
 def _adapter(kind: type) -> TypeAdapter[Any]:
-    """Built when it is first needed: building the validator of a class takes a millisecond."""
+    """Validator for a class, built at its first use because this takes a millisecond."""
     if kind not in _ADAPTERS:
         _ADAPTERS[kind] = TypeAdapter(kind)
     return _ADAPTERS[kind]
@@ -348,7 +355,7 @@ def _first_fault(error: ValidationError, where: str, document: Document | None =
         path, words = path[:-1], f": key {shown(path[-1])} is missing"
     elif kind == "missing":
         words = " is missing"
-    elif kind == "value_error":  # of a function that a validator calls
+    elif kind == "value_error":  # raised by a function inside a validator
         words = f": {_one_line(context['error'])}"
     elif path[-1:] == ["[key]"]:
         path, words = path[:-2], f": key {shown(path[-2])}; need {_need(found)}"
@@ -360,7 +367,7 @@ def _first_fault(error: ValidationError, where: str, document: Document | None =
 
 
 def _need(found: ErrorDetails) -> str:
-    """The allowed values, as an error of pydantic has them."""
+    """Allowed values, according to pydantic's error."""
     kind, context = found["type"], found.get("ctx", {})
     if kind == "greater_than" and context["gt"] == 0:
         return "a positive number"

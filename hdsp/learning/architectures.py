@@ -1,4 +1,4 @@
-"""Network architectures by name. A module is imported when a network of its architecture is first needed.
+"""Network architectures by name. The first use of an architecture imports its module.
 
 A new architecture needs a file in ``hdsp/learning/networks`` with a ``TaskNetwork`` and its options dataclass, one line
 in ``ARCHITECTURES``, and ``conf/model/NAME.yaml``.
@@ -25,10 +25,10 @@ ARCHITECTURES = {
 
 
 def architecture_place(name: str) -> str:
-    """``module:class`` of the network of an architecture.
+    """Returns ``module:class`` for an architecture's network.
 
     Raises:
-        InputError: for an unknown architecture.
+        InputError: the architecture is unknown.
     """
     if name not in ARCHITECTURES:
         raise InputError(f"model.architecture: {name!r} is not one of {', '.join(ARCHITECTURES)}")
@@ -36,9 +36,9 @@ def architecture_place(name: str) -> str:
 
 
 def network_class(name: str) -> "type[TaskNetwork]":
-    """The network of an architecture.
+    """Returns an architecture's network class.
 
     Raises:
-        InputError: for an unknown architecture.
+        InputError: the architecture is unknown.
     """
     return resolve_name(architecture_place(name))

@@ -69,14 +69,14 @@ def rotation(theta: float) -> np.ndarray:
 
 
 def robot_frame_goals(abstract_heading: int) -> np.ndarray:
-    """Returns the goals of the 22 abstract actions in the robot frame, as networks take them.
+    """Returns the 22 abstract actions' goals in the robot frame, as networks take them.
 
     Args:
         abstract_heading: start heading, index in [0, 16).
 
     Returns:
         float32 [22, 3]: (dx, dy, dtheta) in abstract steps, in the start state's robot frame. Positions are fractional
-            at headings other than multiples of 90 degrees.
+            except at multiples of 90 degrees.
     """
     goals = ABSTRACT_ACTIONS.astype(float)
     goals[:, :2] = goals[:, :2] @ rotation(float(heading_angle(-abstract_heading, ABSTRACT_HEADINGS))).T
@@ -89,7 +89,7 @@ def abstract_shape(shape: tuple[int, int]) -> tuple[int, int]:
 
 
 def abstract_anchor(abstract: np.ndarray) -> np.ndarray:
-    """Returns the anchors, int64 [..., 3] (ix, iy, heading), of abstract states [..., 3] (a, b, k)."""
+    """Returns anchors, int64 [..., 3] (ix, iy, heading), for abstract states [..., 3] (a, b, k)."""
     abstract = np.asarray(abstract, dtype=np.int64)
     scale = np.array([CELLS_PER_ABSTRACT, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT])
     return abstract * scale + np.array([ABSTRACT_ANCHOR, ABSTRACT_ANCHOR, 0])
@@ -138,7 +138,7 @@ class Grid:
         return np.floor(scaled + 1e-6).astype(np.int64)
 
     def center(self, cells) -> np.ndarray:
-        """Returns the centres of ``cells`` [..., 2] as world positions [..., 2] in metres."""
+        """Returns world positions [..., 2] in metres for the centres of ``cells`` [..., 2]."""
         return (np.asarray(cells, dtype=float) + 0.5) * RESOLUTION + np.asarray(self.origin)
 
     def contains(self, cells) -> np.ndarray:
@@ -189,5 +189,5 @@ def metres(cells: Lengths) -> Lengths:
 
 
 def is_detailed(resolution: float) -> bool:
-    """Returns whether a cell size in metres is that of the detailed lattice."""
+    """Returns whether a cell size in metres equals the detailed lattice's."""
     return abs(resolution - RESOLUTION) <= 1e-9

@@ -1,6 +1,6 @@
-"""The robot as data: geometry, limits and cost constants. Presets are YAML files in ``hdsp/robot/presets``.
+"""Robot description: geometry, limits and cost constants as data. Presets are YAML files in ``hdsp/robot/presets``.
 
-To add a robot, write one YAML file like ``presets/momaro.yaml`` and pass its path wherever a robot is named.
+A new robot needs one YAML file like ``presets/momaro.yaml``; its path works wherever a robot name does.
 """
 
 import hashlib
@@ -20,35 +20,34 @@ from hdsp.robot.lattice import metres, offset_steps
 
 _PRESETS = resources.files("hdsp.robot") / "presets"
 
-#: Order of the feet in every array that has an axis of four.
+#: Foot order in every array with a foot axis.
 FEET = ("front_left", "rear_left", "rear_right", "front_right")
 
-_LONGEST_STEP = 15  # cells; the code of an action has no larger number (hdsp.detailed.states)
-_OFFSETS = 32  # lattice steps; the code of a state has no more foot offsets
+_LONGEST_STEP = 15  # cells; the largest step length in an action code (hdsp.detailed.states)
+_OFFSETS = 32  # lattice steps; the number of foot offsets in a state code
 
 Metres = Annotated[float, unit("m")]
 PositiveMetres = Annotated[Positive, unit("m")]
 NotNegativeMetres = Annotated[NotNegative, unit("m")]
 NotNegativeRadians = Annotated[NotNegative, unit("rad")]
-#: Angle between the heading and a direction.
+#: Angle between heading and direction.
 Deviation = Annotated[float, Field(gt=0, le=math.pi), unit("rad")]
 
 
 @checked
 class Feet:
-    """Positions of the feet in the robot frame, the room that they need, and the ground that they feel.
+    """Foot positions in the robot frame, the feet's clearance, and their contact ground.
 
     Attributes:
-        neutral_x: neutral position of the front left foot, ahead of the base centre; the rear feet mirror it.
-        neutral_y: neutral position of the front left foot, to the left of the base centre; the right feet mirror it.
-        offset_min: reach of a foot backward, relative to its neutral position; 0 or negative.
-        offset_max: reach of a foot forward, relative to its neutral position.
+        neutral_x: front left foot's neutral position, ahead of the base centre; the rear feet mirror it.
+        neutral_y: front left foot's neutral position, to the left of the base centre; the right feet mirror it.
+        offset_min: backward foot reach, relative to the neutral position; 0 or negative.
+        offset_max: forward foot reach, relative to the neutral position.
         clearance: distance that a foot keeps from edges no wheel passes.
-        min_separation: least distance between the front and the rear foot of one side.
-        neutral_preference: state cost of one metre off the neutral position when feet are chosen.
-        contact_inward: distance from the foot to the middle of the ground that it feels, toward the body, along x and
-            along y.
-        contact_half_width: half the side of the square of ground that a foot feels; its most uneven cell counts.
+        min_separation: least distance between front foot and rear foot on one side.
+        neutral_preference: state cost per metre away from the neutral position, when feet are chosen.
+        contact_inward: distance from a foot to the centre of its contact ground, toward the body, along x and along y.
+        contact_half_width: half the side of the square contact ground; its most uneven cell counts.
     """
 
     neutral_x: PositiveMetres
@@ -77,12 +76,12 @@ class Feet:
 
 @checked
 class Rectangle:
-    """A rectangle in the robot frame: x in [x_min, x_max], |y| <= half_width.
+    """Rectangle in the robot frame: x in [x_min, x_max], |y| <= half_width.
 
     Attributes:
         x_min: rear end of the rectangle.
         x_max: front end of the rectangle.
-        half_width: half the width of the rectangle.
+        half_width: half the rectangle's width.
     """
 
     x_min: Metres
@@ -98,8 +97,10 @@ class Rectangle:
 
 @checked
 class Box(Rectangle):
-    """A rectangle that has to stay free above a height. Heights are measured from the lower one of two grounds: the
-    ground under the base centre, and the mean of the ground under the neutral feet.
+    """Rectangle that has to stay free above a height.
+
+    The reference height is the lower of two values: the ground under the base centre, and the mean ground under the
+    neutral feet.
 
     Attributes:
         above: height above which nothing may rise into the rectangle.
@@ -110,7 +111,7 @@ class Box(Rectangle):
 
 @checked
 class Body:
-    """The body of the robot.
+    """Robot body.
 
     Attributes:
         boxes: rectangles that have to stay free, each above its height.
@@ -121,14 +122,14 @@ class Body:
 
 @checked
 class DeviationCost:
-    """Factor on the cost of driving by the angle between heading and direction of travel, linear between its knots.
+    """Drive cost factor by the angle between heading and travel direction, linear between its knots.
 
     Attributes:
         ahead: factor straight ahead.
         side: factor at all angles between side_from and side_to.
         behind: factor straight back.
-        side_from: angle from which on the factor is the one of driving sideways.
-        side_to: angle up to which the factor is the one of driving sideways.
+        side_from: smallest angle with the side factor.
+        side_to: largest angle with the side factor.
     """
 
     ahead: Positive
@@ -150,15 +151,15 @@ class DeviationCost:
 
 @checked
 class Drive:
-    """Driving, and the ground on which wheels can.
+    """Driving, and its ground limits.
 
     Attributes:
         max_height_difference: largest height difference between neighbouring cells that a wheel passes.
-        unevenness_radius: distance from a foot within which height differences make it uneven.
-        unevenness_cost: rise of the cost factor per metre of summed height differences.
-        straight_deviation: largest angle between heading and direction of travel on feet that are not level.
-        level: largest height difference between feet that are level.
-        deviation_cost: factor by the direction of travel.
+        unevenness_radius: distance from a foot within which height differences count as unevenness.
+        unevenness_cost: increase in the cost factor per metre of summed height differences.
+        straight_deviation: largest angle between heading and travel direction while the feet are not level.
+        level: largest height difference among level feet.
+        deviation_cost: factor by travel direction.
     """
 
     max_height_difference: PositiveMetres
@@ -171,11 +172,11 @@ class Drive:
 
 @checked
 class Turn:
-    """Turning on the spot.
+    """Rotation in place.
 
     Attributes:
-        cost: cost of one heading step of the detailed lattice (5.625 degrees).
-        unevenness_cost: rise of the cost factor per metre of the summed unevenness of the feet.
+        cost: cost per detailed heading step (5.625 degrees).
+        unevenness_cost: increase in the cost factor per metre of unevenness, summed over the feet.
     """
 
     cost: Positive
@@ -184,10 +185,10 @@ class Turn:
 
 @checked
 class FootMove:
-    """Driving of one foot along x under a base that rests.
+    """Drive motion of one foot along x under a resting base.
 
     Attributes:
-        cost_per_metre: cost of one metre, times the cost factor of that foot.
+        cost_per_metre: cost per metre, times this foot's cost factor.
     """
 
     cost_per_metre: Annotated[Positive, unit("1/m")]
@@ -195,10 +196,10 @@ class FootMove:
 
 @checked
 class BaseShift:
-    """Motion of the base along x over feet that rest.
+    """Base motion along x over resting feet.
 
     Attributes:
-        cost_per_metre: cost of one metre.
+        cost_per_metre: cost per metre.
         backward: whether the base also moves backward.
     """
 
@@ -208,18 +209,18 @@ class BaseShift:
 
 @checked
 class Step:
-    """A step of one foot along x.
+    """Step with one foot along x.
 
     Attributes:
         backward: whether feet also step backward.
         max_length: largest distance between the two footholds; 0 = the robot does not step.
         max_height: largest height difference between the two footholds.
-        max_clearance: largest height of the ground between the two footholds, above the lower one.
-        cost: cost of any step.
-        cost_per_metre: cost of one metre of length.
-        cost_per_height: cost of one metre of height difference.
-        support_margin: least distance of the base centre from the edges of the support polygon of the other three feet;
-            negative = outside of it.
+        max_clearance: largest ground height between the two footholds, above the lower one.
+        cost: fixed cost per step.
+        cost_per_metre: cost per metre in length.
+        cost_per_height: cost per metre in height difference.
+        support_margin: least distance between the base centre and the edges of the other feet's support polygon;
+            negative = outside it.
     """
 
     backward: bool
@@ -234,13 +235,13 @@ class Step:
 
 @checked
 class Legs:
-    """Hips and lengths of the legs. Plans and labels do not depend on them.
+    """Hips and leg lengths. Plans and labels do not depend on them.
 
     Attributes:
-        hip_x: hip of the front left leg, ahead of the base centre; the rear legs mirror it.
-        hip_y: hip of the front left leg, to the left of the base centre; the right legs mirror it.
-        min_length: least distance from the hip to the point where the foot touches the ground.
-        max_length: largest distance from the hip to the point where the foot touches the ground.
+        hip_x: front left hip, ahead of the base centre; the rear hips mirror it.
+        hip_y: front left hip, to the left of the base centre; the right hips mirror it.
+        min_length: least distance between a hip and its foot's ground contact.
+        max_length: largest distance between a hip and its foot's ground contact.
     """
 
     hip_x: NotNegativeMetres
@@ -251,19 +252,18 @@ class Legs:
 
 @checked
 class Stance:
-    """Limits of the base when a plan becomes a motion (``hdsp.detailed.motion.refinement``). Plans and labels do not
-    depend on them.
+    """Base limits when a plan becomes a motion (``hdsp.detailed.motion.refinement``). Plans and labels do not depend on
+    them.
 
     Attributes:
-        base_height: height of the hips above the ground on neutral feet; ``Box.above`` is measured on a robot that
-            stands so.
-        max_roll: largest roll of the base.
-        max_pitch: largest pitch of the base.
-        reach_x: largest motion of the base over resting feet, ahead or back.
-        reach_y: largest motion of the base over resting feet, sideways.
-        mass_x: centre of mass ahead of the origin of the base, which lies between the hips.
-        mass_z: centre of mass above the origin of the base.
-        margin: least distance of the centre of mass from the edges of the support polygon, seen from above.
+        base_height: hip height above the ground on neutral feet; ``Box.above`` is measured on a robot at this height.
+        max_roll: largest base roll.
+        max_pitch: largest base pitch.
+        reach_x: largest base motion over resting feet, ahead or back.
+        reach_y: largest base motion over resting feet, sideways.
+        mass_x: centre of mass, ahead of the base origin between the hips.
+        mass_z: centre of mass, above the base origin.
+        margin: least distance between the centre of mass and the support polygon's edges, seen from above.
         swing_clearance: height of a swinging foot above the highest ground on its way.
     """
 
@@ -278,28 +278,27 @@ class Stance:
     swing_clearance: NotNegativeMetres
 
 
-#: Parts of a robot on which motions depend, but neither plans nor labels.
+#: Robot parts with influence on motions, but not on plans or labels.
 _OF_MOTIONS = ("legs", "stance")
 
 
 @checked
 class Robot:
-    """All that the planner knows about a robot.
+    """All values that the planner knows about a robot.
 
-    Convention: metres and radians in the robot frame, x forward, y left; feet in the order of ``FEET``. Costs are
-    unitless.
+    Convention: metres and radians in the robot frame, x forward, y left; feet in ``FEET`` order. Costs are unitless.
 
     Attributes:
-        name: name of the robot; trained abstractions go by it.
-        feet: positions of the feet, their room and their ground.
-        body: the space that the body needs.
-        drive: driving, and the ground on which wheels can.
-        turn: turning on the spot.
-        foot_move: driving of one foot along x.
-        base_shift: motion of the base over resting feet.
-        step: steps of single feet.
-        legs: hips and lengths of the legs.
-        stance: limits of the base when a plan becomes a motion.
+        name: robot name; trained abstractions refer to it.
+        feet: foot positions, clearance and contact ground.
+        body: space for the body.
+        drive: driving, and its ground limits.
+        turn: rotation in place.
+        foot_move: drive motion of one foot along x.
+        base_shift: base motion over resting feet.
+        step: steps with single feet.
+        legs: hips and leg lengths.
+        stance: base limits when a plan becomes a motion.
     """
 
     name: Name
@@ -323,10 +322,10 @@ class Robot:
 
     @classmethod
     def load(cls, source: "str | Path | dict | Robot") -> "Robot":
-        """A robot from the name of a preset, the path of a YAML file, or a mapping with the same keys.
+        """Loads a robot from a preset name, a YAML file path, or a mapping with the same keys.
 
         Raises:
-            InputError: for an unknown preset, a missing file, an unknown or missing key, or a value out of range.
+            InputError: the preset or file does not exist, a key is unknown or missing, or a value is out of range.
         """
         if not isinstance(source, str | Path):
             return load_settings(cls, source, "robot")
@@ -342,26 +341,27 @@ class Robot:
 
     @staticmethod
     def presets() -> list[str]:
-        """Names of the robots that come with the package."""
+        """Returns the names of all presets."""
         return sorted(f.name[:-5] for f in _PRESETS.iterdir() if f.name.endswith(".yaml"))
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
 
     def hash(self) -> str:
-        """Hex digest of all values on which plans and labels depend; the same on any machine."""
+        """Returns a hex digest over all values with influence on plans and labels; the same on any machine."""
         values = {part: value for part, value in self.to_dict().items() if part not in _OF_MOTIONS}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
     def neutral_feet(self) -> np.ndarray:
-        """Neutral foot positions (x, y) in the robot frame, float64 [4, 2], m."""
+        """Returns the neutral foot positions (x, y) in the robot frame, float64 [4, 2], m."""
         x, y = self.feet.neutral_x, self.feet.neutral_y
         return np.array([(x, y), (-x, y), (-x, -y), (x, -y)])
 
     def foot_positions(self, states) -> np.ndarray:
-        """World (x, y) of the four feet, float64 [..., 4, 2] m, at detailed states [..., 7] (m, m, rad, 4 x m).
+        """Returns the feet's world positions (x, y), float64 [..., 4, 2] m, at detailed states [..., 7] (m, m, rad, 4 x
+        m).
 
-        Convention: foot offsets are along the x axis of the robot, from the neutral positions.
+        Convention: foot offsets are along the robot's x axis, from the neutral positions.
         """
         states = np.asarray(states, float)
         ahead = self.neutral_feet()[:, 0] + states[..., 3:]
@@ -371,17 +371,17 @@ class Robot:
         return turned + states[..., None, :2]
 
     def hips(self) -> np.ndarray:
-        """Hips (x, y, z) in the frame of the base, float64 [4, 3], m."""
+        """Returns the hips (x, y, z) in the base frame, float64 [4, 3], m."""
         x, y = self.legs.hip_x, self.legs.hip_y
         return np.array([(x, y, 0.0), (-x, y, 0.0), (-x, -y, 0.0), (x, -y, 0.0)])
 
     def offset_range(self) -> tuple[int, int]:
-        """Smallest and largest foot offset, in lattice steps."""
+        """Returns the smallest and largest foot offset in lattice steps."""
         low, high = offset_steps([self.feet.offset_min, self.feet.offset_max])
         return int(low), int(high)
 
     def reach(self) -> float:
-        """Distance (m) from the base centre beyond which no part of the robot, nor a foothold, ever is."""
+        """Returns the distance (m) from the base centre that no robot part and no foothold ever exceeds."""
         x = self.feet.neutral_x + max(self.feet.offset_max, -self.feet.offset_min) + self.step.max_length
         corners = [math.hypot(max(abs(r.x_min), abs(r.x_max)), r.half_width) for r in self.body.boxes]
         return max(math.hypot(x, self.feet.neutral_y), *corners)

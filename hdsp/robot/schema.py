@@ -1,9 +1,9 @@
-"""The robot file as a JSON schema and as a page of the documentation, both made from the classes of `hdsp.robot.robot`.
+"""Robot file as a JSON schema and as a documentation page, both generated from the classes in `hdsp.robot.robot`.
 
     python -m hdsp.robot.schema          # prints the schema
     python -m hdsp.robot.schema docs     # writes docs/robot.schema.json and docs/robot-file.md
 
-Units and ranges are those of the annotations, meanings those of the docstrings (section "Attributes").
+Units and ranges come from annotations, meanings from docstrings (section "Attributes").
 """
 
 import inspect
@@ -59,11 +59,11 @@ once, for the front left leg. The editor checks keys and ranges; the loader also
 
 
 class Key(NamedTuple):
-    """A key of the robot file that holds a value.
+    """Robot file key with a value.
 
     Attributes:
-        path: of the key, with dots; ``[]`` for each entry of a list.
-        schema: JSON schema of its value.
+        path: dotted key path; ``[]`` for each list entry.
+        schema: JSON schema for its value.
     """
 
     path: str
@@ -71,7 +71,7 @@ class Key(NamedTuple):
 
 
 def robot_schema() -> dict[str, Any]:
-    """JSON schema of the robot file; each key has a ``description``, and a ``unit`` where it has one."""
+    """Returns the robot file's JSON schema; each key has a ``description``, and a ``unit`` if it has one."""
     schema = TypeAdapter(Robot).json_schema()
     for name, part in {"Robot": schema, **schema["$defs"]}.items():
         kind = getattr(module, name)
@@ -84,7 +84,7 @@ def robot_schema() -> dict[str, Any]:
 
 
 def keys(schema: dict[str, Any], part: dict[str, Any] | None = None, path: str = "") -> Iterator[Key]:
-    """All keys of the file that hold a value, in the order of the classes."""
+    """Yields all keys with a value, in class order."""
     for name, value in (part or schema)["properties"].items():
         inner, own = value, f"{path}{name}"
         if value.get("type") == "array":
@@ -96,7 +96,7 @@ def keys(schema: dict[str, Any], part: dict[str, Any] | None = None, path: str =
 
 
 def page(schema: dict[str, Any]) -> str:
-    """The page of the documentation: a table of all keys."""
+    """Returns the documentation page: a table with all keys."""
     rows = [("key", "unit", "range", "meaning")]
     for key in keys(schema):
         unit = key.schema.get("unit", "")
@@ -111,12 +111,12 @@ def page(schema: dict[str, Any]) -> str:
 
 
 def schema_text(schema: dict[str, Any]) -> str:
-    """The schema as the text of its file."""
+    """Formats the schema for its file."""
     return json.dumps(schema, indent=2) + "\n"
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Prints the schema, or writes schema and page into the folder that is given."""
+    """Prints the schema, or writes schema and page into the given folder."""
     schema = robot_schema()
     if not arguments:
         print(schema_text(schema), end="")
@@ -138,7 +138,7 @@ def _summary(kind: type) -> str:
 
 
 def _meanings(kind: type) -> dict[str, str]:
-    """Meanings by key, of a class and its parents."""
+    """Meanings by key, for a class and its parents."""
     found: dict[str, str] = {}
     for owner in reversed([owner for owner in kind.__mro__ if is_dataclass(owner)]):
         _, _, listed = inspect.cleandoc(owner.__doc__ or "").partition("Attributes:\n")

@@ -1,4 +1,4 @@
-"""Networks that judge tasks: how they are built, one file for each architecture, and the parts that they share."""
+"""Task networks: their construction, one file per architecture, and shared parts."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
