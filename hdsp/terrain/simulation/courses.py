@@ -110,7 +110,7 @@ def random_course(seed: int, index: int, settings: CourseSettings | None = None)
 
 
 def _toward_wall(s: CourseSettings, lower: bool) -> tuple[float, float]:
-    """Heading toward a corner's wall, and its y."""
+    """Heading toward a corner's wall, and the wall's y."""
     return (-math.pi / 2, s.wall_thickness) if lower else (math.pi / 2, s.size - s.wall_thickness)
 
 
