@@ -9,7 +9,7 @@ export MLFLOW_DISABLE_TELEMETRY := true
 export HDSP_DATA_DIR ?= $(abspath $(wildcard ../shared/data))
 TEST_ARGS ?=
 # Tests of all kernels. Plans on staircases take as long as all others together, and run no kernel that these do not.
-KERNEL_TESTS := tests/detailed tests/abstract/test_dijkstra.py tests/labels/test_rules.py tests/planning/test_heuristics.py \
+KERNEL_TESTS := tests/detailed tests/abstract/test_prepared_graph.py tests/labels/test_rules.py tests/planning/test_heuristics.py \
 	tests/learning/test_dense_edges.py tests/terrain/test_cost_maps.py tests/terrain/test_patches.py \
 	tests/terrain/test_sensor_model.py tests/terrain/simulation/test_lidar_mapping.py \
 	--ignore tests/detailed/test_staircases.py

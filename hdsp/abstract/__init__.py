@@ -2,8 +2,8 @@
 
 from hdsp.abstract.abstract_conformance import check_abstract_costs
 from hdsp.abstract.abstract_costs import AbstractCosts, FlatCosts, LocalCosts, TaskPredictor
-from hdsp.abstract.dijkstra import PreparedGraph, cost_to_go
 from hdsp.abstract.manual import ManualCosts, ManualSettings
+from hdsp.abstract.prepared_graph import PreparedGraph, cost_to_go
 
 __all__ = [
     "AbstractCosts",

@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from hdsp.abstract.abstract_costs import AbstractCosts, LocalCosts, Region
-from hdsp.abstract.dijkstra import PreparedGraph
+from hdsp.abstract.prepared_graph import PreparedGraph
 from hdsp.base.errors import InputError
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import foot_row

@@ -126,8 +126,8 @@ def test_a_search_that_outgrows_its_queue_goes_on(monkeypatch):
     from hdsp.abstract import dijkstra
 
     grown = []
-    more_room = dijkstra._BucketQueue.with_more_room
-    monkeypatch.setattr(dijkstra._BucketQueue, "with_more_room", lambda queue: grown.append(1) or more_room(queue))
+    more_room = dijkstra.BucketRing.with_more_room
+    monkeypatch.setattr(dijkstra.BucketRing, "with_more_room", lambda queue: grown.append(1) or more_room(queue))
     edges = np.full((16, 40, 9, 22), 0.5, np.float32)  # equal costs: whole wave fronts share a bucket
     edges[0, 0, 0, 0] = 120.0  # one expensive edge: many buckets, each with little space
     expected = naive_abstract.cost_to_go(edges, (20, 4, 2)).astype(np.float32)
@@ -163,7 +163,7 @@ def test_repaired_distances_are_those_of_the_changed_graph(seed, shape, blocked,
     expected = PreparedGraph.from_edges(changed)
     np.testing.assert_array_equal(after.incoming, expected.incoming)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hdsp.abstract.dijkstra.REPAIRED_SHARE", fewest)
+        patch.setattr("hdsp.abstract.prepared_graph.REPAIRED_SHARE", fewest)
         repaired = after.repaired(before.distances(goal), goal, states)
     np.testing.assert_array_equal(repaired, expected.distances(goal))
 

@@ -1,0 +1,209 @@
+"""The abstract graph of a map: its edges by end state, and costs-to-go of any goal on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hdsp.abstract.bridging import bridge, passed_over
+from hdsp.abstract.dijkstra import N_DRIVE, BucketRing, bucket_sizes, search
+from hdsp.abstract.repair import repair
+from hdsp.base.errors import InputError
+from hdsp.base.jit import njit
+from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
+
+REPAIRED_SHARE = 16  # a repair of more than 1 / REPAIRED_SHARE of all states takes longer than a new search
+
+
+def cost_to_go(edges: np.ndarray, goal_abstract: tuple[int, int, int]) -> np.ndarray:
+    """Returns the cost of the cheapest abstract path from every abstract state to one goal.
+
+    Convention: states are indexed `[heading, ix, iy]`, the goal is given as `(ix, iy, heading)`. For several goals on
+    one map, use one `PreparedGraph`.
+
+    Args:
+        edges: float32 [16, nx, ny, 22], abstract action costs as from `AbstractCosts.edges`; `edges[k, a, b, m]` leads
+            from `(a, b, k)` to `(a + dx, b + dy, (k + dtheta) % 16)`, inf = infeasible.
+        goal_abstract: abstract cell and heading `(ix, iy, heading)` of the goal.
+
+    Returns:
+        float32 [16, nx, ny]; 0 at the goal, inf without a feasible path to it. Sums are accumulated in float64 from the
+        goal outwards and rounded once at the end.
+
+    Raises:
+        InputError: the edges have a wrong shape, a negative or a NaN cost, or the goal lies outside the map.
+    """
+    return PreparedGraph.from_edges(edges).cost_to_go(goal_abstract)
+
+
+@dataclass(frozen=True)
+class PreparedGraph:
+    """One map's edges, stored by end state, ready for any number of goals.
+
+    `incoming[k, a, b, m]` is the cost of action m from its start state to state (a, b, k); inf if the start lies
+    outside the map. One row then holds all edges that a backward search reads at a state.
+    """
+
+    incoming: np.ndarray
+    cheapest: float
+    most_expensive: float
+
+    @classmethod
+    def from_edges(cls, edges: np.ndarray) -> PreparedGraph:
+        """Inverts `edges` (float32 [16, nx, ny, 22], see `cost_to_go`); raises InputError as `cost_to_go` does."""
+        edges = np.ascontiguousarray(edges, dtype=np.float32)
+        if edges.ndim != 4 or edges.shape[0] != ABSTRACT_HEADINGS or edges.shape[3] != len(ABSTRACT_ACTIONS):
+            raise InputError(
+                f"abstract edges have shape {edges.shape}, expected "
+                f"({ABSTRACT_HEADINGS}, nx, ny, {len(ABSTRACT_ACTIONS)})"
+            )
+        incoming, cheapest, most_expensive, valid = _invert(edges, ABSTRACT_ACTIONS)
+        if not valid:
+            worst = edges[~(edges >= 0)][0]
+            raise InputError(f"abstract edges contain the cost {worst}, costs must be >= 0 (inf = infeasible)")
+        return cls(incoming, float(cheapest), float(most_expensive))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Abstract cells along x and y."""
+        return self.incoming.shape[1], self.incoming.shape[2]
+
+    def with_edges(self, states: np.ndarray, costs: np.ndarray) -> PreparedGraph:
+        """Returns a graph with new edges at some states.
+
+        Args:
+            states: int64 [n, 3], (heading, ix, iy).
+            costs: float32 [n, 22], all edges at these states.
+
+        Raises:
+            InputError: a cost is negative or NaN.
+        """
+        costs = np.ascontiguousarray(costs, dtype=np.float32)
+        if not (costs >= 0).all():
+            raise InputError(f"abstract edges contain the cost {costs[~(costs >= 0)][0]}, costs must be >= 0")
+        incoming = self.incoming.copy()
+        _replace(incoming, np.ascontiguousarray(states, np.int64), costs, ABSTRACT_ACTIONS)
+        finite = costs[np.isfinite(costs)]
+        # Both values serve as bounds; no edge needs to reach them.
+        cheapest, most_expensive = (float(finite.min()), float(finite.max())) if len(finite) else (np.inf, 0.0)
+        return PreparedGraph(incoming, min(cheapest, self.cheapest), max(most_expensive, self.most_expensive))
+
+    def cost_to_go(self, goal_abstract: tuple[int, int, int]) -> np.ndarray:
+        """Returns the cost from every state to the goal `(ix, iy, heading)`, float32 [16, nx, ny]; see `cost_to_go`."""
+        return self.distances(goal_abstract).astype(np.float32)
+
+    def repaired(self, distances: np.ndarray, goal_abstract: tuple[int, int, int], states: np.ndarray) -> np.ndarray:
+        """Returns `distances`, computed from its result on a graph with other edges at some states.
+
+        The repair visits only states whose cost-to-go changes, and their neighbours (Ramalingam & Reps 1996). From the
+        goal outwards, it drops every state whose cost no successor explains any more. It then searches again from
+        dropped states and from states with a better edge. A new search replaces the repair when too many states change.
+
+        Args:
+            distances: float64 [16, nx, ny], result on the other graph, for the same goal.
+            goal_abstract: goal.
+            states: int64 [n, 3], (heading, ix, iy), states with other edges.
+        """
+        finite = distances[np.isfinite(distances)]
+        # A cost lost by rounding in a sum leaves open which of two states explains the other.
+        if not finite.max() + self.cheapest > finite.max():
+            return self.distances(goal_abstract)
+        ix, iy, heading = (int(value) for value in goal_abstract)
+        nx, ny = self.shape
+        k, a, b = np.asarray(states, np.int64).T
+        flat = np.pad(distances.ravel(), self._margin, constant_values=np.inf)
+        goal = (heading * nx + ix) * ny + iy + self._margin
+        sources = (k * nx + a) * ny + b + self._margin
+        most = distances.size // REPAIRED_SHARE
+        if not repair(self.incoming.reshape(-1), self._offsets, flat, self._margin, goal, sources, most):
+            return self.distances(goal_abstract)
+        return flat[self._margin : len(flat) - self._margin].reshape(distances.shape)
+
+    def distances(self, goal_abstract: tuple[int, int, int]) -> np.ndarray:
+        """Like method `cost_to_go`, before rounding: float64 [16, nx, ny]."""
+        ix, iy, heading = (int(value) for value in goal_abstract)
+        nx, ny = self.shape
+        if not (0 <= ix < nx and 0 <= iy < ny and 0 <= heading < ABSTRACT_HEADINGS):
+            raise InputError(
+                f"abstract goal {(ix, iy, heading)} lies outside the map: allowed are ix < {nx}, iy < {ny}, "
+                f"heading < {ABSTRACT_HEADINGS}, none negative"
+            )
+        width, buckets = bucket_sizes(self.cheapest, self.most_expensive)
+        queue = BucketRing.starting_at(
+            (heading * nx + ix) * ny + iy, ABSTRACT_HEADINGS * nx * ny, self._margin, buckets
+        )
+        while not search(self.incoming.reshape(-1), self._offsets, queue, self._margin, 1.0 / width):
+            queue = queue.with_more_room()
+        inside = queue.distance[self._margin : len(queue.distance) - self._margin]
+        return inside.reshape(ABSTRACT_HEADINGS, nx, ny)
+
+    def bridged(self, distances: np.ndarray) -> np.ndarray:
+        """Returns costs-to-go with values for states between the ends of an action.
+
+        During a step, the robot can be at a position without an abstract state: two feet are up, the base is on its
+        way, and no feet allow it to rest there. This position has no path of its own to the goal, but actions lead over
+        it. Its cost is half the cost of the best such action plus the cost-to-go at the action's end.
+
+        Args:
+            distances: float64 [16, nx, ny], from `distances`.
+
+        Returns:
+            the same values where `distances` is finite. Other states have a finite value if a feasible action over them
+            ends in a state with a path to the goal.
+        """
+        return bridge(self.incoming, distances, self.passed_over)
+
+    @cached_property
+    def passed_over(self) -> np.ndarray:
+        """Whether a feasible action passes over a state, bool [16, nx, ny]."""
+        return passed_over(self.incoming)
+
+    @property
+    def _margin(self) -> int:
+        """Unused states at both ends of the flat arrays, so that moves across the map's border stay inside."""
+        return int(np.abs(self._offsets[:N_DRIVE]).max())
+
+    @property
+    def _offsets(self) -> np.ndarray:
+        """Flat index differences, int64 [22], from a state to its predecessor by each action."""
+        nx, ny = self.shape
+        return -((ABSTRACT_ACTIONS[:, 2] * nx + ABSTRACT_ACTIONS[:, 0]) * ny + ABSTRACT_ACTIONS[:, 1])
+
+
+@njit()
+def _invert(edges, actions):
+    """Edges by end state, smallest and largest finite cost, and whether all costs are >= 0."""
+    headings, nx, ny, count = edges.shape
+    incoming = np.full((headings, nx, ny, count), np.float32(np.inf), np.float32)
+    cheapest = np.inf
+    most_expensive = 0.0
+    valid = True
+    for k in range(headings):
+        for a in range(nx):
+            for b in range(ny):
+                for m in range(count):
+                    cost = edges[k, a, b, m]
+                    if not cost >= 0:
+                        valid = False
+                    if cost < np.inf:
+                        to_a = a + actions[m, 0]
+                        to_b = b + actions[m, 1]
+                        if 0 <= to_a < nx and 0 <= to_b < ny:
+                            incoming[(k + actions[m, 2]) % headings, to_a, to_b, m] = cost
+                            cheapest = min(cheapest, np.float64(cost))
+                            most_expensive = max(most_expensive, np.float64(cost))
+    return incoming, cheapest, most_expensive, valid
+
+
+@njit()
+def _replace(incoming, states, costs, actions):
+    headings, nx, ny, count = incoming.shape
+    for n in range(len(states)):
+        k, a, b = states[n]
+        for m in range(count):
+            to_a = a + actions[m, 0]
+            to_b = b + actions[m, 1]
+            if 0 <= to_a < nx and 0 <= to_b < ny:
+                incoming[(k + actions[m, 2]) % headings, to_a, to_b, m] = costs[n, m]
