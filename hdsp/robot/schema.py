@@ -26,12 +26,13 @@ _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 _PAGE = """# Robot file
 
-Written by `python -m hdsp.robot.schema docs` from `hdsp/robot/robot.py`; do not edit.
+This page documents every key of a robot file. `python -m hdsp.robot.schema docs` writes the page from
+`hdsp/robot/robot.py`; do not edit it.
 
-A robot is one YAML file: `hdsp.Planner(terrain, robot="my_robot.yaml")`. Every key is needed. The presets
+A robot is one YAML file: `hdsp.Planner(terrain, robot="my_robot.yaml")`. Every key is required. The presets
 [momaro.yaml](../hdsp/robot/presets/momaro.yaml) and
-[anymal_wheels.yaml](../hdsp/robot/presets/anymal_wheels.yaml) are templates; [own-robot.md](own-robot.md) has the way
-from a file to an abstraction of its own.
+[anymal_wheels.yaml](../hdsp/robot/presets/anymal_wheels.yaml) are templates. [Another robot](own-robot.md) shows the
+steps from a file to an abstraction for this robot.
 
 The loader names each fault in one line:
 
@@ -40,8 +41,8 @@ my_robot.yaml, line 47: robot.step: unknown key 'max_lenght'; did you mean 'max_
 my_robot.yaml, line 9: robot.feet.clearance is '0.075'; need a finite number
 ```
 
-An editor with a YAML language server completes and checks the file by [{schema}]({schema}) when its first line names
-the schema:
+An editor with a YAML language server completes and checks the file with [{schema}]({schema}). The first line
+of the file names the schema:
 
 ```yaml
 # yaml-language-server: $schema=PATH/TO/{schema}
