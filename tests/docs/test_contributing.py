@@ -13,5 +13,6 @@ def test_each_question_is_answered_by_one_path_that_holds_the_name():
     for question, path, answer in rows:
         assert (ROOT / path).exists(), question
         names = [name.split(".")[-1] for name in re.findall(r"`(\w[\w.]*)`", answer)]
-        texts = [(ROOT / file).read_text() for file in (path, *re.findall(r"`([\w/]+/\w+\.\w+)`", answer)) if "." in file]
+        files = [path, *re.findall(r"`([\w/]+/\w+\.\w+)`", answer)]
+        texts = [(ROOT / file).read_text() for file in files if "." in file]
         assert all(any(name in text for text in texts) for name in names), question
