@@ -1,10 +1,10 @@
-"""Anytime repair: a first plan soon, then better ones, each with a proven bound on how far it is from optimal.
+"""Anytime repairing A* (ARA*): a first plan soon, then cheaper plans, each with a proven suboptimality bound.
 
-Source: ARA*, Likhachev, Gordon & Thrun, NIPS 2003. Rounds of weighted A* with falling weights share one store: a round
-goes on from all states that were not expanded at their present cost, and expands each of them once at most. Only the
-last round expands a state again when a cheaper way to it is found, so that heuristics need not be consistent.
+Source: Likhachev, Gordon & Thrun, NIPS 2003. Rounds of weighted A* with falling weights share one store. A round
+continues from all states not yet expanded at their present cost, and expands each state at most once. Only the last
+round expands a state again when it finds a cheaper path to it; the heuristic may therefore be inconsistent.
 
-The bound does not rest on the heuristic that guides the rounds: see ``kernel.least_f``.
+The bound is independent of the heuristic that guides the rounds, see ``kernel.least_f``.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -25,13 +25,13 @@ _CAPS = Status.EXPANSION_LIMIT, Status.MEMORY_LIMIT, Status.TIME_LIMIT
 
 @dataclass
 class Improvement:
-    """How far an anytime search has come.
+    """State of an anytime search after a better plan or a round.
 
     Attributes:
-        result: the best plan so far, or none, and what is proved of it; its status is ``SOLVED`` as soon as there is a
-            plan.
-        weight: of the present round.
-        ended: what ended the search, ``SOLVED`` if no limit did; None while it goes on.
+        result: best plan so far, if any, with its proven bounds; its status is ``SOLVED`` as soon as a plan exists.
+        weight: W in the present round.
+        ended: final status, None while the search continues. A search with a plan ends ``SOLVED``, unless a limit on
+            expansions, memory or time ends it before the proof.
     """
 
     result: SearchResult
@@ -52,23 +52,25 @@ def improve(
     ask_after: int = 50_000,
     progress: Progress | None = None,
 ) -> Iterator[Improvement]:
-    """Search in rounds, and tell whenever a better plan is found or a round ends.
+    """Searches in rounds and yields after each better plan and each round.
 
-    The search ends when a plan is proved to cost at most the last weight times the optimum.
+    The search ends after the round that proves a plan to cost at most the last weight times the optimum. It also ends
+    at a limit, or when no plan exists.
 
     Args:
         world: terrain and robot.
         start, goal: int64 [7], lattice units.
-        weights: of the rounds, falling, each >= 1.
-        admissible: heuristic that never exceeds the cost to the goal; all bounds follow from it.
-        guide: heuristic of the rounds, which the last weight's with the admissible one then follows; None: that one.
+        weights: one W >= 1 per round, falling.
+        admissible: heuristic that never exceeds the cost to the goal; all bounds rest on it.
+        guide: heuristic for the rounds. One more round follows, with the admissible heuristic and the last weight.
+            None = the admissible heuristic guides all rounds.
         limits: for all rounds together; time counts from the first ``next``.
-        hopeless: asked once, after ``ask_after`` expansions without a plan: whether it is known that there is none.
-        progress: as in ``solve``.
+        hopeless: called once, after ``ask_after`` expansions without a plan; True = proof that no plan exists.
+        progress: see ``solve``.
 
     Yields:
-        What was found so far, also if that is no plan yet: costs never rise, lower bounds never fall. The last one, and
-        no other, has ``ended``.
+        The best result so far, possibly without a plan. Costs never rise, lower bounds never fall. Only the last
+        improvement has ``ended``.
     """
     search = Search(world, start, goal, limits=limits, progress=progress)
     (invalid,) = search.invalid
@@ -102,7 +104,7 @@ def improve(
 
 
 class _Found:
-    """The best plan of a search under way, and the cost below which there is none."""
+    """Best plan in a running search, and a lower bound on the cost of any plan."""
 
     def __init__(self, search: Search, admissible: Estimate):
         self.search, self.goal, self.admissible = search, int(search.goals[0]), admissible
@@ -111,9 +113,12 @@ class _Found:
         self.plan: Path | None = None
 
     def look(self, thorough: bool = False) -> bool:
-        """Take over a better plan if there is one; then, or if told to be thorough, bound its cost again."""
-        # A state's cost in the store may exceed that of the way there, whose states got cheaper since. So a plan from
-        # the store is no better because the store says so, and may be where it does not.
+        """Takes over a better plan, and returns whether there is one.
+
+        A better plan or ``thorough`` updates the lower bound.
+        """
+        # The cost in the store may exceed the cost of the stored path, because states on the path became cheaper later.
+        # Only the cost of the path itself shows whether the plan is better.
         store = self.search.store
         seen = float(store.g[find(store, self.goal)])
         better = False

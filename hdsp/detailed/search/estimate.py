@@ -1,6 +1,6 @@
-"""The heuristic as the kernels see it: a flat array plus a lookup rule, never a call back into Python.
+"""The heuristic in the form for the kernels: a flat array and a lookup rule, without calls into Python.
 
-``h = max(geometric, table) + feet + steps``, where any part can be switched off.
+``h = max(geometric, table) + feet + steps``. Each part can be switched off.
 """
 
 from typing import NamedTuple
@@ -18,21 +18,20 @@ class Estimate(NamedTuple):
     Attributes:
         distance: cost per cell of straight distance to the goal's base position.
         turn: cost per heading step to the goal's heading.
-        goal_x, goal_y, goal_heading: base of the goal, lattice units.
-        foot: cost per cell by which feet differ from the goal's configuration, up to a common shift.
-        goal_feet: int64 [n, 4], foot offsets of one or several goals counted from the lowest; the nearest counts.
-        table: float32 [layers, headings, nx, ny] flattened, costs to go; empty = none.
-        layered: whether the table has two layers, for neutral feet and for any.
-        follow: times the sum of the foot offsets, counted from the lowest, is what a state has less to go than its
-            entry in the table.
-        neutral: the offset of a neutral foot, counted from the lowest.
-        table_nx, table_ny: its extent.
+        goal_x, goal_y, goal_heading: base pose at the goal, lattice units.
+        foot: cost per cell by which the feet differ from the goal's configuration, up to a common shift.
+        goal_feet: int64 [n, 4], foot offsets at one or several goals, counted from the lowest; the nearest goal counts.
+        table: float32 [layers, headings, nx, ny] flattened, costs-to-go; empty = none.
+        layered: whether the table has two layers, one for neutral feet and one for any feet.
+        follow: cost subtracted from a table entry per cell of the summed foot offsets, counted from the lowest.
+        neutral: offset of a neutral foot, counted from the lowest.
+        table_nx, table_ny: size of the table, in table cells.
         cells: detailed cells per table cell.
         heading_steps: detailed headings per table heading.
-        region: int32 flat as in ``World``, the region of each foothold (see ``foothold_regions``).
+        outside: cost added to the geometric part where the table is inf or ends; inf excludes these states.
+        region: int32, flat as in ``World``, region of each foothold (see ``foothold_regions``).
         effort: float32 [4 * regions], per foot the least effort of steps from a region to the goal; empty = none.
-        feet, n_offsets, n_samples, pad, stride: where the feet are, as in ``World`` and its tables.
-        outside: added to the geometric part where the table is inf or ends; inf to cut such states off.
+        feet, n_offsets, n_samples, pad, stride: positions of the feet, as in ``World`` and its tables.
     """
 
     distance: float
@@ -66,7 +65,7 @@ NO_REGION = np.empty(0, dtype=np.int32)
 
 @njit(inline="always")
 def _feet(goal_feet, o0, o1, o2, o3):
-    """Least total length by which feet must move one by one to match a goal, whatever the base does, in cells."""
+    """Least total length, in cells, of single foot moves to a goal's configuration, up to a common shift."""
     least = 1 << 30
     for i in range(len(goal_feet)):
         d0, d1 = o0 - goal_feet[i, 0], o1 - goal_feet[i, 1]
@@ -106,7 +105,7 @@ def estimate(e, key):
 
 @njit(inline="always")
 def _steps(e, ix, iy, heading, o0, o1, o2, o3):
-    """Least effort of the steps that the feet still have to make, each for itself."""
+    """Least effort of the remaining steps, each foot by itself; inf if a foot has no foothold."""
     p = (ix + e.pad) * e.stride + iy + e.pad
     n = len(e.effort) // 4
     row = heading * 4 * e.n_offsets
@@ -121,8 +120,9 @@ def _steps(e, ix, iy, heading, o0, o1, o2, o3):
 
 
 def geometric_estimate(world, goal) -> Estimate:
-    """The admissible geometric heuristic: distance, difference of headings and of foot configurations, each at the
-    least it can cost on even ground (paper, Sec. VI-B).
+    """Admissible geometric heuristic: distance, heading difference and foot difference (paper, Sec. VI-B).
+
+    Each part counts the least possible cost on even ground.
 
     Args:
         world: terrain and robot.
@@ -157,13 +157,13 @@ def geometric_estimate(world, goal) -> Estimate:
 
 
 def pose_estimate(world, to_go: np.ndarray, follow: float, feet: np.ndarray) -> Estimate:
-    """Costs-to-go of the relaxed problem, plus the feet that still have to reach a goal's configuration.
+    """Heuristic from relaxed costs-to-go, plus foot moves to a goal's configuration.
 
     Args:
         world: terrain and robot.
-        to_go: float32 [2, 64, nx, ny], see ``relaxed``.
-        follow: what of the feet's way is in there already, cost per cell.
-        feet: int64 [n, 4], configurations of the goals.
+        to_go: float32 [2, 64, nx, ny], see ``relaxed_costs``.
+        follow: cost per cell of foot motion that ``to_go`` already contains.
+        feet: int64 [n, 4], foot offsets at the goals.
     """
     table = np.ascontiguousarray(to_go, dtype=np.float32).ravel()
     return geometric_estimate(world, np.zeros(7, dtype=np.int64))._replace(
@@ -181,7 +181,7 @@ def pose_estimate(world, to_go: np.ndarray, follow: float, feet: np.ndarray) -> 
 
 
 def with_step_efforts(e: Estimate, region: np.ndarray, efforts: np.ndarray) -> Estimate:
-    """The estimate plus the least effort of the steps that each foot must make.
+    """Adds each foot's least step effort to an estimate.
 
     Args:
         e: the estimate.
@@ -192,6 +192,6 @@ def with_step_efforts(e: Estimate, region: np.ndarray, efforts: np.ndarray) -> E
 
 
 def least_foot_cost(world) -> float:
-    """Least cost per cell by which one foot moves relative to the others."""
+    """Least cost per cell for moving one foot relative to the others."""
     c, longest = world.constants, world.tables.line.shape[1] - 1
     return min(c.foot_move, c.step_per_metre * metres(1.0) + c.step / max(longest, 1))

@@ -1,8 +1,10 @@
 """Weighted A* over packed states: the search kernel.
 
-One family serves labels (one start, many goals), planning (one goal, weighted) and anytime planning. It reopens states,
-because learned heuristics are inconsistent: a state is expanded again whenever a cheaper way to it was found, but never
-twice at the same cost. ``store`` keeps the states, ``open_list`` those still to be expanded.
+The kernel serves labels (one start, many goals), planning (one goal, weighted) and anytime planning. Learned heuristics
+are inconsistent, so the search reopens states: it expands a state again whenever it finds a cheaper path to it, but
+never twice at the same cost. ``store`` keeps the seen states, ``open_list`` the states to expand.
+
+A state waits if it was seen, but not expanded at its present cost.
 """
 
 import numpy as np
@@ -31,20 +33,20 @@ RUNNING, SOLVED, EXHAUSTED, OVER_COST_LIMIT, FULL = range(5)
 
 @njit(allocates=False)
 def mark_goal(store, goal):
-    """Have ``run`` tell when it settles a packed state."""
+    """Marks a packed state as a goal, so that ``run`` notices when it settles the state."""
     store.flags[node_of(store, goal)] |= GOAL
 
 
 @njit(allocates=False)
 def insert_start(store, open_list, heuristic, weight, start):
-    """Begin a search at a packed state."""
+    """Begins a search at a packed state."""
     node = begin_at(store, start)
     push(open_list, np.float32(weight * estimate(heuristic, start)), node)
 
 
 @njit(allocates=False)
 def push_waiting(store, open_list, heuristic, weight):
-    """Begin a round: fill an empty open list with all states that wait for their expansion."""
+    """Begins a round: fills an empty open list with all waiting states."""
     for node in range(BLOCK, BLOCK * store.count[BLOCKS]):
         store.flags[node] &= ~np.uint8(VISITED)
         if waits(store, node):
@@ -53,10 +55,10 @@ def push_waiting(store, open_list, heuristic, weight):
 
 @njit(allocates=False)
 def least_f(store, heuristic):
-    """Least ``g + h`` of all states that wait for their expansion; inf if none does.
+    """Least ``g + h`` over all waiting states; inf if no state waits.
 
-    With an admissible heuristic no plan costs less: on every optimal plan lies a state that waits, and to which the
-    plan's way was found (first the start; once it is expanded, its successor on that plan, and so on).
+    With an admissible heuristic, no plan costs less: every optimal plan contains a waiting state to which the search
+    knows the plan's path. At first, this state is the start; after its expansion, its successor on the plan; and so on.
     """
     least = np.inf
     for node in range(BLOCK, BLOCK * store.count[BLOCKS]):
@@ -67,24 +69,24 @@ def least_f(store, heuristic):
 
 @njit(allocates=False)
 def run(world, rules, heuristic, store, open_list, weight, goals, goal_cost, cost_limit, f_limit, expansions, reopen):
-    """Search on until something happens.
+    """Continues the search until it ends, needs more memory or has used its expansions.
 
     Args:
         world: terrain and robot.
         rules: restrictions of this search.
-        heuristic: estimate of the cost to the goals.
+        heuristic: estimated cost to the goals.
         store, open_list: the search so far; changed in place.
         weight: W >= 1.
-        goals: int64 [n], packed goal states, each marked.
+        goals: int64 [n], packed goal states, each marked by ``mark_goal``.
         goal_cost: float32 [n], inf where a goal is not settled; changed in place.
-        cost_limit: leave out states that cost more to reach.
-        f_limit: stop when all that is left has a larger ``g + W h``.
-        expansions: return after so many, so that the caller can look at the clock.
-        reopen: whether a state found cheaper after its expansion is expanded again in this round; else it waits for
-            the next round of an anytime search.
+        cost_limit: states with a higher cost from the start are left out.
+        f_limit: the search stops when all remaining states have a larger ``g + W h``.
+        expansions: number of expansions before the call returns, so the caller can check the clock.
+        reopen: whether a state found cheaper after its expansion is expanded again in this round; otherwise, it waits
+            for the next round of an anytime search.
 
     Returns:
-        RUNNING, SOLVED (all goals settled), EXHAUSTED (nothing left to expand), OVER_COST_LIMIT or FULL.
+        RUNNING, SOLVED (all goals settled), EXHAUSTED (no state left to expand), OVER_COST_LIMIT or FULL.
     """
     flags, count = store.flags, store.count
     until = count[EXPANDED] + expansions

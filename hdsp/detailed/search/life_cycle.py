@@ -1,4 +1,4 @@
-"""The life cycle of a search: begin, advance until it ends, read off its result.
+"""The life cycle of a search: begin, advance until the end, read the result.
 
 All drivers share it: ``weighted_astar``, ``anytime`` and ``multi_heuristic``.
 """
@@ -28,10 +28,10 @@ from hdsp.detailed.search.store import (
 from hdsp.detailed.states import neutral_feet, pack_states, unpack_states
 from hdsp.detailed.world.world import World
 
-#: Called now and then with (expansions, seconds).
+#: Callback with (expansions, seconds), called regularly during a search.
 Progress = Callable[[int, float], object]
 
-_SLICE = 20_000  # expansions between two looks at the clock
+_SLICE = 20_000  # expansions between two checks of the clock
 _ENDS = {
     kernel.SOLVED: Status.SOLVED,
     kernel.EXHAUSTED: Status.INFEASIBLE,
@@ -40,21 +40,21 @@ _ENDS = {
 
 
 class Search:
-    """A search under way from one start to one or several goals.
+    """A running search from one start to one or several goals.
 
     Args:
         world: terrain and robot.
         start: int64 [7], lattice units (ix, iy, heading, 4 foot offsets).
         goals: int64 [n, 7] or [7].
         rules: restrictions; default: none.
-        limits: when to give up.
-        progress: called now and then.
+        limits: limits that end the search.
+        progress: callback, called regularly.
 
     Attributes:
         goals: int64 [n], packed.
         goal_cost: float32 [n], inf where a goal is not settled.
-        invalid: of each goal, the status that an invalid start or goal gives it; None where both are valid. A search
-            may begin if there is such a goal.
+        invalid: per goal, the status for an invalid start or goal, None if both are valid. A search may begin if one
+            entry is None.
     """
 
     def __init__(
@@ -80,16 +80,16 @@ class Search:
         return [None if each else Status.INVALID_GOAL for each in valid]
 
     def begin(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool = True) -> Status | None:
-        """Put the start in the open list.
+        """Puts the start into the open list.
 
         Args:
-            heuristic: of the cost to the nearest goal.
+            heuristic: estimated cost to the nearest goal.
             weight: W >= 1.
-            admissible: whether the heuristic never exceeds that cost.
+            admissible: whether the heuristic never exceeds the cost to the nearest goal.
             reopen: whether a state found cheaper after its expansion is expanded again.
 
         Returns:
-            None if the search goes on, as from ``advance``; else the status that ends it.
+            None if the search continues, as from ``advance``; otherwise, its final status.
         """
         self._set_up(lists=1)
         self._set_order(heuristic, weight, admissible, reopen)
@@ -97,7 +97,7 @@ class Search:
         return self._memory_limit()
 
     def begin_round(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool) -> Status | None:
-        """Fill the open list again, in another order, with all states that wait; arguments as of ``begin``."""
+        """Fills the open list again with all waiting states, in another order; arguments and result as in ``begin``."""
         self._set_order(heuristic, weight, admissible, reopen)
         open_list.clear(self.lists[0])
         if not self._grow(count_waiting(self.store)):
@@ -106,8 +106,8 @@ class Search:
         return None
 
     def _set_up(self, lists: int) -> None:
-        """Make an empty store, in which the goals are marked, and empty open lists."""
-        # Held nowhere else, so that arrays exchanged for larger ones are freed.
+        """Creates empty open lists and an empty store, and marks the goals in the store."""
+        # The only reference to the store: an array is freed when a larger one replaces it.
         self.store = new_store((self.world.nx, self.world.ny), neutral_feet(self.world.tables.lowest))
         self.lists: list[OpenList] = [open_list.new_open_list() for _ in range(lists)]
         valid = [goal for goal, wrong in zip(self.goals, self.invalid, strict=True) if wrong is None]
@@ -125,7 +125,7 @@ class Search:
         return None if self.nbytes() <= self.limits.memory else Status.MEMORY_LIMIT
 
     def advance(self) -> Status | None:
-        """Search on for a while; returns how the search ended, None if it did not."""
+        """Continues the search for a slice; returns its final status, None if the search continues."""
         left = self.limits.expansions - int(self.store.count[EXPANDED])
         if left <= 0:
             return Status.EXPANSION_LIMIT
@@ -140,15 +140,17 @@ class Search:
         return Status.TIME_LIMIT if elapsed > self.limits.time else None
 
     def _run(self, expansions: int) -> int:
-        """Have the kernel expand so many states at most; returns what ended that."""
+        """Expands at most ``expansions`` states; returns the kernel's code."""
         return kernel.run(
             self.world, self.rules, self._heuristic, self.store, self.lists[0], self._weight, self.goals,
             self.goal_cost, self.limits.cost, self._f_limit, expansions, self._reopen,
         )  # fmt: skip
 
     def _grow(self, entries: int = MAX_SUCCESSORS) -> bool:
-        """Make room for the successors of one more state and so many entries in each open list; False if an array and
-        the larger one into which it is copied would exceed the limit together."""
+        """Makes room for the successors of one more state, and for ``entries`` entries in each open list.
+
+        Returns False at the memory limit. An array counts together with the larger copy that replaces it.
+        """
         if self.nbytes() + growth_nbytes(self.store) > self.limits.memory:
             return False
         self.store = grown(self.store)
@@ -160,21 +162,21 @@ class Search:
         return True
 
     def nbytes(self) -> int:
-        """Bytes of all arrays."""
+        """Total size of all arrays in bytes."""
         return self.store.nbytes() + self._open_nbytes()
 
     def _open_nbytes(self) -> int:
         return sum(entries.nbytes() for entries in self.lists)
 
     def path(self, goal: int) -> Path:
-        """The way to a packed state that was seen."""
+        """Returns the path from the start to a seen state (packed)."""
         keys, actions = trace(self.world, self.store, goal)
         edges = zip(keys, keys[1:], actions, strict=False)
         costs = [edge_cost(self.world, self.rules, int(a), int(b), int(action)) for a, b, action in edges]
         return Path(unpack_states(keys, self.world.tables.lowest), actions, np.array(costs, dtype=float))
 
     def result(self, ended: Status, paths: bool = True) -> SearchResult:
-        """The result of a search that ended so; ``paths``: whether to return states and actions, too."""
+        """Returns the result, given the final status; ``paths`` adds states and actions."""
         settled = np.isfinite(self.goal_cost)
         status = [Status.SOLVED if found else ended for found in settled]
         status = [of if wrong is None else wrong for of, wrong in zip(status, self.invalid, strict=True)]
@@ -187,14 +189,14 @@ class Search:
         return result
 
     def count(self, result: SearchResult) -> None:
-        """Enter what was spent so far."""
+        """Writes the resources used so far into a result."""
         result.expansions, result.seen = int(self.store.count[EXPANDED]), int(self.store.count[SEEN])
         result.memory, result.open_memory = self.nbytes(), self._open_nbytes()
         result.seconds = time.perf_counter() - self.began
 
 
 def edge_cost(world: World, rules: Rules, key: int, reached: int, action: int) -> float:
-    """Cost of one action between two packed states; inf if it is not legal."""
+    """Cost of one action between two packed states; inf if the action is not legal."""
     keys, costs = np.empty(MAX_SUCCESSORS, np.int64), np.empty(MAX_SUCCESSORS)
     actions = np.empty(MAX_SUCCESSORS, np.uint8)
     n = successors(world, rules, key, keys, costs, actions)

@@ -1,19 +1,24 @@
-"""Multi-heuristic A*: guided by heuristics that may be wrong, with a proved bound on the cost.
+"""Multi-heuristic A*: heuristics that may be wrong guide the search, and the bound on the cost is proven.
 
-Source: shared MHA* (SMHA*), Aine, Swaminathan, Narayanan, Hwang & Likhachev, IJRR 2016. One store of states and their
-costs g, one open list per heuristic: the *anchor*, which is consistent (so it never exceeds the cost to go), and one or
-more *guides*, which may say anything. Keys are ``g + W1 h``. The guides take turns; a guide may expand the first state
-of its list only if its key is at most W2 times the anchor's least key; else the anchor expands its own first state. As
-the anchor's least key never exceeds W1 times the least cost, a plan that costs at most W2 times that key is within
-W1 W2 of optimal. Every state is expanded twice at most: once for all guides together, and once for the anchor. Only
-with a limit on the cost does the anchor expand a state again when a cheaper way to it is found: else the limit could
-keep out what was reached by a dear way first, and "no plan costs less" would be no proof.
+Source: shared MHA* (SMHA*), Aine, Swaminathan, Narayanan, Hwang & Likhachev, IJRR 2016. The search has one store with
+states and their costs g, and one open list per heuristic. The *anchor* is a consistent heuristic, so it never exceeds
+the cost-to-go. One or more *guides* may have any values. Keys are ``g + W1 h``.
 
-Three departures from the paper, none of which touches its proofs. A guide's list also takes states whose key is too
-large by now, because the anchor's least key rises. The search also ends where a guide is held back and the anchor's
-key proves the bound already. And lists are never searched for outdated entries; these are dropped when they come first.
+The guides take turns. A guide may expand the first state in its list only if the state's key is at most W2 times the
+anchor's least key. Otherwise, the anchor expands its own first state. The anchor's least key never exceeds W1 times the
+least cost. A plan that costs at most W2 times this key is therefore within W1 W2 of the optimum.
 
-What the search proves may be better than W1 W2, see ``kernel.least_f``.
+Every state is expanded at most twice: once for all guides together, and once for the anchor. With a cost limit, the
+anchor also expands a state again when the search finds a cheaper path to it. Otherwise, the limit could exclude states
+that were first reached on an expensive path, and "no plan costs less" would not be proven.
+
+Three differences from the paper leave its proofs valid:
+
+- A guide's list also takes states whose key is too large at present, because the anchor's least key rises.
+- The search also ends when a guide has to wait and the anchor's key already proves the bound.
+- An outdated entry stays in its list until it comes first, and is dropped there.
+
+The proven bound may be better than W1 W2, see ``kernel.least_f``.
 """
 
 import numpy as np
@@ -43,22 +48,22 @@ def solve_multi(
     limits: Limits | None = None,
     progress: Progress | None = None,
 ) -> SearchResult:
-    """Shared multi-heuristic A* from one detailed state to another.
+    """Searches with shared multi-heuristic A* from one detailed state to another.
 
     Args:
         world: terrain and robot.
         start, goal: int64 [7], lattice units (ix, iy, heading, 4 foot offsets).
-        anchor: consistent heuristic, 0 at the goal; all that is proved follows from it.
-        guides: heuristics that may overestimate; states for which one is inf are left to the others.
-        weight: W1 >= 1, by which all heuristics are multiplied.
-        anchor_weight: W2 >= 1, by how much guides may be ahead of the anchor.
-        rules, limits, progress: as in ``solve``.
+        anchor: consistent heuristic, 0 at the goal; all proofs rest on it.
+        guides: heuristics that may overestimate; a guide leaves states with the value inf to the other heuristics.
+        weight: W1 >= 1, factor on all heuristics.
+        anchor_weight: W2 >= 1, largest ratio between a guide's key and the anchor's least key.
+        rules, limits, progress: see ``solve``.
 
     Returns:
-        A result with one status. If solved, its cost is at most ``bound <= W1 W2`` times optimal.
+        A result with one status. The cost of a plan is at most ``bound <= W1 W2`` times the optimum.
 
     Raises:
-        InputError: without guides, or for a weight that is no finite number >= 1.
+        InputError: no guides, or a weight that is not a finite number >= 1.
     """
     for name, value in (("weight", weight), ("anchor_weight", anchor_weight)):
         if not (np.isfinite(value) and value >= 1):
@@ -81,12 +86,12 @@ def solve_multi(
 
 
 class _MultiSearch(Search):
-    """A search under way for one goal; the first open list is the anchor's, the others are those of the guides."""
+    """A running search for one goal; the first open list belongs to the anchor, the others to the guides."""
 
     def begin_guided(
         self, anchor: Estimate, guides: list[Estimate], weight: float, anchor_weight: float
     ) -> Status | None:
-        """Put the start in all open lists; returns as ``begin``."""
+        """Puts the start into all open lists; returns as ``begin``."""
         self._set_up(lists=1 + len(guides))
         self._anchor, self._guides = anchor, tuple(guides)
         self._weight, self._anchor_weight = float(weight), float(anchor_weight)
@@ -110,14 +115,14 @@ class _MultiSearch(Search):
         return code
 
     def lower_bound(self, status: Status) -> float:
-        """Cost below which there is no plan, after a search that ended like this."""
+        """Cost below which no plan exists, given the final status."""
         if status == Status.INFEASIBLE:
             return np.inf
         if status == Status.COST_LIMIT:
             return float(self.limits.cost)
         least = kernel.least_f(self.store, self._anchor)
         first = float(first_f(self.lists[0], self.store.flags, self._once)) / self._weight
-        # Keys are rounded to single precision, what is compared with the plan's cost is not.
+        # Keys are rounded to single precision; the plan's cost and its lower bound are not.
         least = max(least, first * (1 - 2.0**-23))
         if self.store.count[CUT]:
             least = min(least, self.limits.cost)

@@ -1,4 +1,4 @@
-"""The search kernel of shared multi-heuristic A*; see ``multi_heuristic``."""
+"""The search kernel of shared multi-heuristic A*, see ``multi_heuristic``."""
 
 import numpy as np
 
@@ -8,20 +8,20 @@ from hdsp.detailed.search.kernel import EXHAUSTED, FULL, OVER_COST_LIMIT, RUNNIN
 from hdsp.detailed.search.open_list import first_f, list_has_room, pop
 from hdsp.detailed.search.store import CLOSED, CUT, EXPANDED, has_room, key_of
 
-#: Further bits of ``Store.flags``: expanded once for the anchor; once for the guides.
+#: More bits of ``Store.flags``: expanded for the anchor, expanded for the guides.
 ANCHORED, GUIDED = 8, 16
 
 
 @njit(allocates=False)
 def insert_start(store, anchor_list, guide_lists, anchor, guides, weight, start, once):
-    """Begin a search at a packed state."""
+    """Begins a search at a packed state."""
     node = begin_at(store, start)
     _offer_all(store, anchor_list, guide_lists, anchor, guides, weight, start, node, once)
 
 
 @njit(inline="always")
 def _offer_all(store, anchor_list, guide_lists, anchor, guides, weight, key, node, once):
-    """Put a state whose cost fell into the lists of all that may still expand it."""
+    """Puts a state whose cost fell into all lists that may still expand it."""
     flags = store.flags[node]
     if flags & once:
         return
@@ -46,7 +46,7 @@ def run(
     world, rules, anchor, guides, store, anchor_list, guide_lists, guided, weight, anchor_weight, goal, cost_limit,
     expansions, once,
 ):  # fmt: skip
-    """Search on until something happens.
+    """Continues the search until it ends, needs more memory or has used its expansions.
 
     Args:
         world: terrain and robot.
@@ -54,17 +54,18 @@ def run(
         anchor: consistent heuristic.
         guides: tuple of heuristics.
         store: the states seen so far; changed in place.
-        anchor_list: open list of the anchor; changed in place.
-        guide_lists: tuple, open lists of the guides; changed in place.
-        guided: int64 [guides], expansions of each guide so far; changed in place.
+        anchor_list: open list for the anchor; changed in place.
+        guide_lists: tuple, one open list per guide; changed in place.
+        guided: int64 [guides], expansions by each guide so far; changed in place.
         weight, anchor_weight: W1 and W2, each >= 1.
-        goal: its node.
-        cost_limit: leave out states that cost more to reach; stop when no plan up to it is left.
-        expansions: return after so many, so that the caller can look at the clock.
-        once: bits of states that the anchor does not expand again; ``ANCHORED``, or 0 if all may be.
+        goal: node of the goal.
+        cost_limit: states with a higher cost from the start are left out; the search stops when no plan within the
+            limit remains.
+        expansions: number of expansions before the call returns, so the caller can check the clock.
+        once: flag bits for states that the anchor does not expand again: ``ANCHORED``, or 0 if it may expand any.
 
     Returns:
-        As ``kernel.run``.
+        A code as in ``kernel.run``.
     """
     costs, flags, count = store.g, store.flags, store.count
     until = count[EXPANDED] + expansions

@@ -1,12 +1,12 @@
-"""The open list: states still to be expanded, in the exact order of their f, without one large heap.
+"""The open list: states to expand, in the exact order of their f, without one large heap.
 
-Two parts share one pair of arrays. From the left grows a small 4-ary heap, *near*: all entries whose f is at most a
-bound. From the right grows an unsorted list, *far*: the rest. When the heap is empty, the bound rises such that a small
-share of the far entries moves into it. So nearly every entry waits where it costs 8 bytes and one write, and the heap
-stays in the cache.
+Two parts share one pair of arrays. A small 4-ary heap, *near*, grows from the left and holds all entries with f up to a
+bound. An unsorted list, *far*, grows from the right and holds the rest. When the heap is empty, the bound rises, and a
+small share of the far entries moves into the heap. Nearly every entry therefore waits in the far list, where it costs 8
+bytes and one write, and the heap stays in the cache.
 
-No entry is ever changed or removed from the middle. A state whose cost falls gets another entry, which comes out before
-the older one; an entry of a state that was expanded at its present cost (``store.CLOSED``) is outdated.
+A falling cost neither changes nor removes an entry: the state gets another one, which comes out before the older one.
+An entry is outdated if its state was expanded at its present cost (``store.CLOSED``).
 """
 
 from typing import NamedTuple
@@ -17,15 +17,15 @@ from hdsp.base.jit import njit
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS
 from hdsp.detailed.search.store import CLOSED
 
-#: Slots of ``OpenList.count``.
+#: Slots in ``OpenList.count``.
 NEAR, FAR = range(2)
 
-_SAMPLE = 128  # far entries looked at to set the bound
-_ROOM = 1 << 11  # entries at first
+_SAMPLE = 128  # far entries in the sample that sets the bound
+_ROOM = 1 << 11  # entries in a new list
 
 
 class OpenList(NamedTuple):
-    """Entries (f, node); fixed arrays, exchanged for larger ones by ``with_room``."""
+    """Entries (f, node) in arrays with fixed length; ``with_room`` replaces them by longer arrays."""
 
     f: np.ndarray  # float32 [room]
     node: np.ndarray  # int32 [room]
@@ -33,12 +33,12 @@ class OpenList(NamedTuple):
     count: np.ndarray  # int64 [2], entries near and far
 
     def nbytes(self) -> int:
-        """Bytes of all arrays."""
+        """Total size of all arrays in bytes."""
         return sum(array.nbytes for array in self)
 
 
 def new_open_list() -> OpenList:
-    """An empty open list."""
+    """Creates an empty open list."""
     return OpenList(
         f=np.empty(_ROOM, np.float32),
         node=np.empty(_ROOM, np.int32),
@@ -48,17 +48,17 @@ def new_open_list() -> OpenList:
 
 
 def clear(entries: OpenList) -> None:
-    """Take out all entries."""
+    """Removes all entries."""
     entries.count[:] = 0
     entries.least[:] = -np.inf
 
 
 def with_room(entries: OpenList, flags: np.ndarray, more: int) -> OpenList:
-    """The same open list with room for ``more`` entries; outdated ones go before it grows.
+    """Returns the same open list with room for ``more`` entries; outdated entries are dropped before it grows.
 
     Args:
         entries: the open list.
-        flags: uint8, of the nodes, see ``Store``.
+        flags: uint8, flags of the nodes, see ``Store``.
         more: number of entries.
     """
     room = _new_room(entries, flags, more)
@@ -75,13 +75,13 @@ def with_room(entries: OpenList, flags: np.ndarray, more: int) -> OpenList:
 
 
 def growth_nbytes(entries: OpenList, flags: np.ndarray, more: int) -> int:
-    """Bytes that ``with_room`` needs besides those of the open list."""
+    """Bytes that ``with_room`` needs in addition to the open list; outdated entries are dropped."""
     room = _new_room(entries, flags, more)
     return room * (entries.f.itemsize + entries.node.itemsize) if room > len(entries.f) else 0
 
 
 def _new_room(entries: OpenList, flags: np.ndarray, more: int) -> int:
-    """Room for ``more`` entries, after outdated ones were dropped."""
+    """Drops outdated entries; returns the array length with room for ``more`` entries."""
     _drop_outdated(entries, flags)
     room, used = len(entries.f), int(entries.count[NEAR] + entries.count[FAR])
     if 5 * (used + more) <= 4 * room:
@@ -108,7 +108,7 @@ def list_has_room(entries):
 
 @njit(inline="always")
 def push(entries, f, node):
-    """Add an entry to the part where it belongs."""
+    """Adds an entry to near or far, depending on its f."""
     if f > entries.least[-1]:
         entries.count[FAR] += 1
         at = len(entries.f) - entries.count[FAR]
@@ -132,7 +132,7 @@ def _push_near(f_of, node_of, count, f, node):
 
 @njit(inline="always")
 def pop(entries):
-    """Take the first entry off the heap, which must not be empty; returns its node."""
+    """Removes the first entry from the heap, which must not be empty; returns its node."""
     f_of, node_of = entries.f, entries.node
     top = np.int64(node_of[0])
     n = entries.count[NEAR] - 1
@@ -157,7 +157,7 @@ def pop(entries):
 
 @njit(allocates=False)
 def refill(entries, flags):
-    """Move the first of the far entries into the heap, which must be empty."""
+    """Moves the first far entries into the heap, which must be empty."""
     f_of, node_of, count = entries.f, entries.node, entries.count
     n, first = count[FAR], len(f_of) - count[FAR]
     _sample_least(f_of[first:], entries.least)
@@ -174,7 +174,7 @@ def refill(entries, flags):
 
 @njit(allocates=False)
 def first_f(entries, flags, outdated):
-    """Least f in an open list, inf if it is empty; ``outdated``: bits of the flags whose entries are dropped."""
+    """Least f in an open list, inf if it is empty; drops closed entries and entries with a flag in ``outdated``."""
     while True:
         while entries.count[NEAR] > 0 and flags[entries.node[0]] & (CLOSED | outdated):
             pop(entries)
@@ -187,7 +187,7 @@ def first_f(entries, flags, outdated):
 
 @njit(allocates=False)
 def _sample_least(values, least):
-    """Set ``least`` to the least, in order, of a sample of the values; to inf if they are few."""
+    """Sets ``least`` to the least values in a sample, in order; to inf for few values."""
     least[:] = np.inf
     if len(values) < 8 * _SAMPLE:
         return

@@ -1,4 +1,4 @@
-"""How a search ends: its status, the limits that end it, and its result."""
+"""End of a search: status, limits and result."""
 
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -8,11 +8,11 @@ import numpy as np
 
 
 class Status(IntEnum):
-    """How a search, or one of its goals, ended."""
+    """Final status of a search, or of one of its goals."""
 
     SOLVED = 0
-    INFEASIBLE = 1  # proved: all states within reach were expanded
-    COST_LIMIT = 2  # proved: no plan costs less than the limit
+    INFEASIBLE = 1  # proven: all reachable states were expanded
+    COST_LIMIT = 2  # proven: no plan costs less than the limit
     EXPANSION_LIMIT = 3
     MEMORY_LIMIT = 4
     TIME_LIMIT = 5
@@ -25,12 +25,12 @@ class Status(IntEnum):
 
 @dataclass(frozen=True)
 class Limits:
-    """When a search gives up. ``cost`` decides feasibility; the others leave it open.
+    """Limits that end a search. ``cost`` decides feasibility; the others leave it open.
 
     Attributes:
-        cost: no plan above this cost is of interest.
+        cost: plans above this cost are of no interest.
         expansions: number of expanded states.
-        memory: bytes of the store and the open lists; the larger copy counts while an array grows.
+        memory: bytes in the store and the open lists; a growing array counts together with its larger copy.
         time: seconds.
     """
 
@@ -41,12 +41,12 @@ class Limits:
 
 
 class Path(NamedTuple):
-    """The way to a goal.
+    """Path to a goal.
 
     Attributes:
         states: int64 [n, 7] from start to goal, lattice units.
         actions: uint8 [n - 1], action codes.
-        costs: float64 [n - 1], of the actions.
+        costs: float64 [n - 1], cost per action.
     """
 
     states: np.ndarray
@@ -60,20 +60,19 @@ class Path(NamedTuple):
 
 @dataclass
 class SearchResult:
-    """Outcome of a search from one start to one or several goals.
+    """Result of a search from one start to one or several goals.
 
     Attributes:
-        status: of each goal, in the order given.
+        status: one per goal, in the given order.
         cost: float64 [goals], inf where not solved.
-        paths: one per goal, None where not solved; empty if no paths were asked for.
-        lower_bound: proved, with one goal: no plan costs less. 0 if nothing is proved.
-        bound: proved, with one goal: the plan costs at most so many times the least possible cost. inf if nothing is
-            proved.
+        paths: one per goal, None where not solved; empty if no paths were requested.
+        lower_bound: proven for one goal: no plan costs less; 0 without a proof.
+        bound: proven for one goal: the plan costs at most ``bound`` times the least possible cost; inf without a proof.
         expansions: states expanded.
-        expansions_by: share of each open list in ``expansions``, the anchor first; multi-heuristic search alone.
+        expansions_by: expansions per open list, the anchor first; multi-heuristic search only.
         seen: states generated.
-        memory: bytes at the end: store and open lists.
-        open_memory: bytes of the open lists, part of ``memory``.
+        memory: bytes at the end, store and open lists.
+        open_memory: bytes in the open lists, part of ``memory``.
         seconds: time spent.
     """
 
@@ -91,6 +90,8 @@ class SearchResult:
 
     @classmethod
     def of(cls, status: list[Status], paths: list[Path | None]) -> "SearchResult":
-        """The result with these paths. A store keeps single precision, so the cost of a plan is the sum of its
-        actions."""
+        """Builds the result for these paths.
+
+        The cost of a plan is the sum over its actions, because the store has only single precision.
+        """
         return cls(status, np.array([np.inf if path is None else path.cost for path in paths]), paths)

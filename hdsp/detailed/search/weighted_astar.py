@@ -25,33 +25,35 @@ def solve(
     paths: bool = True,
     progress: Progress | None = None,
 ) -> SearchResult:
-    """Weighted A* from one detailed state to all of several others.
+    """Searches with weighted A* from one detailed state to one or several goals.
 
-    With a weight above 1 a state is often expanded before the cheapest way to it is found. Expanding it again each time
-    a cheaper one turns up can take hundreds of expansions a state. Without, the plan still costs at most W times the
-    optimum if the heuristic is consistent (M. Likhachev et al., ARA*, NIPS 2003, theorem 2): each state then costs at
-    most W times its optimum when it is expanded.
+    With a weight above 1, a state is often expanded before the search finds the cheapest path to it. Reopening can then
+    take hundreds of expansions per state. Without reopening, the plan still costs at most W times the optimum if the
+    heuristic is consistent: each state then costs at most W times its optimum when it is expanded (M. Likhachev et al.,
+    ARA*, NIPS 2003, theorem 2).
 
     Args:
         world: terrain and robot.
         start: int64 [7], lattice units (ix, iy, heading, 4 foot offsets).
         goals: int64 [n, 7].
-        heuristic: must not exceed the cost to the nearest goal by more than the plan may be worse than optimal.
+        heuristic: estimated cost to the nearest goal; an overestimate must not be larger than the accepted excess of
+            the plan over the optimum.
         weight: W >= 1; with an admissible heuristic, costs are at most W times optimal.
-        admissible: whether the heuristic never exceeds the cost to the nearest goal; if so, it helps to prove that a
-            cost limit cannot be kept.
-        reopen: whether a state is expanded again when a cheaper way to it is found. Without, the bound needs a
-            consistent heuristic, and nothing is proved about costs: their limit has to be infinite.
-        rules: restrictions, e.g. of labelling.
-        limits: when to give up.
+        admissible: whether the heuristic never exceeds the cost to the nearest goal. An admissible heuristic helps to
+            prove that no plan keeps the cost limit.
+        reopen: whether a state is expanded again when the search finds a cheaper path to it. Without reopening, the
+            bound requires a consistent heuristic, and the cost limit must be inf, because the search proves nothing
+            about costs.
+        rules: restrictions, for example in labelling.
+        limits: limits that end the search.
         paths: whether to return states and actions.
-        progress: called with (expansions, seconds) now and then.
+        progress: callback with (expansions, seconds), called regularly.
 
     Returns:
-        A result with one status per goal; with one goal also the proved bounds.
+        A result with one status per goal, and the proven bounds if there is one goal.
 
     Raises:
-        InputError: for a cost limit without reopening.
+        InputError: a cost limit without reopening.
     """
     limits = limits or Limits()
     if not reopen and np.isfinite(limits.cost):
@@ -69,7 +71,7 @@ def solve(
 
 
 def _enter_bounds(result: SearchResult, world: World, bound: float, limits: Limits) -> None:
-    """Enter the proved bounds of a search for one goal whose plan costs at most ``bound`` times the optimum."""
+    """Writes the proven bounds into a result for one goal, whose plan costs at most ``bound`` times the optimum."""
     (status,), cost = result.status, float(result.cost[0])
     if status == Status.SOLVED and np.isfinite(bound):
         result.bound = float(bound)
