@@ -23,7 +23,7 @@ from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.planning.planner import Planner
 from hdsp.robot.lattice import HEADINGS, cells
-from hdsp.terrain.arenas import random_arena
+from hdsp.terrain.random_arenas import random_arena
 
 QUANTILES = 0.5, 0.9, 0.95, 0.99
 

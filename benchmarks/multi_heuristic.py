@@ -32,8 +32,9 @@ from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.planning.planner import Planner
-from hdsp.terrain.arenas import random_arena, read_arena
+from hdsp.terrain.arenas import read_arena
 from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.random_arenas import random_arena
 
 PAPER = Path("conf/arena/paper.yaml")
 SCANNED = Path("data/arena/scanned.npz")

@@ -32,7 +32,7 @@ from hdsp.learning.shipped import load_abstraction
 from hdsp.planning.heuristics import standing_states
 from hdsp.planning.planner import Plan, Planner
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, robot_frame_goals
-from hdsp.terrain.arenas import random_arena
+from hdsp.terrain.random_arenas import random_arena
 
 PREDICTED, REFERENCE = "predicted", "geometric"
 

@@ -20,7 +20,7 @@ from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.planning.planner import Planner
 from hdsp.robot.lattice import HEADINGS
-from hdsp.terrain.arenas import random_arena
+from hdsp.terrain.random_arenas import random_arena
 from tests.naive import Naive, dijkstra
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from hdsp import HeightMap, Planner
 from hdsp.planning.plans import Plan
 from hdsp.robot.lattice import Grid, cells
-from hdsp.terrain.scenes import Block, Scene
+from hdsp.terrain.obstacles import Block, Scene
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 BEGIN, END = "<!-- written by examples.climbing: begin -->", "<!-- written by examples.climbing: end -->"

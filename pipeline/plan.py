@@ -105,8 +105,9 @@ def read_ground(arena: DictConfig, folders: Folders) -> Ground:
     Raises:
         InputError: the source is unknown, or the arena cannot be made.
     """
-    from hdsp.terrain.arenas import ArenaSettings, random_arena, read_arena
+    from hdsp.terrain.arenas import read_arena
     from hdsp.terrain.height_map import HeightMap
+    from hdsp.terrain.random_arenas import ArenaSettings, random_arena
 
     if arena.source == "random":
         contents = settings(ArenaSettings, arena.contents, "arena.contents")

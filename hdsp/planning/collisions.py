@@ -19,7 +19,7 @@ from hdsp.base.errors import InputError
 from hdsp.robot.lattice import metres
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.arenas import Arena
-from hdsp.terrain.scenes import Block, Ramp
+from hdsp.terrain.obstacles import Block, Ramp
 
 if TYPE_CHECKING:
     from hdsp.planning.plans import Plan

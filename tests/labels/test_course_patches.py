@@ -9,7 +9,7 @@ from hdsp.base.errors import InputError
 from hdsp.labels.course_patches import CoursePatchSettings, PatchRun, simulated_courses, task_set
 from hdsp.labels.rules import LabelSettings
 from hdsp.robot.robot import Robot
-from hdsp.terrain.scenes import Ramp, Staircase
+from hdsp.terrain.obstacles import Ramp, Staircase
 from hdsp.terrain.simulation.courses import CourseSettings, random_course
 from hdsp.terrain.simulation.lidar import Lidar
 

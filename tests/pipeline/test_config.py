@@ -9,7 +9,7 @@ import yaml
 
 from hdsp.base.errors import InputError
 from hdsp.labels.rules import LabelSettings
-from hdsp.terrain.arenas import ArenaSettings
+from hdsp.terrain.random_arenas import ArenaSettings
 from hdsp.terrain.scenes import TerrainSettings
 from pipeline.config import CONF, compose, expand_choices, flatten, plain, settings, write_params
 from tests import ROOT

@@ -11,7 +11,7 @@ from hdsp.planning.collisions import FOOT_RADIUS, check_plan
 from hdsp.planning.planner import Planner
 from hdsp.robot.robot import Robot
 from hdsp.terrain.arenas import Arena
-from hdsp.terrain.scenes import Block, Ramp, Scene, Staircase
+from hdsp.terrain.obstacles import Block, Ramp, Scene, Staircase
 
 ROBOT = Robot.load("momaro")
 FOOT_OUT = ROBOT.feet.neutral_y + FOOT_RADIUS  # lateral distance from the base to the outside of a foot

@@ -1,56 +1,78 @@
+"""Arena descriptions: blocks from plain values, true height maps, errors. No MuJoCo."""
+
+import math
+
 import numpy as np
 import pytest
-from scipy import ndimage
+import yaml
 
 from hdsp.base.errors import InputError
-from hdsp.terrain.arenas import ArenaSettings, random_arena
+from hdsp.planning.planner import Planner
+from hdsp.terrain.arenas import Arena, read_arena
+from hdsp.terrain.obstacles import Block, Ramp, Scene, Staircase
+from tests import ROOT
+
+PAPER = ROOT / "conf/arena/paper.yaml"
+ROOM = {"size": 3.0, "wall_height": 1.0, "wall_thickness": 0.1}
 
 
-@pytest.fixture(scope="module", params=range(6))
-def arena(request):
-    return random_arena(request.param)
+def test_the_height_map_has_the_analytic_heights():
+    staircase = {"x": 0.5, "y": 2.0, "steps": 2, "rise": 0.2, "tread": 0.3, "width": 0.8, "depth": 0.9}
+    block = {"x": 1.5, "y": 0.6, "yaw": math.pi / 4, "length": 0.4, "width": 0.4, "height": 0.15}
+    ramp = {"x": 2.4, "y": 0.8, "yaw": math.pi / 2, "length": 1.0, "width": 0.5, "height": 0.25}
+    values = {**ROOM, "blocks": [block], "staircases": [staircase], "ramps": [ramp], "walls": [[2.0, 2.0, 2.0, 2.95]]}
+    terrain = read_arena(values).height_map()
+    assert terrain.shape == (120, 120) and terrain.origin == (0.0, 0.0)
+    x, y = np.meshgrid((np.arange(120) + 0.5) * 0.025, (np.arange(120) + 0.5) * 0.025, indexing="ij")
+    expected = np.zeros((120, 120))
+    expected[abs(x - 1.5) + abs(y - 0.6) <= 0.2 * math.sqrt(2)] = 0.15
+    expected[(abs(y - 2.0) <= 0.4) & (x >= 0.5) & (x <= 1.4)] = 0.2
+    expected[(abs(y - 2.0) <= 0.4) & (x >= 0.8) & (x <= 1.7)] = 0.4
+    on_ramp = (abs(x - 2.4) <= 0.25) & (abs(y - 0.8) <= 0.5)
+    expected[on_ramp] = 0.25 * (y[on_ramp] - 0.3)
+    expected[(abs(x - 2.0) <= 0.05) & (y >= 1.95)] = 1.0
+    expected[(np.minimum(x, y) < 0.1) | (np.maximum(x, y) > 2.9)] = 1.0
+    np.testing.assert_allclose(terrain.heights, expected, atol=1e-6)
 
 
-def test_it_has_the_asked_size_and_walls_all_around(arena):
-    assert arena.shape == (200, 200) and arena.origin == (0.0, 0.0)
-    border = np.ones(arena.shape, bool)
-    border[4:-4, 4:-4] = False
-    assert (arena.heights[border] >= 1.0).all()
-    assert not np.isnan(arena.heights).any()
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"size": None}, "arena.size is None"),
+        ({"size": 3.01}, "multiple of 0.025"),
+        ({"wall_height": -1.0}, "arena.wall_height is -1.0"),
+        ({"walls": [[0.0, 1.0, 2.0]]}, r"arena\.walls\[0\]\[3\] is missing"),
+        (
+            {"blocks": [{"x": 1.0, "y": 1.0, "length": 1.0, "width": 1.0}]},
+            r"arena\.blocks\[0\]: key 'height' is missing",
+        ),
+        (
+            {"blocks": [{"x": 1.0, "y": 1.0, "length": 1.0, "width": 1.0, "hight": 1.0}]},
+            "unknown key 'hight'; did you mean 'height'",
+        ),
+        ({"ramps": [{"x": math.nan, "y": 1.0, "length": 1.0, "width": 1.0, "height": 1.0}]}, "x is nan"),
+        ({"ramps": [{"x": 1.0, "y": 1.0, "length": 0.0, "width": 1.0, "height": 1.0}]}, "length is 0.0"),
+    ],
+)
+def test_what_is_wrong_in_a_description_is_named(change, says):
+    with pytest.raises(InputError, match=says):
+        read_arena({**ROOM, **change})
 
 
-def test_a_robot_reaches_both_rooms_on_the_ground(arena):
-    # A disc of 0.42 m around the base contains the robot at every heading.
-    steep = ndimage.generic_filter(arena.heights, np.ptp, 3) > 0.05
-    free = (ndimage.distance_transform_edt(~steep) >= 0.42 / 0.025) & (arena.heights < 0.1)
-    pieces, _ = ndimage.label(free)
-    largest = pieces == np.bincount(pieces[free]).argmax()
-    assert largest[:80].sum() > 0.25 * 80 * 200
-    assert largest[110:].sum() > 0.2 * 90 * 200
+def test_an_arena_lists_the_blocks_of_its_obstacles():
+    stairs = Staircase(1.0, 1.0, 0.0, steps=3, rise=0.2, tread=0.3, width=1.0, depth=0.5)
+    arena = Arena(3.0, Scene((Block(2.0, 2.0, 0.0, 0.1, 0.1, 0.3), stairs, Ramp(1.0, 2.5, 0.0, 0.5, 0.3, 0.1))))
+    assert [block.height for block in arena.blocks()] == pytest.approx([0.3, 0.2, 0.4, 0.6, 0.1])
 
 
-def test_it_holds_what_makes_it_worth_planning_in(arena):
-    heights = arena.heights
-    platform = (heights > 0.29) & (heights < 0.37)
-    assert platform.sum() * 0.025**2 > 1.0, "a landing"
-    assert ((heights > 0.14) & (heights < 0.19)).sum() * 0.025**2 > 0.3, "a step on the way to it"
-    assert ((heights > 0) & (heights < 0.05)).any(), "low ground to drive over"
-    inner = (heights[80:110] >= 1.0).any(axis=0)
-    assert 40 <= (~inner).sum() <= 52, (
-        "a door of 1.0 to 1.2 m in the wall between the rooms, less the cells at its sides"
-    )
-
-
-def test_an_arena_is_a_function_of_its_seed():
-    np.testing.assert_array_equal(random_arena(3).heights, random_arena(3).heights)
-    assert (random_arena(3).heights != random_arena(4).heights).any()
-    assert random_arena(3, size=8.0).size == (8.0, 8.0)
-
-
-def test_what_cannot_be_is_refused():
-    with pytest.raises(InputError, match="side of at least 4"):
-        random_arena(1, size=2.0)
-    with pytest.raises(InputError, match="seed -3"):
-        random_arena(-3)
-    with pytest.raises(InputError, match="none of 200"):
-        random_arena(1, settings=ArenaSettings(door_width=(0.3, 0.4)))
+def test_the_robot_can_stand_at_start_and_goals_of_the_papers_arena():
+    description = yaml.safe_load(PAPER.read_text())
+    arena = read_arena(description)
+    assert arena.size == 10.0
+    planner = Planner(arena.height_map())
+    tasks = description["tasks"]
+    assert [task["name"] for task in tasks] == ["I", "II", "III", "IV", "V", "VI", "VII"]
+    assert all(planner.valid(task["start"]) and planner.valid(task["goal"]) for task in tasks)
+    on_top = {task["name"]: float(arena.scene.heights_at(*np.array(task["goal"][:2]))) for task in tasks}
+    assert on_top["III"] > 0.5 and 0.1 < on_top["V"] <= 0.3
+    assert {name: height for name, height in on_top.items() if height > 0}.keys() == {"III", "V"}

@@ -10,7 +10,8 @@ from hdsp.labels.rules import LabelSettings, label_map
 from hdsp.labels.run.splits import LabelRun, SplitSettings
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.scenes import ALL_CATEGORIES, CATEGORIES, Ramp, Scene, TerrainSettings, Tiles, random_scene
+from hdsp.terrain.obstacles import Ramp, Scene, Tiles
+from hdsp.terrain.scenes import ALL_CATEGORIES, CATEGORIES, TerrainSettings, random_scene
 from hdsp.terrain.sensor_model import SensingSettings, sensed
 
 NOTHING = SensingSettings(

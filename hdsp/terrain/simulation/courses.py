@@ -16,7 +16,7 @@ from pydantic import Field
 from hdsp.base.errors import InputError
 from hdsp.base.settings import CountRange, Positive, Range, checked
 from hdsp.terrain.arenas import Arena, walls_around
-from hdsp.terrain.scenes import Block, Obstacle, Ramp, Scene, Staircase
+from hdsp.terrain.obstacles import Block, Obstacle, Ramp, Scene, Staircase
 
 
 @checked

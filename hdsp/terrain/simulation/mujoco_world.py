@@ -12,7 +12,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.terrain.arenas import Arena
-from hdsp.terrain.scenes import Block, Ramp
+from hdsp.terrain.obstacles import Block, Ramp
 
 _COLORS = {"wall": ".78 .76 .72 1", "block": ".80 .55 .30 1", "ramp": ".45 .62 .55 1"}
 _WALL = 0.7  # m; blocks at least this high are drawn as walls

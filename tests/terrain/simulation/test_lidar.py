@@ -7,7 +7,7 @@ import pytest
 
 from hdsp.base.errors import InputError
 from hdsp.terrain.arenas import Arena
-from hdsp.terrain.scenes import Block, Ramp, Scene
+from hdsp.terrain.obstacles import Block, Ramp, Scene
 from hdsp.terrain.simulation.lidar import Lidar, along, scan
 from hdsp.terrain.simulation.mujoco_world import MujocoWorld
 

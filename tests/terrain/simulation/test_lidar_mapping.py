@@ -7,7 +7,7 @@ from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
 from hdsp.terrain.arenas import Arena, read_arena, walls_around
 from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.scenes import Block, Scene
+from hdsp.terrain.obstacles import Block, Scene
 from hdsp.terrain.simulation.fusion import Surface, fuse, smooth
 from hdsp.terrain.simulation.lidar import Lidar
 from hdsp.terrain.simulation.lidar_mapping import accuracy, scanned_map

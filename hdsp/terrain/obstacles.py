@@ -1,0 +1,150 @@
+"""Obstacles on flat ground: blocks, ramps, tiles and staircases, and the height map of a scene of them.
+
+Convention: x forward, y left, m; yaw counter-clockwise, rad.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hdsp.robot import lattice
+from hdsp.robot.lattice import Grid
+from hdsp.terrain.height_map import HeightMap
+
+_ON_SIDE = 1e-9  # m; a point this close to a side counts as on the side, despite rounding errors
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block on the ground: a cuboid, a wall, or one step of a staircase.
+
+    Attributes:
+        x, y: centre, m.
+        yaw: direction of the length, rad.
+        length, width, height: m.
+    """
+
+    x: float
+    y: float
+    yaw: float
+    length: float
+    width: float
+    height: float
+
+    def blocks(self) -> tuple["Block", ...]:
+        return (self,)
+
+    def covers(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Whether points (x, y) lie on the block, sides included; bool with x's shape."""
+        turn = lattice.rotation(-self.yaw)
+        along = turn[0, 0] * (x - self.x) + turn[0, 1] * (y - self.y)
+        across = turn[1, 0] * (x - self.x) + turn[1, 1] * (y - self.y)
+        return (np.abs(along) <= self.length / 2 + _ON_SIDE) & (np.abs(across) <= self.width / 2 + _ON_SIDE)
+
+    def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray | float:
+        """Upper side's height at points (x, y) on the block, m."""
+        return self.height
+
+
+@dataclass(frozen=True)
+class Ramp(Block):
+    """A wedge: its upper side rises along ``yaw`` from the ground to ``height`` over ``length``."""
+
+    def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        along = math.cos(self.yaw) * (x - self.x) + math.sin(self.yaw) * (y - self.y)
+        return self.height * np.clip(0.5 + along / self.length, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Tiles(Block):
+    """A field of square tiles, each with its own height and tilt; ``height`` is unused.
+
+    Attributes:
+        side: tile side length, m; tiles at the far borders may be cut.
+        tiles: rows along the length; each tile is (height at the middle in m, slope along, slope across).
+    """
+
+    side: float
+    tiles: tuple[tuple[tuple[float, float, float], ...], ...]
+
+    def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        turn = lattice.rotation(-self.yaw)
+        along = turn[0, 0] * (x - self.x) + turn[0, 1] * (y - self.y) + self.length / 2
+        across = turn[1, 0] * (x - self.x) + turn[1, 1] * (y - self.y) + self.width / 2
+        tiles = np.array(self.tiles)
+        i, j = (
+            np.clip(np.floor(at / self.side), 0, count - 1).astype(int)
+            for at, count in zip((along, across), tiles.shape, strict=False)
+        )
+        height, slope_along, slope_across = np.moveaxis(tiles[i, j], -1, 0)
+        top = height + slope_along * (along - (i + 0.5) * self.side) + slope_across * (across - (j + 0.5) * self.side)
+        return np.maximum(top, 0.0)
+
+
+@dataclass(frozen=True)
+class Staircase:
+    """Steps that rise along ``yaw``; each step is a block that begins at its own riser.
+
+    Attributes:
+        x, y: middle of the first riser, m.
+        yaw: direction of ascent, rad.
+        steps: number of steps.
+        rise, tread: step height, distance between two risers, m.
+        width: width across the direction of ascent, m.
+        depth: step length behind the riser, m; the last step is the landing.
+    """
+
+    x: float
+    y: float
+    yaw: float
+    steps: int
+    rise: float
+    tread: float
+    width: float
+    depth: float
+
+    def blocks(self) -> tuple[Block, ...]:
+        return tuple(self._step(number) for number in range(self.steps))
+
+    def _step(self, number: int) -> Block:
+        middle = number * self.tread + self.depth / 2
+        x, y = self.x + middle * math.cos(self.yaw), self.y + middle * math.sin(self.yaw)
+        return Block(x, y, self.yaw, self.depth, self.width, self.rise * (number + 1))
+
+
+Obstacle = Block | Staircase
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Obstacles on flat ground at height 0."""
+
+    obstacles: tuple[Obstacle, ...]
+
+    def rasterise(self, shape: tuple[int, int], center_cell: tuple[int, int], angle: float = 0.0) -> HeightMap:
+        """Makes a height map with the heights at the cell centres. Where obstacles overlap, the highest one counts.
+
+        Args:
+            shape: map size (nx, ny) in cells.
+            center_cell: cell with its centre at the scene's origin.
+            angle: counter-clockwise rotation of the scene, rad; rotations by 90 degrees permute the cells exactly.
+
+        Returns:
+            a height map with the scene's origin at world (0, 0).
+        """
+        grid = Grid((0.0, 0.0), shape)
+        offset = grid.center(center_cell)
+        x, y = np.moveaxis(grid.center(np.stack(np.indices(shape), axis=-1) - center_cell) - grid.center((0, 0)), -1, 0)
+        turn = lattice.rotation(-angle)
+        x, y = turn[0, 0] * x + turn[0, 1] * y, turn[1, 0] * x + turn[1, 1] * y
+        return HeightMap(self.heights_at(x, y), origin=tuple(-offset))
+
+    def heights_at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Heights at points (x, y), m; float32 with x's shape."""
+        heights = np.zeros(np.shape(x), np.float32)
+        for obstacle in self.obstacles:
+            for block in obstacle.blocks():
+                top = np.asarray(block.top(x, y), np.float32)
+                np.maximum(heights, top, out=heights, where=block.covers(x, y))
+        return heights
