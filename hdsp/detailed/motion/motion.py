@@ -1,6 +1,6 @@
-"""Motions: what a robot does to follow a plan, configuration by configuration, and the check that it can.
+"""Motions: the robot configurations along a plan, and the check that a robot can carry them out.
 
-A motion says nothing about time. The check shares no code with what makes motions (``refine``, ``stance``).
+A motion contains no times. The check shares no code with the modules that create motions (``refinement``, ``stance``).
 """
 
 from __future__ import annotations
@@ -12,30 +12,31 @@ import numpy as np
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.height_map import HeightMap
 
-#: What a configuration is part of. ``roll``: all feet on the ground, driving, turning or moving under the base;
-#: ``lean``: the base moves over resting feet; the others are those of a step.
+#: Phases of a motion. ``roll``: all feet on the ground, driving, turning or moving under the base; ``lean``: the base
+#: moves over resting feet; ``lift``, ``swing``, ``lower``: parts of a step.
 PHASES = ("roll", "lean", "lift", "swing", "lower")
 
 _EPS = 1e-6
-_TOUCH = 1e-4  # m; how far a foot that carries may be off the ground by rounding
-_BLOCK = 256  # configurations whose clearance is checked at a time
-_DEEPEST = 1.0  # m; how far below their tops columns of ground are looked at
+_TOUCH = 1e-4  # m; largest distance between the ground and a carrying foot, from rounding
+_BLOCK = 256  # configurations per pass of the clearance check
+_DEEPEST = 1.0  # m; depth to which ground columns are sampled, from their tops
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
     """Configurations from the start of a plan to its goal.
 
-    Convention: metres and radians in the world frame; ``Rz(heading) Ry(pitch) Rx(roll)`` takes the frame of the base to
-    the world, so positive roll leans to the right and positive pitch lowers the nose. The origin of the base lies
-    between its hips. Feet in the order of ``hdsp.robot.robot.FEET``, each the point where it touches the ground.
+    Convention: metres and radians in the world frame. ``Rz(heading) Ry(pitch) Rx(roll)`` rotates the base frame to the
+    world frame: positive roll leans to the right, positive pitch lowers the nose. The base origin lies between the
+    hips. Feet are in the order of ``hdsp.robot.robot.FEET``, each as the point where it touches the ground.
 
     Attributes:
         base: float64 [n, 6]: x, y, z, roll, pitch, heading.
         feet: float64 [n, 4, 3]: x, y, z.
-        carries: bool [n, 4], which feet stand on the ground.
-        action: int64 [n], the action of the plan that a configuration belongs to.
+        carries: bool [n, 4], whether a foot stands on the ground.
+        action: int64 [n], index of the configuration's action in the plan.
         phase: uint8 [n], index into ``PHASES``.
+        terrain, robot: map and robot for the check.
     """
 
     base: np.ndarray
@@ -50,23 +51,25 @@ class Motion:
         return len(self.base)
 
     def rotations(self) -> np.ndarray:
-        """Frame of the base to the world, float64 [n, 3, 3]."""
+        """Rotations from the base frame to the world frame, float64 [n, 3, 3]."""
         roll, pitch, heading = self.base[:, 3:].T
         return _about(heading, 2) @ _about(pitch, 1) @ _about(roll, 0)
 
     def leg_lengths(self) -> np.ndarray:
-        """From hip to foot, float64 [n, 4], m."""
+        """Distances from hip to foot, float64 [n, 4], m."""
         hips = self.base[:, None, :3] + np.einsum("nij,fj->nfi", self.rotations(), self.robot.hips())
         return np.linalg.norm(hips - self.feet, axis=2)
 
     def centers_of_mass(self) -> np.ndarray:
-        """World positions, float64 [n, 3], m."""
+        """Centres of mass in the world frame, float64 [n, 3], m."""
         stance = self.robot.stance
         return self.base[:, :3] + self.rotations() @ np.array([stance.mass_x, 0.0, stance.mass_z])
 
     def margins(self) -> np.ndarray:
-        """How far the centre of mass is inside the polygon of the feet that carry, seen from above, float64 [n], m;
-        negative outside."""
+        """Distances from the centre of mass to the border of the support polygon, seen from above, float64 [n], m.
+
+        The value is positive inside, negative outside, and -inf with fewer than three feet on the ground.
+        """
         mass = self.centers_of_mass()[:, :2]
         least = np.full(len(self), np.inf)
         for lifted in (None, 0, 1, 2, 3):
@@ -83,12 +86,15 @@ class Motion:
         return least
 
     def heights_over_ground(self) -> np.ndarray:
-        """Of the feet above the cell that each is over, float64 [n, 4], m."""
+        """Heights of the feet above the cells below them, float64 [n, 4], m."""
         return self.feet[..., 2] - self.terrain.height_at(self.feet[..., 0], self.feet[..., 1])
 
     def swing_clearances(self) -> np.ndarray:
-        """Of feet in the air above the highest ground within ``feet.clearance`` around them, float64 [n, 4], m; inf for
-        feet that carry. Feet that are lifted or lowered stay over their foothold, where no edge is that near."""
+        """Clearances of swinging feet above the highest ground within ``feet.clearance``, float64 [n, 4], m.
+
+        The value is inf for feet that carry, lift or lower. A foot lifts and lowers over its foothold, where no edge is
+        within this distance.
+        """
         result = np.full(self.carries.shape, np.inf)
         swinging = ~self.carries & (self.phase == PHASES.index("swing"))[:, None]
         reach, cell = self.robot.feet.clearance, self.terrain.resolution
@@ -101,9 +107,11 @@ class Motion:
         return result
 
     def body_penetrations(self) -> np.ndarray:
-        """How deep ground reaches into the body, float64 [n], m; 0 where they do not touch. Unknown ground does not
-        count."""
-        moved = np.concatenate([[True], (np.diff(self.base, axis=0) != 0).any(axis=1)])  # a step keeps the base still
+        """Depths by which the ground reaches into the body, float64 [n], m; 0 without contact.
+
+        Unknown ground does not count.
+        """
+        moved = np.concatenate([[True], (np.diff(self.base, axis=0) != 0).any(axis=1)])  # the base rests during a step
         shown = np.flatnonzero(moved)
         deepest = [self._penetrations(shown[k : k + _BLOCK]) for k in range(0, len(shown), _BLOCK)]
         return np.concatenate(deepest)[np.cumsum(moved) - 1]
@@ -121,7 +129,7 @@ class Motion:
         place[~inside] = 0
         heights = self.terrain.heights[place[..., 0], place[..., 1]]
         heights = np.where(inside & ~np.isnan(heights), heights, -np.inf)
-        # Only ground above the plane of the lowest box matters; its columns are looked at from the top down.
+        # Only ground above the plane of the lowest box matters; its columns are sampled from the top down.
         up = turned[:, :, 2]
         plane = (under.min() - (cells - base[:, None, :2]) @ up[:, :2, None])[..., 0] / up[:, 2:]
         row, near = np.nonzero(heights - base[:, 2:] > plane)
@@ -137,11 +145,11 @@ class Motion:
         return deepest
 
     def problems(self) -> list[tuple[int, str]]:
-        """What is wrong, as (configuration, in words), in their order; empty for a motion that can be carried out.
+        """Returns all violations as (configuration, text), in motion order; empty for a feasible motion.
 
-        Every configuration is checked: centre of mass inside the support polygon by the margin, legs within their
-        limits, feet that carry on the ground and none below it, a swinging foot and the body clear of the ground, roll
-        and pitch within their limits.
+        The check covers every configuration: the centre of mass lies inside the support polygon by the margin; leg
+        lengths, roll and pitch are within their limits; carrying feet are on the ground and no foot is below it;
+        swinging feet and the body are clear of the ground.
         """
         s, legs = self.robot.stance, self.robot.legs
         found: list[tuple[int, str]] = []
@@ -178,12 +186,12 @@ class Motion:
         return sorted(found, key=lambda item: item[0])
 
     def check(self) -> list[str]:
-        """``problems`` as lines of text that name the action."""
+        """Returns ``problems`` as text lines, each with the action."""
         return [f"action {self.action[n]}, {PHASES[self.phase[n]]}: {words}" for n, words in self.problems()]
 
 
 def _about(angles: np.ndarray, axis: int) -> np.ndarray:
-    """Rotations about an axis, counter-clockwise seen from its end, float64 [n, 3, 3]."""
+    """Rotations about an axis, counter-clockwise seen from the axis tip, float64 [n, 3, 3]."""
     one, other = (axis + 1) % 3, (axis + 2) % 3
     turned = np.zeros((len(angles), 3, 3))
     turned[:, axis, axis] = 1

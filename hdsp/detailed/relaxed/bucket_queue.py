@@ -1,4 +1,4 @@
-"""A priority queue of Dijkstra's algorithm: nodes in buckets by cost, each a list that is linked both ways."""
+"""Priority queue for Dijkstra's algorithm: nodes in buckets by cost, each bucket a doubly linked list."""
 
 from typing import NamedTuple
 
@@ -10,13 +10,13 @@ _OUT = np.int32(-(2**31))
 
 
 class BucketQueue(NamedTuple):
-    """Nodes that wait.
+    """Waiting nodes.
 
     Attributes:
-        width: cost that a bucket spans.
+        width: cost range per bucket.
         heads: int32 [buckets], first node, -1 = none.
-        after: int32 [nodes], next node of the bucket, -1 = none.
-        ahead: int32 [nodes], previous node; -1 - b in front of bucket b; _OUT where a node does not wait.
+        after: int32 [nodes], next node in the bucket, -1 = none.
+        ahead: int32 [nodes], previous node; -1 - b for the first node in bucket b; _OUT for a node outside the queue.
     """
 
     width: float
@@ -26,14 +26,14 @@ class BucketQueue(NamedTuple):
 
 
 def new_bucket_queue(width: float, most: float, nodes: int) -> BucketQueue:
-    """An empty queue for ``nodes`` nodes at costs from 0 to ``most``."""
+    """Creates an empty queue for ``nodes`` nodes at costs from 0 to ``most``."""
     heads = np.full(int(most / width) + 2, -1, dtype=np.int32)
     return BucketQueue(width, heads, np.empty(nodes, dtype=np.int32), np.full(nodes, _OUT, dtype=np.int32))
 
 
 @njit(inline="always")
 def put(queue, node, cost):
-    """Have a node wait at a cost; it leaves the bucket in which it waited before."""
+    """Adds a node at a cost; a waiting node leaves its former bucket."""
     heads, after, ahead = queue.heads, queue.after, queue.ahead
     if ahead[node] != _OUT:
         take(queue, node)
@@ -46,7 +46,7 @@ def put(queue, node, cost):
 
 @njit(inline="always")
 def take(queue, node):
-    """Take a waiting node out of its bucket."""
+    """Removes a waiting node from its bucket."""
     heads, after, ahead = queue.heads, queue.after, queue.ahead
     one, other = ahead[node], after[node]
     if one >= 0:

@@ -1,10 +1,10 @@
-"""A relaxed problem of two dimensions for each foot: over which edges must it at least step?
+"""Relaxed problem with two dimensions for each foot: the edges over which it must step.
 
-The cells on which a foot can stand fall into regions within which it can roll. From one region into another it comes
-only by steps. Left alone by the rest of the robot, a foot needs at least the cheapest sequence of steps from its region
-to that of its goal. The sum over the feet never exceeds what the steps of a plan cost, and counts no other action: it
-adds to the relaxed costs of the base (``relaxed``) and to the foot term of ``estimate``. Where no sequence exists,
-there is no plan.
+A foothold region is a connected set of cells over which a foot can roll. A foot enters another region only by steps.
+Without the rest of the robot, a foot needs at least the cheapest sequence of steps from its region to the goal's
+region. The sum over the feet never exceeds the cost of all steps in a plan, and counts no other action. It can
+therefore be added to the relaxed base costs (``relaxed_costs``) and to the foot term in ``estimate``. If no sequence
+exists, no plan exists.
 """
 
 import math
@@ -20,12 +20,12 @@ from hdsp.robot.lattice import HEADINGS
 
 
 class FootholdRegions(NamedTuple):
-    """Regions of footholds and the steps between them.
+    """Foothold regions and the steps between them.
 
     Attributes:
-        region: int32 flat like the maps of ``World``; number of the region, -1 where no foot can stand.
-        effort: float32 [regions, regions]; least cost of a step from one to the other beyond what the foot term of
-            ``estimate`` already counts for its length; inf where no step leads.
+        region: int32, flat like the maps in ``World``; region number, -1 where no foot can stand.
+        effort: float32 [regions, regions]; least cost of a step from one region (row) to another (column), minus the
+            cost that the foot term in ``estimate`` already counts for its length; inf without a step.
     """
 
     region: np.ndarray
@@ -33,21 +33,21 @@ class FootholdRegions(NamedTuple):
 
 
 def find_foothold_regions(world: World, rules: Rules, counted_per_cell: float) -> FootholdRegions:
-    """Regions and steps of a terrain under the headings that ``rules`` allow.
+    """Finds the foothold regions and steps on a terrain, under the headings allowed by ``rules``.
 
     Args:
         world: terrain and robot.
-        rules: of the search.
-        counted_per_cell: cost per cell of a step's length that is counted elsewhere.
+        rules: restrictions of the search.
+        counted_per_cell: cost per cell of step length that is counted elsewhere.
     """
     from scipy.ndimage import binary_dilation, label
 
     standable = world.standable.reshape(-1, world.stride)
-    # Cells are connected if one action may take a foot from one to the other; turning reaches farthest.
+    # Cells are connected if one action can take a foot from one to the other; turning reaches farthest.
     c = world.constants
     reach = math.floor(math.hypot(c.neutral_x, c.neutral_y) * 2 * math.pi / HEADINGS) + 1
     rounds = max(1, math.ceil((reach - 1) / 2))
-    # No foot stands in the border, and only the edge of it is reached here.
+    # No foot stands in the border, and the dilation reaches only its inner edge.
     inner = tuple(slice(world.pad - rounds, world.pad + n + rounds) for n in (world.nx, world.ny))
     wider = binary_dilation(standable[inner], np.ones((3, 3), bool), iterations=rounds)
     regions, count = label(wider, np.ones((3, 3), int))
@@ -64,15 +64,15 @@ def find_foothold_regions(world: World, rules: Rules, counted_per_cell: float) -
 
 
 def efforts_to(regions: FootholdRegions, world: World, goals: np.ndarray) -> np.ndarray:
-    """Least effort of steps from each region to the nearest of several goals.
+    """Returns the least step effort from each region to the nearest of several goals.
 
     Args:
-        regions: the regions and the steps between them.
+        regions: regions and steps.
         world: terrain and robot.
         goals: int64 [n, 7], valid states in lattice units.
 
     Returns:
-        float32 [4, regions]: per foot; inf where a foot cannot get to any goal.
+        float32 [4, regions], per foot; inf if the foot cannot reach any goal.
     """
     n, t = len(regions.effort), world.tables
     result = np.full((4, n), np.inf, dtype=np.float32)
@@ -80,7 +80,7 @@ def efforts_to(regions: FootholdRegions, world: World, goals: np.ndarray) -> np.
         rows = foot_row(t, goals[:, 2], foot, goals[:, 3 + foot] - t.lowest)
         cells = cell_index(world, goals[:, 0], goals[:, 1]) + t.feet[rows]
         result[foot, regions.region[cells]] = 0
-        # Bellman-Ford: there are few regions, and a foot seldom crosses more than a few of them.
+        # Bellman-Ford: a terrain has few regions, and a foot seldom crosses more than a few.
         for _ in range(n):
             through = (regions.effort + result[foot][None, :]).min(axis=1)
             if not (through < result[foot]).any():
@@ -95,7 +95,7 @@ def _collect_steps(world, region, headings, counted_per_cell, effort):
     standable, height, swing, edge = world.standable, world.height, world.swing, world.edge
     steps, line = world.steps, t.line
     stride = world.stride
-    # The kernel lands on the foot's own cell, which rounding may put beside the line.
+    # A step lands on the foot's own cell, and rounding may place this cell beside the line.
     around = (-stride - 1, -stride, -stride + 1, -1, 0, 1, stride - 1, stride, stride + 1)
     for p in range(len(standable)):
         if steps[p] == 0:

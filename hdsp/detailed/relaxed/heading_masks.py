@@ -1,4 +1,4 @@
-"""What a robot can reach by base pose, with the headings at a cell as the bits of one word: all are moved at once."""
+"""Reachable base poses: the headings at a cell are bits in one word, so one operation moves all of them."""
 
 import math
 from typing import NamedTuple
@@ -13,14 +13,14 @@ from hdsp.robot.lattice import HEADINGS
 
 
 class HeadingMasks(NamedTuple):
-    """What is possible at each cell, one bit a heading; computed when first asked for.
+    """Possible headings at each cell, one bit per heading; computed on first use.
 
     Attributes:
         plain: bool [nx, ny], even ground all around: neutral feet stand and roll at every heading.
-        known: uint8 [nx, ny], bit 0: the masks for neutral feet are filled in, bit 1: ``some`` is.
+        known: uint8 [nx, ny], bit 0: the masks for neutral feet are computed; bit 1: ``some`` is computed.
         neutral: uint64 [nx, ny], the robot can stand on neutral feet.
-        level: uint64 [nx, ny], and these feet are level.
-        step: uint64 [nx, ny], and one of them can step.
+        level: uint64 [nx, ny], neutral feet can stand and are level.
+        step: uint64 [nx, ny], neutral feet can stand, and one foot can step.
         some: uint64 [nx, ny], the body is free and each foot finds some foothold.
     """
 
@@ -33,7 +33,7 @@ class HeadingMasks(NamedTuple):
 
 
 class PoseFlood:
-    """The relaxed problem of poses of one terrain under the rules of a search."""
+    """Flood fill over the relaxed poses on one terrain, under the rules of a search."""
 
     def __init__(self, world: World, rules: Rules):
         self._world = world
@@ -41,8 +41,10 @@ class PoseFlood:
         self._tables, self._masks = _mask_tables(world), _new_masks(world)
 
     def reached_from(self, state: np.ndarray, drive_only: bool) -> np.ndarray:
-        """Headings at each cell that are reached from a state int64 [7], as bits; uint64 [2, nx, ny], layer 0 on
-        neutral feet, 1 on any."""
+        """Headings at each cell that a state int64 [7] can reach, as bits; uint64 [2, nx, ny].
+
+        Layer 0 = on neutral feet, layer 1 = on any feet.
+        """
         reached = np.zeros((2, self._world.nx, self._world.ny), dtype=np.uint64)
         reached[int(state[3:].any()), state[0], state[1]] = _ONE << np.uint64(state[2])
         _flood(self._world, self._allowed, self._tables, self._masks, reached, state[0], state[1], drive_only)
@@ -50,17 +52,17 @@ class PoseFlood:
 
 
 def holds(reached: np.ndarray, state: np.ndarray) -> bool:
-    """Whether a state int64 [7] is among those reached."""
+    """Whether the reached headings contain a state int64 [7]."""
     return bool(reached[int(state[3:].any()), state[0], state[1]] >> np.uint64(state[2]) & _ONE)
 
 
 class MaskTables(NamedTuple):
-    """Actions by headings as bits."""
+    """Actions with their headings as bits."""
 
     straight: np.ndarray  # uint64 [20], headings at which a drive move leads ahead or back
     shift_dx: np.ndarray  # int64 [n], displacements of base shifts
     shift_dy: np.ndarray
-    shift_headings: np.ndarray  # uint64 [n], headings at which they are possible
+    shift_headings: np.ndarray  # uint64 [n], headings at which the shifts are possible
 
 
 _ONE = np.uint64(1)
@@ -68,7 +70,7 @@ _LAST = np.uint64(63)
 
 
 def _bits(flags: np.ndarray) -> np.ndarray:
-    """Rows of 64 flags as words, uint64 [...]."""
+    """Packs rows of 64 flags into words, uint64 [...]."""
     return (flags.astype(np.uint64) << np.arange(HEADINGS, dtype=np.uint64)).sum(axis=-1, dtype=np.uint64)
 
 
@@ -86,10 +88,10 @@ def _new_masks(world: World) -> HeadingMasks:
 
     inner = (slice(world.pad, world.pad + world.nx), slice(world.pad, world.pad + world.ny))
     height, standable = world.height.reshape(-1, world.stride), world.standable.reshape(-1, world.stride)
-    # Neutral feet can stand, and roll on, at every heading; so none steps.
+    # Neutral feet stand and roll on at every heading. A foot steps only where it cannot roll on, so no foot steps here.
     feet = math.hypot(world.constants.neutral_x, world.constants.neutral_y) + 3
     even = distance_transform_edt(standable)[inner] > feet
-    # No heading brings the body or two feet to heights that differ enough to matter.
+    # The heights under the body and under the feet differ too little to matter at any heading.
     window = 2 * math.ceil(feet) + 1
     highest = np.maximum(maximum_filter(height, window), world.window_height.reshape(height.shape))
     most = min([world.constants.level, *world.tables.box_above.tolist()])
@@ -160,7 +162,7 @@ def _flood(world, allowed, tables, masks, reached, x, y, drive_only):
 
 @njit()
 def _fill_neutral(world, allowed, masks, x, y):
-    """Compute the masks of a cell for neutral feet."""
+    """Computes the masks for neutral feet at a cell."""
     if masks.plain[x, y]:
         masks.neutral[x, y] = masks.level[x, y] = masks.some[x, y] = allowed
         masks.known[x, y] = 3
@@ -193,7 +195,7 @@ def _fill_neutral(world, allowed, masks, x, y):
 
 @njit()
 def _fill_some(world, allowed, masks, x, y):
-    """Compute the mask of a cell for any feet."""
+    """Computes the mask for any feet at a cell."""
     if masks.known[x, y] == 0:
         _fill_neutral(world, allowed, masks, x, y)
     if masks.known[x, y] == 3:
@@ -210,7 +212,7 @@ def _fill_some(world, allowed, masks, x, y):
 
 @njit()
 def missing_feet(world, p, heading):
-    """Feet that find no foothold at flat cell ``p``, as bits."""
+    """Feet without a foothold at flat cell ``p``, as bits."""
     standable, feet = world.standable, world.tables.feet
     n_offsets, n_samples = world.tables.n_offsets, world.tables.n_samples
     missing = 0

@@ -1,12 +1,12 @@
-"""Quick proofs that a goal cannot be reached, and what stands in the way.
+"""Quick proofs that a goal is unreachable, and the place of the obstacle.
 
-Two relaxed problems, each of which allows more than the robot can do: what cannot be reached there cannot be reached at
-all.
+Each proof solves a relaxed problem, which allows more than the robot can do. A goal that is unreachable in a relaxed
+problem is unreachable for the robot.
 
-- **foot**: the ground on which each foot can roll, joined by the steps that it can make (``foothold_regions``).
-- **pose**: driving and turning on neutral feet from one valid state to the next, and base shifts along the heading over
-  poses at which each foot finds some foothold, begun where a foot can step. Three dimensions, but the headings at a
-  cell are the bits of one word: all are moved at once.
+- **foot**: the ground over which each foot can roll, connected by possible steps (``foothold_regions``).
+- **pose**: driving and turning on neutral feet between valid states, and base shifts along the heading between poses
+  at which each foot finds some foothold. Base shifts begin where a foot can step. The problem has three dimensions, but
+  the headings at a cell are bits in one word, so one operation moves all of them.
 """
 
 from typing import NamedTuple
@@ -26,19 +26,18 @@ FOOT, POSE = "foot", "pose"
 class Unreachable(NamedTuple):
     """Proof that no plan leads from a start to a goal.
 
-    Cells are (ix, iy) of the map, int64. For the proof ``foot`` they are cells of that foot, else of the base.
+    Cells are (ix, iy) in the map, int64: cells of the foot for the proof ``foot``, cells of the base for ``pose``.
 
     Attributes:
-        proof: which relaxed problem shows it: ``foot`` or ``pose``.
-        foot: for ``foot``, its number; else -1.
-        from_start: where what can be reached from the start comes nearest to what is joined to the goal (for ``pose``
-            by driving, for ``foot`` by steps that lead to it).
-        from_goal: the other side of that gap; the same cell if only the headings differ there.
-        blocked: [n, 2], the cells between the two, in a straight line.
+        proof: relaxed problem without a path to the goal, ``foot`` or ``pose``.
+        foot: number of the foot for ``foot``, -1 for ``pose``.
+        from_start: reachable cell nearest to the cells connected to the goal (for ``pose`` by driving, for ``foot`` by
+            steps toward the goal).
+        from_goal: cell on the other side of this gap; the same cell if only the headings differ.
+        blocked: [n, 2], cells between the two sides, in a straight line.
         heading: heading along the gap, [0, 64).
-        body_hits: [n, 2], cells of the terrain that the body would hit in the middle of the gap at that heading, the
-            highest first.
-        footless: feet that would find no foothold there, whatever their offset.
+        body_hits: [n, 2], terrain cells that the body hits in the middle of the gap at this heading, the highest first.
+        footless: feet without a foothold in the middle of the gap at this heading, at any offset.
     """
 
     proof: str
@@ -54,15 +53,15 @@ class Unreachable(NamedTuple):
 def why_unreachable(
     world: World, start: np.ndarray, goal: np.ndarray, rules: Rules | None = None
 ) -> Unreachable | None:
-    """Try to prove that a goal cannot be reached.
+    """Tries to prove that a goal is unreachable.
 
     Args:
         world: terrain and robot.
         start, goal: int64 [7], valid states in lattice units.
-        rules: of the search.
+        rules: restrictions of the search.
 
     Returns:
-        The proof, or None if there is none: then a plan may exist or not.
+        The proof, or None without a proof; a plan may then exist or not.
     """
     rules = rules or Rules()
     start, goal = np.asarray(start, dtype=np.int64), np.asarray(goal, dtype=np.int64)
@@ -80,7 +79,7 @@ def why_unreachable(
 
 
 def _foothold(world: World, state: np.ndarray, foot: int) -> int:
-    """Flat cell of a foot."""
+    """Flat cell index of a foot."""
     row = foot_row(world.tables, int(state[2]), foot, int(state[3 + foot]) - world.tables.lowest)
     return int(cell_index(world, state[0], state[1])) + int(world.tables.feet[row])
 
@@ -110,9 +109,9 @@ def _gap_of_foot(world: World, regions: FootholdRegions, efforts: np.ndarray, st
 
 
 def _gap(one: np.ndarray, other: np.ndarray, start: np.ndarray, goal: np.ndarray):
-    """Where two regions, bool [nx, ny], come nearest: a cell of each, the cells between, the heading along the gap.
+    """Narrowest gap between two regions, bool [nx, ny]: a cell in each, the cells between, the heading along the gap.
 
-    Of equally narrow gaps the one that makes the shortest way from start to goal.
+    Among equally narrow gaps, it is the gap with the shortest distance from the start over the gap to the goal.
     """
     from scipy.ndimage import distance_transform_edt
 
@@ -129,7 +128,7 @@ def _gap(one: np.ndarray, other: np.ndarray, start: np.ndarray, goal: np.ndarray
 
 
 def body_hits(world: World, ix: int, iy: int, heading: int) -> np.ndarray:
-    """Cells of the map that the body would hit at a pose, int64 [n, 2], with the highest first."""
+    """Map cells that the body hits at a pose, int64 [n, 2], the highest first."""
     t, p = world.tables, int(cell_index(world, ix, iy))
     feet = world.height[[p + t.feet[foot_row(t, heading, foot, -t.lowest)] for foot in range(4)]]
     feet = feet[feet > -np.inf]

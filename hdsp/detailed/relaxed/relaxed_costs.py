@@ -1,14 +1,16 @@
-"""A relaxed problem of three dimensions: what the detailed search could at best do at each base pose.
+"""Relaxed problem with three dimensions: lower bounds on detailed costs over base poses.
 
-It has two layers. On neutral feet the robot drives and turns exactly as the detailed search does. From a neutral pose
-at which a foot can step it may go over into the layer of any feet: there a pose is possible if the body is free and
-each foot finds some foothold, the base shifts along its heading at the least state cost over all feet, and where
-neutral feet can stand the robot may go back to them. What cannot be reached here cannot be reached in seven dimensions,
-and costs here never exceed the true ones: this proves infeasibility and is a consistent heuristic.
+The problem has two layers. On neutral feet, the robot drives and turns exactly as in the detailed search. A neutral
+pose at which a foot can step leads into the layer of any feet. A pose in this layer is possible if the body is free and
+each foot finds some foothold. The base shifts along its heading, at the least state cost over all feet. Where neutral
+feet can stand, the robot may return to the neutral layer.
 
-Feet that a base shift leaves behind must follow. If the base only shifts forward, each cell costs what four feet need
-at least to follow by a cell (``follow``), and a state whose feet are ahead has that much less to go: costs to go are
-``table(layer, pose) - follow * sum(offsets)``, with offsets counted from the lowest.
+A state that is unreachable here is unreachable in seven dimensions, and costs here never exceed the true costs. The
+problem therefore proves infeasibility, and its costs are a consistent heuristic.
+
+Feet left behind by a base shift must follow. If the base only shifts forward, each cell of a shift also counts the
+least cost for four feet to follow by one cell (``follow`` per foot). A state whose feet are ahead has less to go:
+costs-to-go are ``table(layer, pose) - follow * sum(offsets)``, with offsets counted from the lowest.
 """
 
 from typing import NamedTuple
@@ -25,15 +27,16 @@ from hdsp.robot.lattice import HEADINGS
 
 
 class Relaxed(NamedTuple):
-    """What can be reached from one state.
+    """Relaxed costs from one state.
 
     Attributes:
-        poses: the poses and the edges between.
-        follow: cost per cell that a foot follows a base shift.
-        distance: float32 [2, poses]; cost from the start to a state there, but for ``follow`` times by how much its
-            offsets are ahead of those of the start; layer 0 on neutral feet, 1 on any.
-        driven: float64 [goals]; what driving and turning alone cost, inf where they do not lead.
-        cut: whether the limit kept anything out.
+        poses: poses and the edges between them.
+        follow: cost per cell for a foot to follow a base shift.
+        distance: float32 [2, poses], costs from the start; layer 0 on neutral feet, 1 on any feet. A state costs
+            ``distance + follow * (sum(its offsets) - sum(start's offsets))``.
+        driven: float64 [goals], costs by driving and turning alone; inf if driving does not reach the goal within the
+            limit.
+        cut: whether the limit excluded any pose.
     """
 
     poses: Poses
@@ -51,18 +54,18 @@ def explore(
     goals: np.ndarray | None = None,
     poses: Poses | None = None,
 ) -> Relaxed:
-    """All that the relaxed problem reaches from a state, within a finite cost.
+    """Computes the relaxed costs from a state to all poses within a finite cost.
 
-    First the layer of neutral feet alone, which tells what driving costs. If it leads to all goals, nothing that costs
-    more than the farthest of them is explored.
+    The search begins with the layer of neutral feet alone, and thus finds the costs of driving. If driving reaches all
+    goals, no pose with a higher cost than the farthest goal is explored.
 
     Args:
         world: terrain and robot.
-        rules: of the search.
+        rules: restrictions of the search.
         start: int64 [7], at an allowed heading.
         limit: highest cost of interest.
-        goals: int64 [n, 7]; None = all that can be reached is of interest.
-        poses: to share with searches under other rules; must have all headings that ``rules`` allow.
+        goals: int64 [n, 7]; None = all reachable poses are of interest.
+        poses: poses shared with searches under other rules; they must have all headings allowed by ``rules``.
     """
     poses = poses or new_poses(world, rules.heading_center, rules.heading_window)
     follow = 0.0 if world.constants.shift_backward else least_foot_cost(world)
@@ -78,7 +81,7 @@ def explore(
     if layer == 0:
         on_neutral = goal_layer == 0
         wanted = np.zeros(n, dtype=np.bool_)
-        if on_neutral.all():  # one farther goal, and there is nothing to be gained from an early end
+        if on_neutral.all():  # an early end gains nothing if one goal lies in the other layer
             wanted[goal_pose] = True
         wave = Wave(cost, cost, _new_queue(world, rules, most, poses), most, follow, backward=False)
         drive = rules._replace(drive_only=True)
@@ -97,26 +100,26 @@ def explore(
 
 
 def least_costs(world: World, relaxed: Relaxed, start: np.ndarray, goals: np.ndarray) -> np.ndarray:
-    """Relaxed costs, float64 [n], from the start of ``relaxed`` to states int64 [n, 7]; inf beyond the limit."""
+    """Relaxed costs from the start of ``relaxed`` to states int64 [n, 7], float64 [n]; inf beyond the limit."""
     layer, pose = nodes_of(world, relaxed.poses, goals)
     ahead = relaxed.follow * (goals[:, 3:].sum(axis=1) - start[3:].sum())
     return np.maximum(relaxed.distance[layer, pose].astype(float) + ahead, 0)
 
 
 def costs_to_go(world: World, rules: Rules, relaxed: Relaxed, start: np.ndarray, goals, later, limit: float):
-    """Relaxed costs to the nearest of several goals.
+    """Computes the relaxed costs to the nearest of several goals.
 
     Args:
         world: terrain and robot.
-        rules: of the search.
-        relaxed: from ``explore``.
-        start: int64 [7], the same as there.
+        rules: restrictions of the search.
+        relaxed: result of ``explore``.
+        start: int64 [7], as for ``explore``.
         goals: int64 [n, 7].
-        later: float64 [n], >= 0, cost that each goal counts as farther away.
-        limit: poses through which no plan up to this cost leads stay inf.
+        later: float64 [n], >= 0, additional cost per goal.
+        limit: highest cost of interest; poses stay inf if no plan within the limit contains them.
 
     Returns:
-        float32 [2, 64, nx, ny], costs of the module's docstring, and whether the limit kept anything out.
+        float32 [2, 64, nx, ny], ``table`` in the module docstring, and whether the limit excluded any pose.
     """
     poses, follow, lowest = relaxed.poses, relaxed.follow, world.tables.lowest
     layer, pose = nodes_of(world, poses, goals)
@@ -134,7 +137,7 @@ def costs_to_go(world: World, rules: Rules, relaxed: Relaxed, start: np.ndarray,
 
 
 def _new_queue(world: World, rules: Rules, most: float, poses: Poses) -> BucketQueue:
-    # Buckets need not be narrower than the smallest edge: a node that gets cheaper while its bucket is worked on is
-    # taken up again.
+    # Buckets may be wider than the smallest edge: a node that becomes cheaper while its bucket is processed is
+    # processed again.
     width = max(0.5 * world.constants.turn * rules.turn_cost_factor, most / 4096)
     return new_bucket_queue(width, most, 2 * len(poses.known))

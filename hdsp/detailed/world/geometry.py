@@ -1,8 +1,9 @@
-"""Where a robot's feet and body are on the lattice, as flat integer tables for the kernels.
+"""Lattice cells under a robot's feet and body, as flat integer tables for the kernels.
 
 Convention: a foot is in the cell nearest to ``base + t * move + R(theta) * (neutral + offset)``. A position exactly
-between two cells goes forward along x and toward the body along y, in the frame of the robot, and forward where these
-two pull apart (on diagonal headings), so that mirrored and quarter-turned worlds get mirrored and quarter-turned cells.
+between two cells belongs to the cell forward along x and toward the body along y, in the robot frame. Where the two
+rules conflict (diagonal headings), it belongs to the cell forward. Mirrored and quarter-turned worlds therefore get
+mirrored and quarter-turned cells.
 """
 
 import math
@@ -14,17 +15,17 @@ import numpy as np
 from hdsp.robot.lattice import DRIVE_MOVES, HEADINGS, cells, heading_angle, rotation
 from hdsp.robot.robot import Rectangle, Robot
 
-#: How far a position exactly between two cells is nudged before rounding, in cells.
+#: Nudge before rounding for a position exactly between two cells, in cells.
 _NUDGE = 1e-6
 
 
 class MoveSamples(NamedTuple):
-    """The points of the drive moves at which the state cost is read: ``t = 1/n .. 1``, ``n = floor(length) + 1``.
+    """Points on the drive moves where the state cost is sampled: ``t = 1/n .. 1`` with ``n = floor(length) + 1``.
 
     Attributes:
-        displacement: float64 [n, 2], cells; row 0 is the state itself (t = 0), the rest are the samples with t < 1.
-        first: int64 [20], first row of each move.
-        count: int64 [20], number of rows of each move; the sample at t = 1 is row 0 of the state reached.
+        displacement: float64 [n, 2], cells; row 0 is the state itself (t = 0), the other rows are samples with t < 1.
+        first: int64 [20], first row per move.
+        count: int64 [20], number of rows per move; the sample at t = 1 is row 0 for the reached state.
     """
 
     displacement: np.ndarray
@@ -47,7 +48,7 @@ MOVE_SAMPLES = _move_samples()
 
 @lru_cache(maxsize=8)
 def foot_cells(robot: Robot) -> np.ndarray:
-    """Cells of the feet relative to the base cell.
+    """Foot cells relative to the base cell.
 
     Returns:
         int64 [64 headings, 4 feet, offsets, samples, 2]; offsets from ``robot.offset_range()``, samples as in
@@ -68,9 +69,10 @@ def foot_cells(robot: Robot) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def contact_cells(robot: Robot) -> np.ndarray:
-    """Cells in the middle of the contacts of the feet relative to the base cell, in the shape of ``foot_cells``.
+    """Middle cells of the foot contacts relative to the base cell, in the shape of ``foot_cells``.
 
-    A contact moves by whole cells: its cell at the start of a move, plus the displacement rounded as for a foot.
+    A contact moves by whole cells: its cell at the start of a move is shifted by the displacement, which is rounded as
+    for a foot.
     """
     low, high = robot.offset_range()
     neutral = robot.neutral_feet()
@@ -89,20 +91,19 @@ def contact_cells(robot: Robot) -> np.ndarray:
 
 
 def _inward(turn: np.ndarray, y: float) -> np.ndarray:
-    """What decides between two cells for a foot on the side of ``y``, float64 [2]."""
+    """Nudge that decides between two cells for a foot on the side of ``y``, float64 [2]."""
     return turn @ np.array([2 * _NUDGE, -_NUDGE * np.sign(y)])
 
 
 @lru_cache(maxsize=8)
 def base_cells() -> np.ndarray:
-    """Cell of the base at each sample, int64 [samples, 2]; halfway between two cells it counts as arrived."""
+    """Base cell at each sample, int64 [samples, 2]; halfway between two cells, the base counts as arrived."""
     arrived = _NUDGE * np.sign(MOVE_SAMPLES.displacement)
     return np.floor(MOVE_SAMPLES.displacement + arrived + 0.5).astype(np.int64)
 
 
 def rectangle_cells(rectangle: Rectangle, heading: int) -> np.ndarray:
-    """Cells, int64 [n, 2] relative to the base cell, whose centres lie in a rectangle of the robot turned to
-    ``heading``."""
+    """Cells with centres in a robot's rectangle at ``heading``, int64 [n, 2] relative to the base cell."""
     corner = math.hypot(max(abs(rectangle.x_min), abs(rectangle.x_max)), rectangle.half_width)
     reach = math.ceil(cells(corner))
     span = np.arange(-reach, reach + 1)
@@ -118,11 +119,11 @@ def rectangle_cells(rectangle: Rectangle, heading: int) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def base_shifts() -> np.ndarray:
-    """The longitudinal base shift of each heading as (dx, dy, n), int64 [64, 3].
+    """Longitudinal base shift at each heading as (dx, dy, n), int64 [64, 3].
 
-    The base goes to another cell and every foot offset changes by ``-n``, so that the feet rest. At headings off the
-    axes no single cell lies exactly ahead: of one to four steps along the heading the one is taken that ends nearest to
-    a cell.
+    The base moves to another cell and every foot offset changes by ``-n``, so the feet rest. At headings off the axes,
+    no single cell lies exactly ahead. Among shifts one to four cells long, the table has the shift whose end is
+    nearest to a cell.
     """
     table = np.empty((HEADINGS, 3), dtype=np.int64)
     for heading in range(HEADINGS):
@@ -138,7 +139,7 @@ def base_shifts() -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def step_line(robot: Robot) -> np.ndarray:
-    """Cells ahead of a foot, int64 [64 headings, longest step + 1, 2], relative to the cell of the foot."""
+    """Cells ahead of a foot, int64 [64 headings, longest step + 1, 2], relative to the foot's cell."""
     length = math.floor(cells(robot.step.max_length) + 1e-9)
     reach = np.arange(length + 1)
     table = np.empty((HEADINGS, length + 1, 2), dtype=np.int64)

@@ -1,8 +1,8 @@
-"""A compiled world after a change of the map: compiled anew where the change reaches, copied elsewhere.
+"""Update of a compiled world after a map change: the changed part is compiled again, the rest is copied.
 
-What a cell of ``World`` says depends on the heights within a certain distance alone. A part of the map, with that
-distance around the change and again around that, is compiled as a map of its own; what lies within the first distance
-is then the same as in the whole, to the last bit.
+A cell in ``World`` depends only on heights within a certain distance. The changed cells with a margin of twice this
+distance are compiled as a separate map. Cells within one distance are then identical to the whole map's cells, to the
+last bit.
 """
 
 import math
@@ -15,22 +15,22 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import disc_mask
 from hdsp.terrain.height_map import HeightMap
 
-#: A part that holds more than this share of the map's cells is not worth the copying.
+#: Largest share of the map's cells in a part; beyond it, copying saves too little.
 LARGEST_SHARE = 0.5
 _MAPS = ("standable", "uneven", "height", "swing", "window_height", "edge", "steps", "base")
 
 
 def updated_world(world: World, terrain: HeightMap, robot: Robot, changed: np.ndarray) -> World:
-    """The world of a map that differs in some cells from that of another world; the other one is not touched.
+    """Returns the world for a changed map. The world before the change stays as it is.
 
     Args:
-        world: the other world, of the same robot and of a map of the same shape.
-        terrain: the map.
+        world: world before the change, with the same robot and map shape.
+        terrain: map after the change.
         robot: the robot.
-        changed: bool [nx, ny], the cells in which the maps differ.
+        changed: bool [nx, ny], cells in which the maps differ.
 
     Returns:
-        As ``build_world`` gives it, with ``base`` filled in where nothing near has changed. ``banned`` is kept.
+        The same as ``build_world``, with ``base`` filled in where no height nearby changed, and with ``banned`` kept.
     """
     if not changed.any():
         return world
@@ -50,7 +50,7 @@ def updated_world(world: World, terrain: HeightMap, robot: Robot, changed: np.nd
 
 
 def influence(robot: Robot) -> int:
-    """Cells beyond which a height has no influence on what a ``World`` says of a cell."""
+    """Distance in cells beyond which a height has no influence on a cell in ``World``."""
     clearance = len(disc_mask(cells(robot.feet.clearance))) // 2
     contact = math.hypot(robot.feet.contact_inward, robot.feet.contact_inward) + robot.feet.contact_half_width
     under_feet = cells(robot.drive.unevenness_radius + contact)
@@ -58,12 +58,12 @@ def influence(robot: Robot) -> int:
     corners = [math.hypot(max(abs(box.x_min), abs(box.x_max)), box.half_width) for box in robot.body.boxes]
     body = cells(max(corners, default=0.0))
     neutral_feet = cells(math.hypot(robot.feet.neutral_x, robot.feet.neutral_y))
-    # One cell for the differences of heights, two for roundings on the way.
+    # One cell for height differences, two for rounding.
     return math.ceil(max(under_feet, stepping, body, neutral_feet)) + 3
 
 
 def _rectangle(changed: np.ndarray, margin: int) -> tuple[slice, slice]:
-    """The cells around all changed ones, with a margin that ends at the border of the map."""
+    """Slices around all changed cells with a margin, cut off at the map border."""
     bounds = []
     for axis in (1, 0):
         at = np.flatnonzero(changed.any(axis=axis))
@@ -72,5 +72,5 @@ def _rectangle(changed: np.ndarray, margin: int) -> tuple[slice, slice]:
 
 
 def _layers(values: np.ndarray, world: World) -> np.ndarray:
-    """A flat array of a world as view [layers, padded nx, padded ny]."""
+    """Flat array in a world as a view, [layers, padded nx, padded ny]."""
     return values.reshape(-1, len(world.standable) // world.stride, world.stride)
