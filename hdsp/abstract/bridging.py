@@ -1,4 +1,4 @@
-"""Costs-to-go of states between the ends of an action, where the robot cannot rest."""
+"""Costs-to-go for states between the ends of an action, where the robot cannot rest."""
 
 import math
 

@@ -31,11 +31,11 @@ def bucket_sizes(cheapest: float, most_expensive: float) -> tuple[float, int]:
 
 
 class BucketRing(NamedTuple):
-    """State of a search. Flat arrays over states begin and end with a margin of states that are never reached."""
+    """Search state; all flat arrays over states have a margin of unreachable states at both ends."""
 
     distance: np.ndarray  # float64 [margin + states + margin]
-    visited: np.ndarray  # bool, like distance: whether it was visited at its present distance
-    entries: np.ndarray  # uint32 [buckets, room], flat indices of states that wait
+    visited: np.ndarray  # bool, like distance: whether a state was visited at its current distance
+    entries: np.ndarray  # uint32 [buckets, room], flat indices of waiting states
     filled: np.ndarray  # int64 [buckets]
     current: np.ndarray  # int64 [1], the bucket being emptied
 

@@ -1,4 +1,4 @@
-"""The abstract graph of a map: its edges by end state, and costs-to-go of any goal on it."""
+"""Abstract graph of a map: its edges by end state, and costs-to-go for any goal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Repair of costs-to-go after a change of edges (Ramalingam & Reps 1996)."""
+"""Repair of costs-to-go after an edge change (Ramalingam & Reps 1996)."""
 
 import heapq
 
