@@ -1,18 +1,32 @@
-"""Abstract planning: costs of abstract actions, their search, and the step to detailed states."""
+"""Abstract planning: costs of abstract actions, their search, and the step to detailed states.
+
+- `abstract_costs`: the contracts `AbstractCosts`, `LocalCosts` and `TaskPredictor`, and flat-ground costs
+- `abstract_conformance`: a checker for own implementations
+- `manual`: the manually tuned abstraction; `oracle`: costs of the detailed planner
+- `prepared_graph`: costs-to-go on a map (`dijkstra`: search, `repair`: after a change, `bridging`: between action ends)
+- `transform`: detailed states of abstract ones
+"""
 
 from hdsp.abstract.abstract_conformance import check_abstract_costs
-from hdsp.abstract.abstract_costs import AbstractCosts, FlatCosts, LocalCosts, TaskPredictor
+from hdsp.abstract.abstract_costs import AbstractCosts, FlatCosts, LocalCosts, Region, TaskPredictor
 from hdsp.abstract.manual import ManualCosts, ManualSettings
+from hdsp.abstract.oracle import LabelSettings, task_costs
 from hdsp.abstract.prepared_graph import PreparedGraph, cost_to_go
+from hdsp.abstract.transform import feet_at, feet_at_all
 
 __all__ = [
     "AbstractCosts",
     "FlatCosts",
+    "LabelSettings",
     "LocalCosts",
     "ManualCosts",
     "ManualSettings",
     "PreparedGraph",
+    "Region",
     "TaskPredictor",
     "check_abstract_costs",
     "cost_to_go",
+    "feet_at",
+    "feet_at_all",
+    "task_costs",
 ]

@@ -1,1 +1,46 @@
-"""Common services without robots: errors, settings, files, storage, workers, compiled kernels, provenance."""
+"""Basics that know nothing of robots.
+
+- `errors`: errors for users
+- `settings`: the loader of typed settings from YAML, JSON and mappings
+- `files`, `downloads`, `storage`: whole-or-absent files, published data files, local folders and object stores
+- `workers`: worker processes, on this machine or a cluster
+- `jit`, `kernel_cache`: compiled kernels and their cache on disk
+- `provenance`, `definitions`: fingerprints of the code behind a result
+- `conformance`: the base of checkers for own implementations of a contract
+"""
+
+from hdsp.base.conformance import ConformanceError, Contract
+from hdsp.base.downloads import data_folder, fetch, verify
+from hdsp.base.errors import InputError, RefinementError
+from hdsp.base.files import existing_file, replacing
+from hdsp.base.jit import njit
+from hdsp.base.provenance import code_fingerprint, reached_code
+from hdsp.base.settings import Document, checked, load_settings, parse_yaml, read_json, read_yaml
+from hdsp.base.storage import Folder, Place, open_folder
+from hdsp.base.workers import ClusterSettings, connected
+
+__all__ = [
+    "ClusterSettings",
+    "ConformanceError",
+    "Contract",
+    "Document",
+    "Folder",
+    "InputError",
+    "Place",
+    "RefinementError",
+    "checked",
+    "code_fingerprint",
+    "connected",
+    "data_folder",
+    "existing_file",
+    "fetch",
+    "load_settings",
+    "njit",
+    "open_folder",
+    "parse_yaml",
+    "reached_code",
+    "read_json",
+    "read_yaml",
+    "replacing",
+    "verify",
+]

@@ -1,1 +1,74 @@
-"""Robot description, its presets, and the two lattices on which a robot plans."""
+"""The robot, and the lattices on which it is planned for.
+
+- `robot`: geometry, limits and cost constants of a robot; presets are YAML files in `presets`
+- `lattice`: detailed and abstract lattice, abstract actions, conversions between their coordinates and the world
+- `schema`: JSON schema and documentation page of the robot file
+"""
+
+from hdsp.robot.lattice import (
+    ABSTRACT_ACTIONS,
+    ABSTRACT_HEADINGS,
+    ABSTRACT_RESOLUTION,
+    DRIVE_MOVES,
+    HEADINGS,
+    PATCH_CELLS,
+    RESOLUTION,
+    Grid,
+    abstract_anchor,
+    abstract_shape,
+    cells,
+    detailed_to_abstract,
+    heading_angle,
+    heading_index,
+    metres,
+    robot_frame_goals,
+)
+from hdsp.robot.robot import (
+    FEET,
+    BaseShift,
+    Body,
+    Box,
+    DeviationCost,
+    Drive,
+    Feet,
+    FootMove,
+    Legs,
+    Rectangle,
+    Robot,
+    Stance,
+    Step,
+    Turn,
+)
+
+__all__ = [
+    "ABSTRACT_ACTIONS",
+    "ABSTRACT_HEADINGS",
+    "ABSTRACT_RESOLUTION",
+    "DRIVE_MOVES",
+    "FEET",
+    "HEADINGS",
+    "PATCH_CELLS",
+    "RESOLUTION",
+    "BaseShift",
+    "Body",
+    "Box",
+    "DeviationCost",
+    "Drive",
+    "Feet",
+    "FootMove",
+    "Grid",
+    "Legs",
+    "Rectangle",
+    "Robot",
+    "Stance",
+    "Step",
+    "Turn",
+    "abstract_anchor",
+    "abstract_shape",
+    "cells",
+    "detailed_to_abstract",
+    "heading_angle",
+    "heading_index",
+    "metres",
+    "robot_frame_goals",
+]

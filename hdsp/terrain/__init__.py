@@ -1,1 +1,93 @@
-"""Terrain: height maps from files, scans, sensors and random scenes, and the cost maps computed from them."""
+"""The ground, from files, scans, sensors and random scenes, and its costs for a robot.
+
+- `height_map`, `patches`, `map_files`: height maps, squares of them in the robot frame, their files
+- `cost_maps`: edges, unevenness, and cells on which a foot can stand
+- `obstacles`, `scenes`: obstacles on flat ground, random scenes by category
+- `arenas`, `random_arenas`: walled squares with obstacles, from a description or a seed
+- `sensor_model`, `filling`: random maps degraded to the quality of scans; filled holes, averaged noise
+- `scans`: descriptions of scanned real places
+- `pointcloud`: points to heights; `simulation`: arenas in MuJoCo, scanned by a lidar
+
+Importing this package loads none of its modules; the first use of a name loads its module.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hdsp.terrain.arenas import Arena, ArenaDescription, read_arena
+    from hdsp.terrain.cost_maps import COST_MODEL_VERSION, CostMaps
+    from hdsp.terrain.height_map import HeightMap
+    from hdsp.terrain.obstacles import Block, Obstacle, Ramp, Scene, Staircase, Tiles
+    from hdsp.terrain.patches import crop_patches
+    from hdsp.terrain.random_arenas import ArenaSettings, RandomArena, random_arena
+    from hdsp.terrain.scans import Scan, ScanFile, build_map, find_files
+    from hdsp.terrain.scenes import ALL_CATEGORIES, CATEGORIES, TerrainSettings, random_map, random_scene
+    from hdsp.terrain.sensor_model import SensingSettings, sensed
+
+__all__ = [
+    "ALL_CATEGORIES",
+    "CATEGORIES",
+    "COST_MODEL_VERSION",
+    "Arena",
+    "ArenaDescription",
+    "ArenaSettings",
+    "Block",
+    "CostMaps",
+    "HeightMap",
+    "Obstacle",
+    "Ramp",
+    "RandomArena",
+    "Scan",
+    "ScanFile",
+    "Scene",
+    "SensingSettings",
+    "Staircase",
+    "TerrainSettings",
+    "Tiles",
+    "build_map",
+    "crop_patches",
+    "find_files",
+    "random_arena",
+    "random_map",
+    "random_scene",
+    "read_arena",
+    "sensed",
+]
+
+#: Module of each public name.
+_MODULES = {
+    "ALL_CATEGORIES": "scenes",
+    "CATEGORIES": "scenes",
+    "COST_MODEL_VERSION": "cost_maps",
+    "Arena": "arenas",
+    "ArenaDescription": "arenas",
+    "ArenaSettings": "random_arenas",
+    "Block": "obstacles",
+    "CostMaps": "cost_maps",
+    "HeightMap": "height_map",
+    "Obstacle": "obstacles",
+    "Ramp": "obstacles",
+    "RandomArena": "random_arenas",
+    "Scan": "scans",
+    "ScanFile": "scans",
+    "Scene": "obstacles",
+    "SensingSettings": "sensor_model",
+    "Staircase": "obstacles",
+    "TerrainSettings": "scenes",
+    "Tiles": "obstacles",
+    "build_map": "scans",
+    "crop_patches": "patches",
+    "find_files": "scans",
+    "random_arena": "random_arenas",
+    "random_map": "scenes",
+    "random_scene": "scenes",
+    "read_arena": "arenas",
+    "sensed": "sensor_model",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -1,1 +1,44 @@
-"""Label runs: splits, shards, workers and progress."""
+"""Label runs: splits, shards, workers and progress.
+
+- `split_run`: labels all maps of a split into shards, resumable
+- `splits`: maps and shards of a split, and the hash of its labels
+- `cluster`, `jobs`: the scheduling side and the worker side of a run on Dask; `progress`: its bar
+
+Importing this package loads none of its modules, so a worker loads only its own side.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hdsp.labels.run.cluster import ClusterLabelling
+    from hdsp.labels.run.progress import TaskProgress
+    from hdsp.labels.run.split_run import LabelledSplit, label_split
+    from hdsp.labels.run.splits import LabelRun, ShardPlan, SplitSettings
+
+__all__ = [
+    "ClusterLabelling",
+    "LabelRun",
+    "LabelledSplit",
+    "ShardPlan",
+    "SplitSettings",
+    "TaskProgress",
+    "label_split",
+]
+
+#: Module of each public name.
+_MODULES = {
+    "ClusterLabelling": "cluster",
+    "LabelRun": "splits",
+    "LabelledSplit": "split_run",
+    "ShardPlan": "splits",
+    "SplitSettings": "splits",
+    "TaskProgress": "progress",
+    "label_split": "split_run",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
