@@ -89,7 +89,7 @@ def scan_courses(config: DictConfig, folders: Folders, robot: Robot, lidar) -> d
     for course in simulated_courses(run, cluster):
         courses.append(course)
         if config.runtime.progress:
-            print(f"course {course.index}: {len(course.patches)} patches", flush=True)
+            print(f"course {course.number}: {len(course.patches)} patches", flush=True)
     tasks = task_set(run, courses)
     path = folders.write("data", "simulated", "simulated.h5")
     write_shard(path, tasks, {"labels_hash": run.hash(), "maps": len(tasks)})

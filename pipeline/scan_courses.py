@@ -49,7 +49,7 @@ def scan_courses(config: DictConfig, folders: Folders, split: str) -> None:
     with tqdm(total=len(missing), desc=f"{split}: courses", disable=not runtime.progress) as bar:
         for course in simulated_courses(run, cluster, missing):
             tasks = task_set(run, [course])
-            write_shard(paths[course.index], tasks, {"labels_hash": digest, "maps": len(tasks)})
+            write_shard(paths[course.number], tasks, {"labels_hash": digest, "maps": len(tasks)})
             maps += len(tasks)
             bar.set_postfix(patches=maps)
             bar.update()

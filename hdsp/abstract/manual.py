@@ -26,6 +26,7 @@ classes. The constants come from reasoning and a few maps; they were not fitted,
 from __future__ import annotations
 
 import math
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -202,7 +203,7 @@ class ManualCosts:
             blocked |= on_step[-1] & np.all([margin.shifted(edges, cell) for cell in near], axis=0)
         length, width = np.abs(feet).max(axis=0) + settings.margin
         around = _cells_in(-length, length, width, rotated)
-        uneven = sum(margin.shifted(ranges, cell) for cell in around) / len(around)
+        uneven = reduce(np.add, (margin.shifted(ranges, cell) for cell in around)) / len(around)
         return _PoseTerrain(blocked, np.array(on_step), np.array(on_wall), uneven)
 
 

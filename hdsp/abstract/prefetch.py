@@ -1,10 +1,13 @@
 """Processor hint for memory-bound kernels: fetches an array element into the cache without waiting."""
 
+from typing import Any
+
 from llvmlite import ir
 from numba import config, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+_CONFIG: Any = config  # its members are set at run time
 _READ, _KEEP, _DATA = 0, 3, 1  # arguments of LLVM's prefetch
 
 
@@ -29,4 +32,4 @@ def _no_prefetch(array, index):
 
 
 #: `prefetch(array, index)` for a contiguous 1-D array, inside `@njit` functions only; the index must be in bounds.
-prefetch = _no_prefetch if config.DISABLE_JIT else _prefetch
+prefetch = _no_prefetch if _CONFIG.DISABLE_JIT else _prefetch

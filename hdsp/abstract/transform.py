@@ -29,8 +29,9 @@ def to_detailed(world: World, abstract, whole_cell: bool = False) -> np.ndarray 
     bases = _matching_bases(anchor) if whole_cell else anchor[None]
     best, best_cost = None, np.inf
     for base in bases:
-        inside = 0 <= base[0] < world.nx and 0 <= base[1] < world.ny
-        cost, offsets = best_feet(world, *base) if inside else (np.inf, None)
+        if not (0 <= base[0] < world.nx and 0 <= base[1] < world.ny):
+            continue
+        cost, offsets = best_feet(world, *base)
         if cost < best_cost:
             best, best_cost = np.array([*base, *offsets], dtype=np.int64), cost
     return best

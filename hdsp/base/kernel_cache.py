@@ -19,10 +19,12 @@ import numba
 import numpy as np
 from numba.core.caching import IndexDataCacheFile
 
+_CONFIG: Any = numba.config  # its members are set at run time
+
 
 def key_by_content(kernel: Any) -> None:
     """Gives a cached Numba kernel a key from its content."""
-    cache = getattr(kernel, "_cache", None)
+    cache: Any = getattr(kernel, "_cache", None)
     if hasattr(cache, "_cache_file"):  # missing without the JIT
         cache._cache_file = _Index(kernel, cache)
 
@@ -66,7 +68,7 @@ def content_of(kernel: Any) -> str:
     Raises:
         TypeError: the kernel names a value whose text does not identify it.
     """
-    digest = hashlib.sha256(f"bounds checked: {numba.config.BOUNDSCHECK}".encode())  # missing in Numba's key
+    digest = hashlib.sha256(f"bounds checked: {_CONFIG.BOUNDSCHECK}".encode())  # missing in Numba's key
     found = [kernel]
     numbers = {id(_python(kernel)): 0}
     package = _python(kernel).__module__.partition(".")[0]
@@ -130,7 +132,8 @@ def _in_words(value: Any) -> str:
     if isinstance(value, ModuleType):
         return value.__name__
     if isinstance(value, enum.EnumType):
-        return f"{value.__qualname__} {[_in_words(member) for member in value]}"
+        members: list[Any] = list(value)
+        return f"{value.__qualname__} {[_in_words(member) for member in members]}"
     if isinstance(value, type):
         return f"{value.__qualname__} {getattr(value, '_fields', '')}"
     if isinstance(value, enum.Enum):

@@ -25,8 +25,11 @@ class Folder(Protocol):
         of_one_process: whether the contents are invisible to other processes.
     """
 
-    place: str
-    of_one_process: bool
+    @property
+    def place(self) -> str: ...
+
+    @property
+    def of_one_process(self) -> bool: ...
 
     def prepare(self) -> None:
         """Creates the folder; raises `InputError` if it is not writable."""

@@ -94,7 +94,7 @@ class Patch(NamedTuple):
 class ScannedCourse(NamedTuple):
     """A course, its scanned map, and its patches."""
 
-    index: int
+    number: int
     course: Course
     terrain: HeightMap
     patches: list[Patch]
@@ -154,7 +154,7 @@ def scan_course(run: PatchRun, index: int) -> ScannedCourse:
 
 def task_set(run: PatchRun, courses: list[ScannedCourse]) -> TaskSet:
     """Labelled tasks from all patches; ``category`` is the place's kind, ``index`` the course."""
-    rows = [(course.index, patch) for course in courses for patch in course.patches]
+    rows = [(course.number, patch) for course in courses for patch in course.patches]
     if not rows:
         return TaskSet.empty()
     tasks = [patch.tasks for _, patch in rows]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -92,7 +93,7 @@ class TaskSet:
     @classmethod
     def empty(cls) -> "TaskSet":
         """A task set without maps."""
-        arrays = {name: np.zeros((0, *shape), dtype) for name, (dtype, shape) in FIELDS.items()}
+        arrays: dict[str, Any] = {name: np.zeros((0, *shape), dtype) for name, (dtype, shape) in FIELDS.items()}
         return cls(category=np.zeros(0, np.str_), **arrays)
 
     @classmethod

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hdsp.base.errors import InputError
 
@@ -62,7 +63,7 @@ def rotation(theta: float) -> np.ndarray:
     """Returns the 2 x 2 counter-clockwise rotation by ``theta`` radians; exact at multiples of 90 degrees."""
     quarter = theta / (math.pi / 2)
     if abs(quarter - round(quarter)) < 1e-12:
-        c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[round(quarter) % 4]
+        c, s = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarter) % 4]
     else:
         c, s = math.cos(theta), math.sin(theta)
     return np.array([[c, -s], [s, c]], dtype=float)
@@ -106,12 +107,12 @@ def detailed_to_abstract(states: np.ndarray) -> np.ndarray:
     return np.concatenate([position, heading[..., None]], axis=-1)
 
 
-def abstract_steps(displacement: np.ndarray) -> np.ndarray:
+def abstract_steps(displacement: ArrayLike) -> np.ndarray:
     """Converts displacements (dx, dy, dtheta) [..., 3] from metres and radians to steps of 10 cm and 22.5 degrees."""
     return np.asarray(displacement, dtype=float) / _ABSTRACT_STEP
 
 
-def abstract_steps_to_world(steps: np.ndarray) -> np.ndarray:
+def abstract_steps_to_world(steps: ArrayLike) -> np.ndarray:
     """Converts displacements [..., 3] from abstract steps to metres and radians; inverse of `abstract_steps`."""
     return np.asarray(steps, dtype=float) * _ABSTRACT_STEP
 

@@ -40,8 +40,9 @@ class Arena:
 
     def height_map(self) -> HeightMap:
         """Height map with the heights at the cell centres. No cell is unknown; the lower corner is at world (0, 0)."""
-        cells = round(lattice.cells(self.size))
-        x, y = np.moveaxis(Grid((0.0, 0.0), (cells, cells)).center(np.stack(np.indices((cells, cells)), -1)), -1, 0)
+        side = round(lattice.cells(self.size))
+        cells = np.moveaxis(np.indices((side, side)), 0, -1)
+        x, y = np.moveaxis(Grid((0.0, 0.0), (side, side)).center(cells), -1, 0)
         return HeightMap(self.scene.heights_at(x, y))
 
     def blocks(self) -> list[Block]:

@@ -18,7 +18,7 @@ class MapFields(NamedTuple):
     """Entries in a height map file, before validation."""
 
     heights: np.ndarray
-    origin: np.ndarray
+    origin: tuple[float, float]
     resolution: float
 
 

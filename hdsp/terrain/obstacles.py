@@ -135,7 +135,8 @@ class Scene:
         """
         grid = Grid((0.0, 0.0), shape)
         offset = grid.center(center_cell)
-        x, y = np.moveaxis(grid.center(np.stack(np.indices(shape), axis=-1) - center_cell) - grid.center((0, 0)), -1, 0)
+        cells = np.moveaxis(np.indices(shape), 0, -1) - center_cell
+        x, y = np.moveaxis(grid.center(cells) - grid.center((0, 0)), -1, 0)
         turn = lattice.rotation(-angle)
         x, y = turn[0, 0] * x + turn[0, 1] * y, turn[1, 0] * x + turn[1, 1] * y
         return HeightMap(self.heights_at(x, y), origin=tuple(-offset))

@@ -120,19 +120,14 @@ def _draw(random: np.random.Generator, size: float, settings: ArenaSettings) -> 
     def wall(x: Range, y: Range) -> Block:
         return Block(sum(x) / 2, sum(y) / 2, 0.0, x[1] - x[0], y[1] - y[0], settings.wall_height)
 
-    def cuboids(count: int, side: Range, height: Range) -> list[Block]:
-        return [
-            Block(
-                *random.uniform(*inside, size=2).tolist(),
-                random.uniform(-math.pi, math.pi),
-                *random.uniform(*side, size=2).tolist(),
-                random.uniform(*height),
-            )
-            for _ in range(count)
-        ]
+    def cuboid(side: Range, height: Range) -> Block:
+        x, y = random.uniform(*inside, size=2).tolist()
+        yaw = random.uniform(-math.pi, math.pi)
+        length, width = random.uniform(*side, size=2).tolist()
+        return Block(x, y, yaw, length, width, random.uniform(*height))
 
-    between = random.uniform(0.42, 0.48) * size
-    between = between, between + thickness
+    middle = random.uniform(0.42, 0.48) * size
+    between = middle, middle + thickness
     door = random.uniform(*settings.door_width)
     door_from = random.uniform(inside[0] + settings.clearance, inside[1] - settings.clearance - door)
     stairs = _stairs(random, inside[1], inside, settings)
@@ -144,8 +139,8 @@ def _draw(random: np.random.Generator, size: float, settings: ArenaSettings) -> 
         wall(between, (0.0, door_from)),
         wall(between, (door_from + door, size)),
         stairs,
-        *cuboids(settings.blocks, settings.block_side, settings.block_height),
-        *cuboids(settings.bumps, settings.bump_side, settings.bump_height),
+        *(cuboid(settings.block_side, settings.block_height) for _ in range(settings.blocks)),
+        *(cuboid(settings.bump_side, settings.bump_height) for _ in range(settings.bumps)),
     ]
     return Arena(size, Scene(tuple(obstacles))).height_map(), stairs
 

@@ -6,6 +6,7 @@ Convention: a scene has the frame of the robot that starts in it: x forward, y l
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -198,7 +199,7 @@ def _any(random: np.random.Generator, settings: TerrainSettings) -> Obstacle:
 
 
 _ANY = ("cuboid", "wall", "staircase", "ramp", "tiles")
-_DRAW = {
+_DRAW: dict[str, Callable[[np.random.Generator, TerrainSettings], Obstacle]] = {
     "cuboid": _cuboid,
     "wall": _wall,
     "staircase": _staircase,

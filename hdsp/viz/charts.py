@@ -257,7 +257,8 @@ def _legend_above(made, columns: int, note: str | None = None) -> None:
 def _tint(color: str, step: int) -> tuple[float, float, float]:
     """The colour, lighter with each step."""
     share = (1.0, 0.6, 0.3, 0.15)[min(step, 3)]
-    return tuple(1 - share * (1 - channel) for channel in to_rgb(color))
+    red, green, blue = (1 - share * (1 - channel) for channel in to_rgb(color))
+    return red, green, blue
 
 
 def _value(value: Any) -> float:

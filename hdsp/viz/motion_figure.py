@@ -117,5 +117,5 @@ def _moment(axes, motion: Motion, along: np.ndarray, row: int, number: int) -> N
     axes.set_aspect("equal")
     axes.set_xticks([])
     axes.set_yticks([])
-    lifted = [FOOT_NAMES[i].replace("_", " ") for i in np.flatnonzero(~motion.carries[row])]
-    axes.set_title(f"{number}: " + (f"{lifted[0]} foot swings" if lifted else "on four feet"), fontsize=8)
+    swinging = [FOOT_NAMES[i].replace("_", " ") for i in np.flatnonzero(~motion.carries[row])]
+    axes.set_title(f"{number}: " + (f"{swinging[0]} foot swings" if swinging else "on four feet"), fontsize=8)

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Patch, Rectangle
 
 from hdsp.base.errors import InputError
@@ -55,16 +56,18 @@ def save_example_patches(
     lines = -(-len(chosen) // columns)
     made = figure(6.9 * columns, 3.5 * lines + 0.5)
     grid = made.subplots(lines, 2 * columns, squeeze=False).reshape(-1, 2)
-    image = None
+    images = []
     highest = max(float(np.nanmax(tasks.heights[chosen], initial=0.0)), 0.1)
     for (left, right), index in zip(grid, chosen, strict=False):
-        image = _draw_patch(left, tasks.heights[index], tasks.goals[index], robot, min(highest, 1.5))
+        images.append(_draw_patch(left, tasks.heights[index], tasks.goals[index], robot, min(highest, 1.5)))
         left.set_title(f"{tasks.category[index]}, no. {tasks.index[index]}", fontsize=9)
         _draw_tasks(right, tasks, judged, index)
     for unused in grid[len(chosen) :].flat:
         unused.set_axis_off()
-    made.get_layout_engine().set(h_pad=0.12, w_pad=0.08)
-    bar = made.colorbar(image, ax=grid.ravel().tolist(), shrink=0.5, pad=0.01, extend="max")
+    layout = made.get_layout_engine()
+    assert isinstance(layout, ConstrainedLayoutEngine)
+    layout.set(h_pad=0.12, w_pad=0.08)
+    bar = made.colorbar(images[-1], ax=grid.ravel().tolist(), shrink=0.5, pad=0.01, extend="max")
     bar.set_label("height (m)", fontsize=9)
     bar.ax.tick_params(labelsize=8)
     legend = [Patch(facecolor=color, edgecolor=GREY, label=meaning) for color, meaning in JUDGEMENTS.values()]

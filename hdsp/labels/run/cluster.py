@@ -7,10 +7,10 @@ map that ends the workers, if one map is the cause.
 
 import secrets
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hdsp.base.errors import InputError
 from hdsp.base.storage import open_folder
@@ -81,10 +81,11 @@ class ClusterLabelling:
 
         self._client, self._run, self._label, self._place, self._progress = client, run, label, place, progress
         self._code, self._token, self._submitted = labels_code(), secrets.token_hex(4), 0
-        self._jobs: dict[str, _Job] = {}  # by the keys of the awaited futures
+        self._jobs: dict[Hashable, _Job] = {}  # by the keys of the awaited futures
         self._done = as_completed(loop=client.loop)
         self._own_workers, self._workers, self._looked, self._last_seen = own_workers, 0, -1.0, time.monotonic()
-        self._said_waiting, self._dead = False, set()
+        self._said_waiting = False
+        self._dead: set[Any] = set()  # names of workers
 
     def shards(self, shards: Sequence[ShardPlan]) -> Iterator[tuple[ShardPlan, dict[str, LabelCounts]]]:
         """Labels and writes shards; yields each shard with its counts by category after it is written.
@@ -206,6 +207,7 @@ class ClusterLabelling:
         error = future.exception()
         if not isinstance(error, KilledWorker):
             raise error
+        assert job.store is not None  # every job in progress has one
         lost = [k for k, part in enumerate(job.parts) if part.status == "error"]
         for other in [*job.counts, job.store]:
             if other.status == "error":

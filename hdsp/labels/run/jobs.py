@@ -43,8 +43,10 @@ def count_labels(labels: Labels) -> LabelCounts:
     kept = [tasks for tasks in labels if tasks is not None]
     if not kept:
         return LabelCounts(dropped=len(labels))
-    arrays = (np.array([getattr(tasks, name) for tasks in kept]) for name in ("feasible", "cost", "reason"))
-    return LabelCounts.of(*arrays, dropped=len(labels) - len(kept))
+    feasible, cost, reason = (
+        np.array([getattr(tasks, name) for tasks in kept]) for name in ("feasible", "cost", "reason")
+    )
+    return LabelCounts.of(feasible, cost, reason, dropped=len(labels) - len(kept))
 
 
 def store_shard(run: LabelRun, place: Place, shard: ShardPlan, parts: list[Labels]) -> dict[str, LabelCounts]:
@@ -54,7 +56,7 @@ def store_shard(run: LabelRun, place: Place, shard: ShardPlan, parts: list[Label
         InputError: if the shard cannot be written.
     """
     tasks = run.task_set(shard.maps, [labels for part in parts for labels in part])
-    attributes = {
+    attributes: dict[str, str | int | float] = {
         "labels_hash": run.labels_hash,
         "labels_inputs": run.inputs_text,
         "first_map": shard.maps.start,

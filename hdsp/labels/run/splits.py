@@ -168,7 +168,11 @@ class LabelRun:
         columns = zip(tasks[0]._fields, zip(*tasks, strict=True), strict=True)
         arrays = {name: np.array(column) for name, column in columns}
         return TaskSet(
-            **arrays, category=category, index=index, heading=heading, seed=np.full(len(kept), self.split.seed)
+            **arrays,
+            category=np.array(category),
+            index=np.array(index),
+            heading=np.array(heading),
+            seed=np.full(len(kept), self.split.seed),
         )
 
     def describe(self, number: int) -> str:

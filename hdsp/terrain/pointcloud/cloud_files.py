@@ -9,6 +9,7 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -67,7 +68,7 @@ def read_points(path: str | os.PathLike, units: float = 1.0, axes: Sequence[str]
 def _read_pcd(content: bytes) -> np.ndarray:
     from pypcd4 import PointCloud
 
-    cloud = PointCloud.from_fileobj(io.BytesIO(content))
+    cloud = PointCloud.from_fileobj(io.BufferedReader(io.BytesIO(content)))
     points = cloud.numpy(("x", "y", "z"))
     if len(points) != cloud.metadata.points:
         raise ValueError(f"cut off: {len(points)} of {cloud.metadata.points} points")
@@ -79,7 +80,7 @@ def _read_mesh(kind: str) -> Callable[[bytes], np.ndarray]:
         import trimesh
 
         loaded = trimesh.load(io.BytesIO(content), file_type=kind, process=False, maintain_order=True)
-        parts = loaded.geometry.values() if isinstance(loaded, trimesh.Scene) else [loaded]
+        parts: list[Any] = list(loaded.geometry.values()) if isinstance(loaded, trimesh.Scene) else [loaded]
         return np.concatenate([np.asarray(part.vertices) for part in parts] or [np.zeros((0, 3))])
 
     return read

@@ -69,7 +69,7 @@ def depth_points(image: np.ndarray, camera: Camera, pose=None) -> np.ndarray:
     image = np.asarray(image, dtype=float)
     if image.ndim != 2:
         raise InputError(f"depth image has shape {image.shape}; need [rows, columns]")
-    row, column = (index[:: camera.stride, :: camera.stride] for index in np.indices(image.shape))
+    row, column = np.indices(image.shape)[:, :: camera.stride, :: camera.stride]
     depth = image[:: camera.stride, :: camera.stride] * camera.depth_scale
     x, y = (column - camera.cx) / camera.fx * depth, (row - camera.cy) / camera.fy * depth
     points = np.stack([x, y, depth], axis=-1)[(depth >= camera.nearest) & (depth <= camera.farthest)]

@@ -168,13 +168,13 @@ def _clutter(random, s: CourseSettings, x: float, room: float, lower: bool) -> t
     def somewhere() -> tuple[float, float]:
         return x + random.uniform(-0.45, 0.45) * room, wall - side * random.uniform(0.2, 1.7)
 
-    blocks: list[Obstacle] = [
-        Block(
-            *somewhere(), random.uniform(-math.pi, math.pi), *random.uniform(*s.clutter_side, size=2).tolist(),
-            random.uniform(*s.clutter_height),
-        )
-        for _ in range(random.integers(*s.clutter, endpoint=True))
-    ]  # fmt: skip
+    def thing() -> Block:
+        place = somewhere()
+        yaw = random.uniform(-math.pi, math.pi)
+        length, width = random.uniform(*s.clutter_side, size=2).tolist()
+        return Block(*place, yaw, length, width, random.uniform(*s.clutter_height))
+
+    blocks: list[Obstacle] = [thing() for _ in range(random.integers(*s.clutter, endpoint=True))]
     return blocks, [Place("clutter", *somewhere(), random.uniform(0, math.tau)) for _ in range(4)]
 
 

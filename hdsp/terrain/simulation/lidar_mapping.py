@@ -49,7 +49,8 @@ def scanned_map(arena: Arena, start, lidar: Lidar | None = None, seed: int = 0) 
 
 def _as_map(heights: np.ndarray) -> HeightMap:
     """Makes a height map from the surface and fills small holes; the map keeps all cells, including unseen ones."""
-    x, y = np.moveaxis(Grid((0.0, 0.0), heights.shape).center(np.stack(np.indices(heights.shape), -1)), -1, 0)
+    cells = np.moveaxis(np.indices(heights.shape), 0, -1)
+    x, y = np.moveaxis(Grid((0.0, 0.0), heights.shape).center(cells), -1, 0)
     known = np.isfinite(heights)
     seen = HeightMap.from_points(np.column_stack([x[known], y[known], heights[known]]), _FUSED)
     whole = np.full(heights.shape, np.nan, np.float32)
