@@ -19,7 +19,7 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.labels.published_tasks import read_published, terrain_kind
 from hdsp.learning.calibration import reliability
-from hdsp.learning.shipped import load_abstraction
+from hdsp.learning.loading import load_abstraction
 
 KINDS = ("flat", "driving", "stairs")
 

@@ -28,7 +28,7 @@ from benchmarks.page import table, write_block
 from hdsp.abstract.abstract_costs import close_states
 from hdsp.base.errors import InputError
 from hdsp.learning import LearnedAbstraction, LearnedCosts
-from hdsp.learning.shipped import load_abstraction
+from hdsp.learning.loading import load_abstraction
 from hdsp.planning.heuristics import standing_states
 from hdsp.planning.planner import Plan, Planner
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, robot_frame_goals

@@ -15,7 +15,7 @@ from hdsp.base.errors import InputError, RefinementError
 from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.search.outcome import Status
 from hdsp.labels.shards import read_tasks
-from hdsp.learning.shipped import load_abstraction
+from hdsp.learning.loading import load_abstraction
 from hdsp.planning.planner import Planner
 from hdsp.planning.plans import Plan
 from hdsp.robot.robot import Robot

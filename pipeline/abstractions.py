@@ -26,7 +26,7 @@ SHIPPED = "shipped"
 
 def available(names: Iterable[str], robot: Robot) -> list[str]:
     """Returns the names without shipped abstractions that do not exist for this robot; prints the omitted names."""
-    from hdsp.learning.shipped import presets
+    from hdsp.learning.loading import presets
 
     absent = [n for n in names if n.startswith(SHIPPED) and robot.name + n.removeprefix(SHIPPED) not in presets()]
     for name in absent:
@@ -51,8 +51,8 @@ def task_predictor(name: str, config: DictConfig, folders: Folders, model: str =
     if name == "trained" or name.startswith(SHIPPED):
         from hdsp.learning.abstraction import LearnedAbstraction
         from hdsp.learning.hardware import HardwareSettings
+        from hdsp.learning.loading import load_abstraction, presets
         from hdsp.learning.network_settings import settings_from
-        from hdsp.learning.shipped import load_abstraction, presets
 
         hardware = settings_from(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
         hardware.apply_threads()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from omegaconf import DictConfig
@@ -13,6 +13,10 @@ from hdsp.robot.robot import Robot
 from pipeline.config import plain, settings
 from pipeline.stage import Folders, run_stage, write_json
 from pipeline.task_sets import ABSENT
+
+if TYPE_CHECKING:
+    from hdsp.detailed.world.world import World
+    from hdsp.robot.lattice import Grid
 
 FIGURES = "reports", "figures"
 PICTURES = "arena.png", "simulated_courses.png"
@@ -47,7 +51,8 @@ def scan_arena(config: DictConfig, folders: Folders) -> None:
 
 def scan_paper_arena(config: DictConfig, folders: Folders, robot: Robot, lidar) -> dict[str, Any]:
     """Writes the arena's true and scanned maps and its picture; returns the scan accuracy and the valid task ends."""
-    from hdsp.planning.planner import Planner
+    from hdsp.detailed.world.world import build_world
+    from hdsp.robot.lattice import Grid
     from hdsp.terrain.arenas import read_arena
     from hdsp.terrain.simulation.lidar_mapping import accuracy, scanned_map
     from hdsp.viz import save_arena
@@ -59,12 +64,20 @@ def scan_paper_arena(config: DictConfig, folders: Folders, robot: Robot, lidar) 
     scanned, true = scanned_map(arena, start, lidar, config.simulation.seed), arena.height_map()
     scanned.save(folders.write("data", "arena", "scanned.npz"))
     true.save(folders.write("data", "arena", "true.npz"))
-    planner = Planner(scanned, robot)
-    ends = {name: {"start": planner.valid(a), "goal": planner.valid(b)} for name, (a, b) in tasks.items()}
+    world, grid = build_world(scanned, robot), Grid(scanned.origin, scanned.shape)
+    ends = {name: {"start": stands(world, grid, a), "goal": stands(world, grid, b)} for name, (a, b) in tasks.items()}
     save_arena(_picture(arena), scanned, true, tasks, folders.write(*FIGURES, PICTURES[0]))
     found = accuracy(scanned, true, robot)
     print(", ".join(f"{name} {value:.3g}" for name, value in found.items()))
     return {"accuracy": found, "valid": ends}
+
+
+def stands(world: World, grid: Grid, pose: tuple[float, float, float]) -> bool:
+    """Whether the robot can stand at a pose (m, m, rad)."""
+    from hdsp.abstract.transform import feet_at
+
+    x, y, heading = (int(value) for value in grid.to_lattice(pose)[:3])
+    return feet_at(world, (x, y, heading)) is not None
 
 
 def scan_courses(config: DictConfig, folders: Folders, robot: Robot, lidar) -> dict[str, Any]:

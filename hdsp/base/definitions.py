@@ -7,19 +7,19 @@ docstrings, layout, type annotations, imports and error messages.
 import ast
 import copy
 import symtable
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 
 #: Module and a name in it; None = the module itself.
 Target = tuple[str, str | None]
-#: Name with its attributes: ``("lattice", "RESOLUTION")``.
+#: Name with its attributes: ``("lattice", "RESOLUTION")``; the name is empty for attributes of other values.
 Chain = tuple[str, ...]
 
 #: Decorators without effects beyond their function or class.
 PURE_DECORATORS = {
     "abstractmethod", "cache", "cached_property", "checked", "classmethod", "contextmanager", "dataclass", "final",
-    "intrinsic", "lru_cache", "njit", "overload", "override", "property", "runtime_checkable", "setter", "staticmethod",
+    "intrinsic", "lru_cache", "njit", "override", "property", "runtime_checkable", "setter", "staticmethod",
     "total_ordering", "wraps",
 }  # fmt: skip
 #: Base classes whose code only calls methods with double underscores.
@@ -69,25 +69,29 @@ class Definition:
         return [node.value for node in named if isinstance(node, ast.Constant) and isinstance(node.value, str)]
 
     @cached_property
-    def used(self) -> list[Chain]:
-        """Names read from the module or from an inner import, with their attributes."""
+    def chains(self) -> list[Chain]:
+        """All names in the code, with their attributes."""
+        return _chains(self.normal)
+
+    @cached_property
+    def taken(self) -> frozenset[str]:
+        """Names read from the module or from an inner import."""
         table = symtable.symtable(ast.unparse(self.normal), self.module, "exec")
-        known = {symbol.get_name() for symbol in table.get_symbols() if symbol.is_referenced()} | self.imports.keys()
+        names = {symbol.get_name() for symbol in table.get_symbols() if symbol.is_referenced()} | self.imports.keys()
         for inner in _inner_scopes(table):
-            known |= {symbol.get_name() for symbol in inner.get_symbols() if symbol.is_global()}
-        return [chain for chain in _chains(self.normal) if chain[0] in known]
+            names |= {symbol.get_name() for symbol in inner.get_symbols() if symbol.is_global()}
+        return frozenset(names)
 
     @cached_property
     def typed(self) -> list[Chain]:
-        """Like ``used``, for names in annotations, because an instance of an annotated type may come from anywhere."""
+        """Like ``chains``, for annotations, because an instance of an annotated type may come from anywhere."""
         return [chain for annotation in _annotations(self.node) for chain in _chains(annotation)]
 
     @cached_property
-    def mentions(self) -> frozenset[str]:
-        """Attributes read from any object, and strings that ``getattr`` could receive."""
-        nodes = list(ast.walk(self.normal))
-        words = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
-        return frozenset(node.attr for node in nodes if isinstance(node, ast.Attribute)) | words
+    def words(self) -> frozenset[str]:
+        """Strings in the code, which ``getattr`` could receive."""
+        nodes = ast.walk(self.normal)
+        return frozenset(n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str))
 
     @property
     def bases(self) -> list[Chain] | None:
@@ -95,10 +99,8 @@ class Definition:
         if not isinstance(self.node, ast.ClassDef):
             return []
         plain = [base.value if isinstance(base, ast.Subscript) else base for base in self.node.bases]
-        active = [base for base in plain if _last_name(base) not in PASSIVE_BASES]
-        if self.node.keywords or any(not _chains(base) for base in active):
-            return None
-        return [_chains(base)[0] for base in active]
+        active = [chain for base in plain if _last_name(base) not in PASSIVE_BASES for chain in _chains(base)[:1]]
+        return None if self.node.keywords or not all(chain[0] for chain in active) else active
 
     @property
     def is_called_by_others(self) -> bool:
@@ -140,8 +142,8 @@ class Module:
                     module.imported += found.values()
             if _says_nothing(statement):
                 continue
-            names = _defined(statement) or _belongs_to(statement) & defined
-            definition = Definition(name, package, next(iter(sorted(names)), ""), statement)
+            names = sorted(_defined(statement) or _belongs_to(statement) & defined)
+            definition = Definition(name, package, names[0] if names else "", statement)
             if isinstance(statement, ast.ClassDef):
                 _split_methods(definition, statement)
             for key in [*names, *([""] if not names or _has_effect(statement) else [])]:
@@ -176,9 +178,9 @@ def _defined(statement: ast.stmt) -> set[str]:
     """Names defined by a module statement, except imports."""
     if isinstance(statement, _SCOPES):
         return {statement.name}
-    inside: Iterable[ast.AST] = _same_scope(statement)
+    inside = list(_same_scope(statement))
     names = {node.id for node in inside if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
-    return names | {node.name for node in _same_scope(statement) if isinstance(node, _SCOPES)}
+    return names | {node.name for node in inside if isinstance(node, _SCOPES)}
 
 
 def _same_scope(node: ast.AST) -> Iterator[ast.AST]:
@@ -199,9 +201,8 @@ def _belongs_to(statement: ast.stmt) -> set[str]:
         changed = [statement.target]
     else:
         return set()
-    return {
-        chain[0] for node in changed for chain in _chains(node)[:1] if isinstance(node, ast.Attribute | ast.Subscript)
-    }
+    parts = [node for node in changed if isinstance(node, ast.Attribute | ast.Subscript)]
+    return {chain[0] for node in parts for chain in _chains(node)[:1]}
 
 
 def _has_effect(statement: ast.stmt) -> bool:
@@ -268,7 +269,7 @@ def _inner_scopes(table: symtable.SymbolTable) -> Iterator[symtable.SymbolTable]
 
 
 def _chains(node: ast.AST) -> list[Chain]:
-    """All names below a node, each with its attributes."""
+    """All names below a node, each with its attributes; attributes of other values have an empty name."""
     attributes: list[str] = []
     root = node
     while isinstance(root, ast.Attribute):
@@ -276,7 +277,8 @@ def _chains(node: ast.AST) -> list[Chain]:
         root = root.value
     if isinstance(root, ast.Name):
         return [(root.id, *attributes)]
-    return [chain for child in ast.iter_child_nodes(root) for chain in _chains(child)]
+    inner = [chain for child in ast.iter_child_nodes(root) for chain in _chains(child)]
+    return [("", *attributes), *inner] if attributes else inner
 
 
 def _annotations(node: ast.AST) -> Iterator[ast.AST]:
@@ -321,7 +323,7 @@ class _Normaliser(ast.NodeTransformer):
 
     def visit_If(self, node: ast.If) -> ast.AST | list[ast.AST]:
         if _is_test_of(node, "TYPE_CHECKING"):
-            return [self.visit(statement) for statement in node.orelse]
+            return [kept for statement in node.orelse if (kept := self.visit(statement)) is not None]
         return self.generic_visit(node)
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST | None:
@@ -360,10 +362,9 @@ def _normal(node: ast.stmt) -> ast.stmt:
 def _text(node: object) -> str:
     """Converts syntax to text; `ast.dump` and `ast.unparse` differ between Python versions."""
     if isinstance(node, ast.AST):
-        fields = (
-            (name, getattr(node, name, None)) for name in node._fields if name not in ("ctx", "kind", "type_params")
-        )
-        return f"{type(node).__name__}({','.join(f'{n}={_text(v)}' for n, v in fields if v is not None and v != [])})"
+        names = [name for name in node._fields if name not in ("ctx", "kind", "type_params")]
+        parts = [(name, getattr(node, name, None)) for name in names]
+        return f"{type(node).__name__}({','.join(f'{n}={_text(v)}' for n, v in parts if v is not None and v != [])})"
     if isinstance(node, list):
         return f"[{','.join(map(_text, node))}]"
     return repr(node)

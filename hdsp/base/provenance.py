@@ -11,7 +11,7 @@ has to pass the modules as entries.
 """
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,10 +25,20 @@ ROOT = Path(__file__).resolve().parents[2]
 #: Modules without influence on results, and the reason. A name includes all modules below it.
 EXEMPT = {
     "hdsp.base.definitions": "decides which results are still valid, not their values",
+    "hdsp.base.downloads": "fetches files by their checksums",
     "hdsp.base.errors": "classes of errors, which end a computation",
+    "hdsp.base.files": "reads and writes whole files",
     "hdsp.base.kernel_cache": "decides when a kernel is compiled, not its code",
     "hdsp.base.provenance": "decides which results are still valid, not their values",
     "hdsp.base.settings": "checks settings; their checked values are part of each hash",
+    "hdsp.base.storage": "moves bytes to and from folders and URLs",
+    "hdsp.base.workers": "decides which process works; a map is a function of its number",
+    "hdsp.labels.run.cluster": "decides which process works; a map is a function of its number",
+    "hdsp.labels.run.progress": "shows progress",
+    "hdsp.terrain.map_files": "formats of height maps; a map has the same heights in each",
+    "hdsp.viz": "draws results",
+    "pipeline.served_model": "records results in MLflow",
+    "pipeline.tracking": "records results in MLflow",
 }
 
 #: Function, class, or its name ``package.module:name``; the whole module without ``:name``.
@@ -110,54 +120,71 @@ class _Reach:
 
     def _follow(self, definition: Definition) -> None:
         self._run_module(definition.module)
-        self.reached[definition] = dict(self._named(definition, definition.used))
-        for found in self.reached[definition].values():
-            self._add(found)
-        for _, found in self._named(definition, definition.typed):
-            self._add(found)
+        mentioned = set(definition.words)
+        for chain in definition.chains:
+            if chain[0] not in definition.taken:
+                mentioned.update(chain[1:])  # of a variable
+                continue
+            name, found, attributes = self._named(definition, chain)
+            mentioned.update(attributes)
+            self._refer(definition, name, found)
+        for module in definition.loads:
+            self._refer(definition, f"{module}.*", self._definitions(self._module(module)))
+        for chain in definition.typed:
+            self._add(self._named(definition, chain)[1])
         for target in definition.imports.values():
             self._run_module(*target)
-        for name in definition.loads:
-            self._add(self._definitions(self._module(name)))
         if definition.methods:
             self._classes.append(definition)
             is_open = self._is_open(definition)
             for method in [method for methods in definition.methods.values() for method in methods]:
                 if is_open or method.is_called_by_others or method.name.rpartition(".")[2] in self._mentioned:
                     self._add([method])
-        for name in definition.mentions - self._mentioned:
+        for name in mentioned - self._mentioned:
             self._mentioned.add(name)
             for owner in self._classes:
                 self._add(owner.methods.get(name, []))
 
-    def _named(self, definition: Definition, chains: list[Chain]) -> Iterator[tuple[str, list[Definition]]]:
-        """Definitions behind name chains."""
-        for chain in chains:
-            if chain[0] in definition.imports:
-                found = self._find(*definition.imports[chain[0]])
-            else:
-                found = self._find(definition.module, chain[0])
-            length = 1
-            while isinstance(found, Module) and length < len(chain):
-                found, length = self._find(found.name, chain[length]), length + 1
-            if definitions := self._definitions(found):
-                yield ".".join(chain[:length]), definitions
+    def _refer(self, definition: Definition, name: str, found: list[Definition]) -> None:
+        if found:
+            self.reached[definition][name] = found
+            self._add(found)
+
+    def _named(self, definition: Definition, chain: Chain) -> tuple[str, list[Definition], Chain]:
+        """Resolves a chain: the resolved part, its definitions, and further attributes, which may be methods."""
+        found = self._find(*definition.imports.get(chain[0], (definition.module, chain[0])))
+        length = 1
+        while isinstance(found, Module) and length < len(chain):
+            found, length = self._find(found.name, chain[length]), length + 1
+        definitions, attributes = self._definitions(found), chain[length:]
+        if attributes and len(definitions) == 1 and (methods := definitions[0].methods.get(attributes[0])):
+            definitions, attributes = [*definitions, *methods], attributes[1:]  # of this class, not of any
+        if not definitions and self._is_foreign(definition, chain[0]):
+            attributes = ()
+        name = ".".join(chain[: len(chain) - len(attributes)])
+        return f"{name}.*" if isinstance(found, Module) else name, definitions, attributes
+
+    def _is_foreign(self, definition: Definition, name: str) -> bool:
+        """Whether a name is imported from another project; its attributes are no definitions of this project."""
+        source = self._module(definition.module)
+        target = definition.imports.get(name) or (source.bindings.get(name) if source else None)
+        return target is not None and target[0].partition(".")[0] not in self._packages
 
     def _find(self, module: str, name: str | None) -> "list[Definition] | Module | None":
         """Resolves a name in a module, through all modules that re-export it."""
         seen: set[tuple[str, str | None]] = set()
-        while name is not None and (module, name) not in seen:
-            seen.add((module, name))
+        while name is not None:
             source = self._module(module)
             if source is None:
                 return None
             if name in source.definitions:
                 return source.definitions[name]
-            if name not in source.bindings:
+            if name not in source.bindings or (module, name) in seen:  # a package can pass on its own modules
                 for star in [target for bound, target in source.bindings.items() if bound.startswith("*")]:
                     if (found := self._find(star[0], name)) is not None:
                         return found
                 return self._module(f"{module}.{name}") if source.is_package else None
+            seen.add((module, name))
             module, name = source.bindings[name]
         return self._module(module)
 
@@ -189,7 +216,7 @@ class _Reach:
         if bases is None:
             return True
         for chain in bases:
-            owners = next((found for _, found in self._named(definition, [chain])), [])
+            owners = self._named(definition, chain)[1]
             if not owners or any(self._is_open(owner) for owner in owners if owner is not definition):
                 return True
         return False
@@ -223,19 +250,17 @@ def _digest(reach: _Reach) -> str:
     two modules. Each round therefore adds the hashes of all referenced definitions to a definition's hash, until a
     round separates no further definitions.
     """
-    names = {definition: sorted(found.items()) for definition, found in reach.reached.items()}
-    hashes = {definition: _hash(definition.text) for definition in names}
+    hashes = {definition: _hash(definition.text) for definition in reach.reached}
     while True:
-        finer = {
-            definition: _hash(
-                definition.text, *(f"{name} {','.join(hashes[other] for other in found)}" for name, found in references)
-            )
-            for definition, references in names.items()
-        }
-        settled = len(set(finer.values())) == len(set(hashes.values()))
+        finer: dict[Definition, str] = {}
+        for definition, references in reach.reached.items():
+            parts = [(name, [hashes[other] for other in found]) for name, found in sorted(references.items())]
+            # Order matters among definitions with one name, but not within a whole module.
+            lines = [f"{name} {sorted(found) if name.endswith('*') else found}" for name, found in parts]
+            finer[definition] = _hash(definition.text, *lines)
+        if len(set(finer.values())) == len(set(hashes.values())):
+            return _hash(*sorted(set(finer.values())))
         hashes = finer
-        if settled:
-            return _hash(*sorted(set(hashes.values())))
 
 
 def _hash(*parts: str) -> str:

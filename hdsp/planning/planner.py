@@ -28,7 +28,7 @@ from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.states import action_name
 from hdsp.detailed.world.world import World, build_world
 from hdsp.detailed.world.world_update import updated_world
-from hdsp.learning.shipped import abstraction_of, load_abstraction
+from hdsp.learning.loading import abstraction_of, load_abstraction
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic, changed_cells
 from hdsp.planning.plans import Plan
 from hdsp.robot.lattice import RESOLUTION, Grid, heading_index, is_detailed

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.network_on_published import main
 from hdsp.labels.published_tasks import write_published
-from hdsp.learning.shipped import load_abstraction
+from hdsp.learning.loading import load_abstraction
 from hdsp.robot.lattice import ABSTRACT_ACTIONS
 from tests.learning.synthetic import synthetic_tasks
 

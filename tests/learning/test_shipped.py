@@ -13,7 +13,7 @@ import pytest
 
 import hdsp
 from hdsp import HeightMap, InputError, Planner, Robot
-from hdsp.learning.shipped import presets, robot_of
+from hdsp.learning.loading import presets, robot_of
 from hdsp.robot.lattice import robot_frame_goals
 from tests import ROOT
 

@@ -1,6 +1,7 @@
 """The pipeline under DVC, in a clone of the project set to the tiny profile."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -77,6 +78,19 @@ def test_an_experiment_beside_the_working_tree_is_tracked_in_the_project(reprodu
     )
     done = subprocess.run([sys.executable, "-c", script], cwd=reproduced, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "['klamt2019']"
+
+
+def test_an_edit_runs_the_stages_whose_results_it_decides(reproduced):
+    network, report = reproduced / "hdsp/learning/networks/compact.py", reproduced / "pipeline/report.py"
+    network.write_text(network.read_text() + "\n# A comment.\n")
+    assert stages_run(reproduced) == ["code"]
+    report.write_text(report.read_text().replace('return {"feasibility', 'return {**{}, "feasibility'))
+    assert stages_run(reproduced) == ["code", "report"]
+    assert stages_run(reproduced) == []
+
+
+def stages_run(project) -> list[str]:
+    return re.findall("Running stage '(.+)'", run_dvc("repro", cwd=project))
 
 
 def test_a_killed_label_stage_continues_to_the_same_shards(tmp_path):

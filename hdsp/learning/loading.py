@@ -1,12 +1,14 @@
-"""Shipped abstractions, one folder each: ``config.json``, ``model.safetensors`` and the model card ``README.md``.
+"""Loads trained abstractions: shipped ones by name, others from their folders.
 
-``python -m pipeline.publish_model`` writes them. A folder is named ROBOT for the robot's default abstraction, or
-ROBOT-NAME for another one. Importing this module does not import torch; loading an abstraction does.
+``shipped/`` has one folder for each shipped abstraction: ``config.json``, ``model.safetensors`` and the model card
+``README.md``, written by ``python -m pipeline.publish_model``. A folder is named ROBOT for the robot's default
+abstraction, or ROBOT-NAME for another one. Importing this module does not import torch; loading an abstraction does.
 """
 
 from __future__ import annotations
 
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,10 +19,14 @@ if TYPE_CHECKING:
     from hdsp.learning import HardwareSettings, LearnedAbstraction
 
 
+def shipped() -> Traversable:
+    """Returns the folder of the shipped abstractions."""
+    return resources.files(__package__).joinpath("shipped")
+
+
 def presets() -> list[str]:
     """Returns the names of all shipped abstractions: ROBOT or ROBOT-NAME."""
-    places = resources.files(__name__).iterdir()
-    return sorted(place.name for place in places if place.joinpath("config.json").is_file())
+    return sorted(place.name for place in shipped().iterdir() if place.joinpath("config.json").is_file())
 
 
 def robot_of(preset: str) -> str:
@@ -55,7 +61,7 @@ def load_abstraction(
         from hdsp.learning.abstraction import LearnedAbstraction
     except ModuleNotFoundError as error:
         raise InputError(f"learned abstractions need {error.name}: pip install 'hdsp[learning]'") from None
-    folder = Path(str(resources.files(__name__).joinpath(str(source)))) if is_preset else Path(source)
+    folder = Path(str(shipped().joinpath(str(source)))) if is_preset else Path(source)
     if robot is None and is_preset:
         robot = robot_of(str(source))
     return LearnedAbstraction.from_pretrained(folder, None if robot is None else Robot.load(robot), hardware)
