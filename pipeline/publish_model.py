@@ -121,8 +121,8 @@ def _validation(trainer: Mapping[str, Any], config: DictConfig, folders: Folders
 def figures_of(abstraction: LearnedAbstraction, tasks: TaskSet) -> dict[str, Any]:
     """Returns all figures on the card for a set.
 
-    These are the figures from `hdsp.labels.evaluation.evaluate_predictor` and from the calibration, `categories` with
-    the same figures per category, and `false_feasible`, `false_infeasible` (shares of tasks) and `cost_errors`.
+    These are the figures from `hdsp.labels.evaluation.evaluate_set` and from the calibration, `categories` with the
+    same figures per category, and `false_feasible`, `false_infeasible` (shares of tasks) and `cost_errors`.
     """
     from hdsp.labels.evaluation import evaluate_set, predict
 

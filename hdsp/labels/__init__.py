@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from hdsp.labels.counts import LabelCounts
     from hdsp.labels.course_patches import CoursePatchSettings, PatchRun, ScannedCourse, simulated_courses
-    from hdsp.labels.evaluation import evaluate_predictor, evaluate_set, predict
+    from hdsp.labels.evaluation import evaluate_set, predict
     from hdsp.labels.published_tasks import export_tasks, find_published, import_tasks, read_published, write_published
     from hdsp.labels.rules import LabelSettings, MapTasks, label_map, label_unstandable
     from hdsp.labels.scan_patches import ScanPatchSettings, label_scan
@@ -37,7 +37,6 @@ __all__ = [
     "ScannedCourse",
     "Shard",
     "TaskSet",
-    "evaluate_predictor",
     "evaluate_set",
     "export_tasks",
     "find_published",
@@ -70,7 +69,6 @@ _MODULES = {
     "ScannedCourse": "course_patches",
     "Shard": "shards",
     "TaskSet": "tasks",
-    "evaluate_predictor": "evaluation",
     "evaluate_set": "evaluation",
     "export_tasks": "published_tasks",
     "find_published": "published_tasks",

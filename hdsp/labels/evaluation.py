@@ -33,9 +33,11 @@ def evaluate_set(predictors: Mapping[str, TaskPredictor], tasks: TaskSet) -> dic
         tasks: labelled tasks; at least one map.
 
     Returns:
-        `maps`, `tasks`, `feasible`, `detailed_cost_mean`, `detailed_cost_std`; `methods`: the result of
-        `evaluate_predictor` for each method; and `categories`: the same entries for each category in the set. All
-        values are plain numbers for JSON; a mean over no task is None.
+        `maps`, `tasks`, `feasible`, `detailed_cost_mean`, `detailed_cost_std`; `methods`: for each method
+        `feasibility_accuracy` in [0, 1] over all tasks; `cost_error` (mean absolute cost difference),
+        `abstract_cost_mean` and `compared_cost_mean` (label costs) over the tasks feasible according to both; the
+        counts `judged_feasible` and `both_feasible`; and `categories`: the same entries for each category in the set.
+        All values are plain numbers for JSON; a mean over no task is None.
 
     Raises:
         InputError: if the set is empty, or a prediction has the wrong shape.
@@ -48,17 +50,6 @@ def evaluate_set(predictors: Mapping[str, TaskPredictor], tasks: TaskSet) -> dic
     result = _figures(tasks, judged, everything)
     result["categories"] = {str(name): _figures(tasks, judged, names == name) for name in _in_order(names)}
     return result
-
-
-def evaluate_predictor(predictor: TaskPredictor, tasks: TaskSet) -> dict[str, Any]:
-    """Computes the metrics for one abstraction on one set.
-
-    Returns:
-        `feasibility_accuracy` in [0, 1] over all tasks; `cost_error` (mean absolute cost difference),
-        `abstract_cost_mean` and `compared_cost_mean` (label costs) over the tasks feasible according to both; the
-        counts `judged_feasible` and `both_feasible`. A mean over no task is None.
-    """
-    return evaluate_set({"it": predictor}, tasks)["methods"]["it"]
 
 
 def predict(predictor: TaskPredictor, tasks: TaskSet) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hdsp.learning.abstraction import LearnedAbstraction, Provenance, example_input
+    from hdsp.learning.abstraction import LearnedAbstraction, Provenance
     from hdsp.learning.architectures import ARCHITECTURES
     from hdsp.learning.callbacks import PlateauLossWeights, PublishedLossWeights
     from hdsp.learning.encoding import HeightEncoding
@@ -37,7 +37,6 @@ __all__ = [
     "build_network",
     "check_network",
     "count_parameters",
-    "example_input",
     "task_loader",
     "train",
 ]
@@ -61,7 +60,6 @@ _MODULES = {
     "build_network": "networks",
     "check_network": "network_conformance",
     "count_parameters": "networks",
-    "example_input": "abstraction",
     "task_loader": "task_data",
     "train": "training",
 }

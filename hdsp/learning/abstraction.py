@@ -336,12 +336,6 @@ class LearnedAbstraction:
         return cls(network, model, provenance, found["metrics"], hardware, calibration)
 
 
-def example_input() -> dict[str, np.ndarray]:
-    """One flat patch and its 22 goals as network input: ``heights`` [1, 1, 72, 72], ``goals`` [1, 22, 3]."""
-    cells = lattice.PATCH_CELLS
-    return {"heights": np.zeros((1, 1, cells, cells), np.float32), "goals": lattice.robot_frame_goals(0)[None]}
-
-
 def _lattice_contract() -> dict[str, Any]:
     return {
         "resolution": lattice.RESOLUTION,

@@ -29,7 +29,6 @@ METHODS = {
     "manual": ORANGE,
     "flat": GREY,
     "geometric": BLACK,
-    "paper": "#FFFFFF",
 }
 NAMES = {
     "trained": "trained",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hdsp.base.errors import InputError
-from hdsp.labels.evaluation import COLUMNS, evaluate_predictor, evaluate_set, predict, rows
+from hdsp.labels.evaluation import COLUMNS, evaluate_set, predict, rows
 from hdsp.labels.tasks import FIELDS, TaskSet
 from hdsp.robot.lattice import robot_frame_goals
 
@@ -34,7 +34,7 @@ def four_maps():
 
 
 def test_the_labels_themselves_are_perfect(four_maps):
-    figures = evaluate_predictor(Answers(four_maps.feasible, four_maps.cost), four_maps)
+    figures = evaluate_set({"it": Answers(four_maps.feasible, four_maps.cost)}, four_maps)["methods"]["it"]
     assert figures["feasibility_accuracy"] == 1.0
     assert figures["cost_error"] == 0.0
     assert figures["both_feasible"] == figures["judged_feasible"] == four_maps.feasible.sum()
@@ -85,7 +85,8 @@ def test_rows_have_the_columns_of_the_table(four_maps):
 
 
 def test_a_predictor_that_sees_nothing_feasible_has_no_cost_error(four_maps):
-    figures = evaluate_predictor(Answers(np.zeros((4, 22), bool), np.full((4, 22), np.inf)), four_maps)
+    nothing = Answers(np.zeros((4, 22), bool), np.full((4, 22), np.inf))
+    figures = evaluate_set({"it": nothing}, four_maps)["methods"]["it"]
     assert figures["cost_error"] is None
     assert figures["abstract_cost_mean"] is None
     assert figures["feasibility_accuracy"] == pytest.approx(1 - four_maps.feasible.mean())

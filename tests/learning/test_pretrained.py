@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from hdsp.base.errors import InputError
-from hdsp.learning import HardwareSettings, LearnedAbstraction, ModelSettings, Provenance, build_network, example_input
+from hdsp.learning import HardwareSettings, LearnedAbstraction, ModelSettings, Provenance, build_network
 from hdsp.learning.metrics import MINIMUM_COST
 from hdsp.learning.network_settings import settings_from
 from hdsp.robot.robot import Robot
@@ -145,9 +145,3 @@ def test_weights_of_another_architecture_are_refused(saved):
 def test_wrong_shapes_are_named(abstraction, patches, goals):
     with pytest.raises(InputError, match="shape"):
         abstraction.predict(np.zeros(patches), np.zeros(goals))
-
-
-def test_the_example_input_is_what_the_network_takes(abstraction):
-    example = {name: torch.from_numpy(array) for name, array in example_input().items()}
-    cost, logits = abstraction.network(**example)
-    assert cost.shape == logits.shape == (1, 22)
