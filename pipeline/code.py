@@ -1,7 +1,7 @@
-"""Stage `code`: a fingerprint of the code that decides each stage's result, `data/code/STAGE`.
+"""Stage `code`: fingerprints of the code behind each other stage's result, `data/code/STAGE`.
 
-The other stages depend on these fingerprints instead of source files. An edit that decides no result (a comment, a
-drawing, code that moves to another file) changes no fingerprint, and no other stage runs again.
+The other stages depend on fingerprints instead of source files. An edit without influence on results (a comment, a
+drawing, code moved to another file) changes no fingerprint, and no other stage runs again.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def fingerprints(architecture: str, root: Path = ROOT) -> dict[str, str]:
     """The fingerprint of each stage's code.
 
     Args:
-        architecture: of the network that is trained.
+        architecture: architecture for training.
         root: folder with `hdsp` and `pipeline`.
 
     Raises:
@@ -47,7 +47,7 @@ def fingerprints(architecture: str, root: Path = ROOT) -> dict[str, str]:
 
 
 def entries(stage: str, architecture: str, root: Path = ROOT) -> list[str]:
-    """Where the code of a stage begins: its function, and the networks that it builds by name."""
+    """Start of a stage's code: its function, and all networks it builds by name."""
     entry = f"pipeline.{stage}:{stage}"
     reached = reached_code(entry, root=root)
     networks = [architecture] if _is_in(network_class, reached) else []
@@ -57,7 +57,7 @@ def entries(stage: str, architecture: str, root: Path = ROOT) -> list[str]:
 
 
 def shipped_architectures() -> list[str]:
-    """Architectures of the abstractions that come with the package."""
+    """Architectures of all shipped abstractions."""
     configs = [shipped().joinpath(name, "config.json").read_text(encoding="utf-8") for name in presets()]
     return sorted({json.loads(config)["model"]["architecture"] for config in configs})
 

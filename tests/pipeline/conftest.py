@@ -75,7 +75,7 @@ def clone_project(clone: Path) -> Path:
             continue  # removed, but not committed yet
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(source, target, follow_symlinks=False)
-    for source in (ROOT / "hdsp").rglob("__pycache__/*.nb?"):  # compiled kernels; valid because times are copied too
+    for source in (ROOT / "hdsp").rglob("__pycache__/*.nb?"):  # compiled kernels; their keys are their contents
         target = clone / source.relative_to(ROOT)
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(source, target)
