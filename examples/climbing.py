@@ -102,7 +102,7 @@ def facts(plans: list[Plan], seconds: float) -> dict:
     lengths = np.concatenate([motion.leg_lengths() for motion in motions])
     clearances = np.concatenate([motion.swing_clearances().ravel() for motion in motions])
     return result | {
-        "steps": sum(action.startswith("step ") for plan in plans for action in plan.actions),
+        "steps": sum(plan.steps for plan in plans),
         "configurations": sum(map(len, motions)),
         "problems": sum(len(motion.problems()) for motion in motions),
         "least_margin": round(float(min(motion.margins().min() for motion in motions)), 3),
@@ -125,11 +125,11 @@ def run(folder: Path) -> dict[str, dict]:
             part = f"_{number}" if len(plans) > 1 else ""
             if name.startswith("door") or number == 1:
                 save_planned_path(
-                    plan.terrain, plan, plan.robot, folder / f"{name}{part}_top.png",
+                    plan.terrain, plan.states, plan.actions, plan.robot, folder / f"{name}{part}_top.png",
                     task.title if plan.solved else f"no way {task.title}",
                     task.start if not plan.solved else None, task.goal if not plan.solved else None,
                 )  # fmt: skip
-            if plan.solved and any(action.startswith("step ") for action in plan.actions):
+            if plan.solved and plan.steps:
                 save_motion(plan.refine(), folder / f"{name}{part}_side.png", title=task.title)
     return found
 

@@ -27,7 +27,7 @@ Tasks = dict[str, tuple[Pose, Pose]]
 SOURCES = ("scanned", "random")
 
 
-class Ground(NamedTuple):
+class ArenaMap(NamedTuple):
     """Planning terrain: the map, its origin in words, and the true arena if known."""
 
     terrain: HeightMap
@@ -48,7 +48,7 @@ def blocked(robot: Robot) -> Plan:
 
 
 def plan(config: DictConfig, folders: Folders) -> None:
-    from hdsp.viz import save_planned_path, save_planned_paths, save_planning_bars
+    from hdsp.viz import DrawnPath, save_planned_path, save_planned_paths, save_planning_bars
 
     robot = Robot.load(plain(config.robot))
     ground = read_ground(config.arena, folders)
@@ -87,11 +87,13 @@ def plan(config: DictConfig, folders: Folders) -> None:
     task, name, weight = best_to_show(runs)
     title = f"Task {task}: {name} heuristic, W = {weight:g}"
     picture = folders.write("reports", "figures", "planned_path.png")
-    save_planned_path(ground.terrain, found[task, name, weight], robot, picture, title, *tasks[task])
+    shown = found[task, name, weight]
+    save_planned_path(ground.terrain, shown.states, shown.actions, robot, picture, title, *tasks[task])
     name, weight = series_to_show(runs)
+    series = {task: found[task, name, weight] for task in tasks}
     save_planned_paths(
         ground.terrain,
-        {task: found[task, name, weight] for task in tasks},
+        {task: DrawnPath(plan.states, plan.actions, plan.cost) for task, plan in series.items()},
         tasks,
         robot,
         folders.write("reports", "figures", "planned_paths.png"),
@@ -99,7 +101,7 @@ def plan(config: DictConfig, folders: Folders) -> None:
     )
 
 
-def read_ground(arena: DictConfig, folders: Folders) -> Ground:
+def read_ground(arena: DictConfig, folders: Folders) -> ArenaMap:
     """Returns the map named by `arena.source`; an arena without scan gives its own heights.
 
     Raises:
@@ -111,13 +113,13 @@ def read_ground(arena: DictConfig, folders: Folders) -> Ground:
 
     if arena.source == "random":
         contents = settings(ArenaSettings, arena.contents, "arena.contents")
-        return Ground(random_arena(arena.seed, arena.size, contents), "a generated arena", None)
+        return ArenaMap(random_arena(arena.seed, arena.size, contents), "a generated arena", None)
     if arena.source != "scanned":
         raise InputError(f"arena.source {arena.source!r}: allowed are {', '.join(SOURCES)}")
     truth, absent = read_arena(plain(arena)), folders.read("data", "arena", ABSENT)
     if absent.is_file():
-        return Ground(truth.height_map(), f"the arena as it is, not scanned ({read_json(absent)['reason']})", truth)
-    return Ground(HeightMap.load(folders.read("data", "arena", "scanned.npz")), "the scanned arena", truth)
+        return ArenaMap(truth.height_map(), f"the arena as it is, not scanned ({read_json(absent)['reason']})", truth)
+    return ArenaMap(HeightMap.load(folders.read("data", "arena", "scanned.npz")), "the scanned arena", truth)
 
 
 def prepare(
@@ -146,7 +148,7 @@ def timed(planner: Planner, start: Pose, goal: Pose, weight: float, section: Dic
     """
     times: list[float] = []
     while True:
-        planner.forget()
+        planner.clear()
         began = time.perf_counter()
         result = planner.plan(start, goal, weight=weight, **plain(section.limits))
         times.append(time.perf_counter() - began)
@@ -181,11 +183,11 @@ def describe(task: str, heuristic: str, weight: float, plan: Plan, seconds: floa
         "heuristic": heuristic,
         "weight": weight,
         "status": status,
-        "steps": sum(action.startswith("step ") for action in plan.actions),
+        "steps": plan.steps,
         "cost": plan.cost if status == "solved" else None,
         "seconds": seconds,
-        "expansions": plan.stats["expansions"],
-        "stats": plan.stats,
+        "expansions": plan.stats.expansions,
+        "stats": plan.stats.known(),
     }
 
 

@@ -1,105 +1,79 @@
-"""Detailed states as single integers, and the codes of the detailed actions.
+"""Detailed states as single integers.
 
 A state (ix, iy, heading, f0, f1, f2, f3) in lattice units is packed into one int64: 16 bits each for x and y, 6 for the
-heading, 5 for each foot offset counted from its lowest value. An action is one byte, and every action can be undone, so
-a search needs to remember one byte per state to find the way back.
+heading, 5 for each foot offset counted from its lowest value.
 """
 
 import numpy as np
 
 from hdsp.base.jit import njit
-from hdsp.robot.lattice import HEADINGS, metres
-from hdsp.robot.robot import FEET
+from hdsp.robot.lattice import HEADINGS
 
-TURN_LEFT, TURN_RIGHT = 20, 21  # 0..19 are the drive moves
-FOOT_MOVE = 22  # + 2 * foot + (0 forward, 1 backward)
-BASE_FORWARD, BASE_BACKWARD = 30, 31
-STEP = 32  # + 32 * foot + 16 + length in cells
-START = 255
+_FOOT_BITS, _HEADING_BITS, _CELL_BITS = 5, 6, 16
+_FOOT_MASK = (1 << _FOOT_BITS) - 1
+_HEADING_MASK = HEADINGS - 1
+_CELL_MASK = (1 << _CELL_BITS) - 1
+HEADING_SHIFT = 4 * _FOOT_BITS
+_Y_SHIFT = HEADING_SHIFT + _HEADING_BITS
+_X_SHIFT = _Y_SHIFT + _CELL_BITS
+_FOOT_SHIFTS = _FOOT_BITS * np.arange(3, -1, -1)
 
-_HEADING_BITS = 20
-_Y_BITS = 26
-_X_BITS = 42
-MAX_CELLS = 1 << 16
-FEET_MASK = (1 << 20) - 1  # the feet bits of a packed state
+#: Most cells of a map along x or y.
+MAX_CELLS = 1 << _CELL_BITS
+#: The feet bits of a packed state.
+FEET_MASK = (1 << HEADING_SHIFT) - 1
+
+
+@njit(inline="always")
+def foot_shift(foot):
+    """Place of the lowest bit of a foot's offset in a packed state."""
+    return _FOOT_BITS * (3 - foot)
+
+
+@njit(inline="always")
+def foot_offset(key, shift):
+    """Offset of the foot at ``foot_shift``, counted from the lowest."""
+    return (key >> shift) & _FOOT_MASK
 
 
 @njit(inline="always")
 def pack(ix, iy, heading, o0, o1, o2, o3):
     """State as int64; ``o`` are foot offsets counted from the lowest."""
-    return (
-        (np.int64(ix) << 42) | (np.int64(iy) << 26) | (np.int64(heading) << 20)
-        | (np.int64(o0) << 15) | (np.int64(o1) << 10) | (np.int64(o2) << 5) | np.int64(o3)
-    )  # fmt: skip
+    base = (np.int64(ix) << _X_SHIFT) | (np.int64(iy) << _Y_SHIFT) | (np.int64(heading) << HEADING_SHIFT)
+    front = (np.int64(o0) << 3 * _FOOT_BITS) | (np.int64(o1) << 2 * _FOOT_BITS)
+    return base | front | (np.int64(o2) << _FOOT_BITS) | np.int64(o3)
 
 
 @njit(inline="always")
 def neutral_feet(lowest):
     """The feet bits of a packed state on neutral feet."""
-    return -lowest * (1 << 15 | 1 << 10 | 1 << 5 | 1)
+    return -lowest * (1 << 3 * _FOOT_BITS | 1 << 2 * _FOOT_BITS | 1 << _FOOT_BITS | 1)
 
 
 @njit(inline="always")
 def unpack(key):
     """(ix, iy, heading, o0, o1, o2, o3) of a packed state."""
     return (
-        key >> 42, (key >> 26) & 0xFFFF, (key >> 20) & 0x3F,
-        (key >> 15) & 0x1F, (key >> 10) & 0x1F, (key >> 5) & 0x1F, key & 0x1F,
+        key >> _X_SHIFT, (key >> _Y_SHIFT) & _CELL_MASK, (key >> HEADING_SHIFT) & _HEADING_MASK,
+        (key >> 3 * _FOOT_BITS) & _FOOT_MASK, (key >> 2 * _FOOT_BITS) & _FOOT_MASK,
+        (key >> _FOOT_BITS) & _FOOT_MASK, key & _FOOT_MASK,
     )  # fmt: skip
 
 
 def pack_steps(steps: np.ndarray) -> np.ndarray:
-    """What steps (dx, dy), int64 [n, 2], add to a packed state, int64 [n]."""
-    return (steps[:, 0] << _X_BITS) + (steps[:, 1] << _Y_BITS)
+    """Change of a packed state by steps (dx, dy), int64 [n, 2]; int64 [n]."""
+    return (steps[:, 0] << _X_SHIFT) + (steps[:, 1] << _Y_SHIFT)
 
 
 def pack_states(states, lowest: int) -> np.ndarray:
     """Packed states, int64 [n], of detailed states [n, 7] in lattice units; ``lowest`` is the smallest foot offset."""
     s = np.atleast_2d(np.asarray(states, dtype=np.int64))
-    o = s[:, 3:] - lowest
-    return (s[:, 0] << _X_BITS | s[:, 1] << _Y_BITS | s[:, 2] << _HEADING_BITS
-            | o[:, 0] << 15 | o[:, 1] << 10 | o[:, 2] << 5 | o[:, 3])  # fmt: skip
+    base = s[:, 0] << _X_SHIFT | s[:, 1] << _Y_SHIFT | s[:, 2] << HEADING_SHIFT
+    return base | np.bitwise_or.reduce(s[:, 3:] - lowest << _FOOT_SHIFTS, axis=1)
 
 
 def unpack_states(keys, lowest: int) -> np.ndarray:
     """Detailed states, int64 [n, 7] in lattice units, of packed states [n]."""
-    k = np.asarray(keys, dtype=np.int64)
-    offsets = [((k >> shift) & 0x1F) + lowest for shift in (15, 10, 5, 0)]
-    return np.stack([k >> _X_BITS, (k >> _Y_BITS) & 0xFFFF, (k >> _HEADING_BITS) & 0x3F, *offsets], axis=-1)
-
-
-@njit()
-def undo(key, action, move_dx, move_dy, shifts):
-    """The state from which ``action`` led to ``key``."""
-    ix, iy, heading, o0, o1, o2, o3 = unpack(key)
-    if action < TURN_LEFT:
-        return pack(ix - move_dx[action], iy - move_dy[action], heading, o0, o1, o2, o3)
-    if action < FOOT_MOVE:
-        back = -1 if action == TURN_LEFT else 1
-        return pack(ix, iy, (heading + back) % HEADINGS, o0, o1, o2, o3)
-    if action < BASE_FORWARD:
-        foot, change = (action - FOOT_MOVE) // 2, 1 - 2 * ((action - FOOT_MOVE) % 2)
-        return key - (np.int64(change) << (15 - 5 * foot))
-    if action < STEP:
-        sign = 1 if action == BASE_FORWARD else -1
-        n = sign * shifts[heading, 2]
-        dx, dy = sign * shifts[heading, 0], sign * shifts[heading, 1]
-        return pack(ix - dx, iy - dy, heading, o0 + n, o1 + n, o2 + n, o3 + n)
-    foot, length = (action - STEP) // 32, (action - STEP) % 32 - 16
-    return key - (np.int64(length) << (15 - 5 * foot))
-
-
-def action_name(action: int) -> str:
-    """An action code in words, e.g. ``drive``, ``turn_left``, ``step front_left +0.250``."""
-    if action < TURN_LEFT:
-        return "drive"
-    if action < FOOT_MOVE:
-        return "turn_left" if action == TURN_LEFT else "turn_right"
-    if action < BASE_FORWARD:
-        change = metres(1 - 2 * ((action - FOOT_MOVE) % 2))
-        return f"foot_move {FEET[(action - FOOT_MOVE) // 2]} {change:+.3f}"
-    if action < STEP:
-        return "base_shift " + ("forward" if action == BASE_FORWARD else "backward")
-    if action == START:
-        return "start"
-    return f"step {FEET[(action - STEP) // 32]} {metres((action - STEP) % 32 - 16):+.3f}"
+    k = np.asarray(keys, dtype=np.int64)[..., None]
+    base = [k >> _X_SHIFT, k >> _Y_SHIFT & _CELL_MASK, k >> HEADING_SHIFT & _HEADING_MASK]
+    return np.concatenate([*base, (k >> _FOOT_SHIFTS & _FOOT_MASK) + lowest], axis=-1)

@@ -10,12 +10,14 @@ Convention: world coordinates, m, rad; feet in the order of `hdsp.robot.robot.FE
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.detailed.actions.action import Action
 from hdsp.robot.lattice import metres
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.arenas import Arena
@@ -29,7 +31,7 @@ FOOT_RADIUS = 0.05
 
 #: What a map of cells leaves open about the place of an edge, m: a cell is as high as its centre, so what stands there
 #: may reach half a cell further than the map shows. That body and feet are tested at centres of cells is no excuse:
-#: a planner has a margin for it (``hdsp.planning.planner.with_margin``), and feet their clearance.
+#: a planner has a margin for it (``hdsp.planning.margin.with_margin``), and feet their clearance.
 CELL_TOLERANCE = metres(0.5)
 
 _INCREMENT = 0.01  # m between two poses that are tested
@@ -74,7 +76,7 @@ def check_plan(arena: Arena, plan: Plan, robot: Robot, tolerance: float = CELL_T
 
     Args:
         arena: the truth.
-        plan: with `states` [n, 7] in world coordinates and `actions`, n - 1 names.
+        plan: with `states` [n, 7] in world coordinates and n - 1 `actions`.
         robot: its boxes, feet, and the height that its wheels pass.
         tolerance: depth that does not count, m. A planner knows the place of an edge to half a cell at best.
 
@@ -84,7 +86,7 @@ def check_plan(arena: Arena, plan: Plan, robot: Robot, tolerance: float = CELL_T
     states = np.asarray(plan.states, float).reshape(-1, 7)
     if len(states) == 0:
         raise InputError("check of a plan: it has no states")
-    number, poses = _poses(states, list(plan.actions))
+    number, poses = _poses(states, plan.actions)
     blocks = arena.blocks()
     feet = _feet(poses, robot)
     ground = arena.scene.heights_at(feet[..., 0], feet[..., 1]).astype(float)
@@ -119,7 +121,7 @@ class _Findings:
             self.collisions.append(Collision(int(self.number[pose]), part, why, float(-gaps[pose, index])))
 
 
-def _poses(states: np.ndarray, actions: list[str]) -> tuple[np.ndarray, np.ndarray]:
+def _poses(states: np.ndarray, actions: Sequence[Action]) -> tuple[np.ndarray, np.ndarray]:
     """Poses to be tested: number of the state each follows [m], and the poses [m, 7]; of a step, only where it ends."""
     change = np.diff(states, axis=0)
     change[:, 2] = np.angle(np.exp(1j * change[:, 2]))
@@ -129,7 +131,7 @@ def _poses(states: np.ndarray, actions: list[str]) -> tuple[np.ndarray, np.ndarr
         raise InputError(f"check of a plan: it jumps by {reach[index]:.2f} m after state {index}")
     number, poses = [0], [states[0]]
     for index, (step, way, action) in enumerate(zip(change, reach, actions, strict=True)):
-        n = 1 if action.startswith("step ") else max(math.ceil(way / _INCREMENT), 1)
+        n = 1 if action.stepping_foot is not None else max(math.ceil(way / _INCREMENT), 1)
         for part in range(1, n + 1):
             number.append(index)
             poses.append(states[index] + step * (part / n))

@@ -1,57 +1,80 @@
-"""A plan, or why there is none, in words for a robot operator."""
+"""Explanations for a robot operator: a plan, or the reason for its absence, in one line."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
+from hdsp.detailed.actions.action import Action, ActionKind
 from hdsp.detailed.search.outcome import Status
-from hdsp.robot.robot import FEET
+from hdsp.planning.plan_statistics import PlanStatistics
+from hdsp.robot.lattice import HEADINGS
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
 
-if TYPE_CHECKING:
-    from hdsp.planning.plans import Plan
-
-#: How the kinds of action are summed up; in the order in which they are told.
-_KINDS = {
-    "driving": ("drive",),
-    "turning": ("turn_left", "turn_right"),
-    "steps": ("step",),
-    "moving feet and base": ("foot_move", "base_shift"),
+_TURNS = ActionKind.TURN_LEFT, ActionKind.TURN_RIGHT
+#: Groups of actions in the sum of costs, in their order in the explanation.
+_GROUPS = {
+    "driving": (ActionKind.DRIVE,),
+    "turning": _TURNS,
+    "steps": (ActionKind.STEP,),
+    "moving feet and base": (ActionKind.FOOT_MOVE, ActionKind.BASE_SHIFT),
 }
-_FLAT = 0.02  # m; footholds whose heights differ by less are on one level
+_FLAT = 0.02  # m; footholds with smaller differences in height are level
 
 
-def explain(plan: Plan) -> str:
-    """What came out of planning and why; one line."""
-    if plan.solved:
-        return f"solved: {_way(plan)}; cost {plan.cost:.3f} ({_costs(plan)})"
-    if plan.status in (Status.INVALID_START, Status.INVALID_GOAL):
-        which = "start" if plan.status == Status.INVALID_START else "goal"
-        return f"the robot cannot stand at the {which}: " + "; ".join(plan.problems)
-    if plan.status == Status.INFEASIBLE and plan.problems:
-        return "there is no way: " + "; ".join(plan.problems)
+def explain_plan(
+    terrain: HeightMap, robot: Robot, states: np.ndarray, actions: Sequence[Action], costs: np.ndarray
+) -> str:
+    """The way, its steps and its costs.
+
+    Args:
+        terrain: the map under the plan.
+        robot: the robot that follows the plan.
+        states: float64 [n, 7], world coordinates.
+        actions: the n - 1 actions between the states.
+        costs: float64 [n - 1], costs of the actions.
+    """
+    way = _way(terrain, robot, states, actions)
+    return f"solved: {way}; cost {costs.sum():.3f} ({_shares(actions, costs)})"
+
+
+def explain_ending(status: Status, stats: PlanStatistics, problems: Sequence[str], refused: Sequence[str]) -> str:
+    """The reason why a query ended without a plan.
+
+    Args:
+        status: end of the search.
+        stats: effort of the search.
+        problems: faults in start or goal, or the obstacle between them.
+        refused: steps in former plans that could not be carried out.
+    """
+    if status in (Status.INVALID_START, Status.INVALID_GOAL):
+        which = "start" if status == Status.INVALID_START else "goal"
+        return f"the robot cannot stand at the {which}: " + "; ".join(problems)
+    if status == Status.INFEASIBLE and problems:
+        return "there is no way: " + "; ".join(problems)
     endings = {
         Status.INFEASIBLE: "there is no way: everything that can be reached from the start was searched",
         Status.COST_LIMIT: "there is no plan within the cost limit",
-        Status.EXPANSION_LIMIT: f"not decided: stopped after {plan.stats['expansions']:,} expansions",
-        Status.MEMORY_LIMIT: f"not decided: stopped at {plan.stats['memory'] / 2**20:,.0f} MiB of states",
-        Status.TIME_LIMIT: f"not decided: stopped after {plan.stats['seconds']:.1f} s",
+        Status.EXPANSION_LIMIT: f"not decided: stopped after {stats.expansions:,} expansions",
+        Status.MEMORY_LIMIT: f"not decided: stopped at {stats.memory / 2**20:,.0f} MiB of states",
+        Status.TIME_LIMIT: f"not decided: stopped after {stats.seconds:.1f} s",
     }
-    words = endings[plan.status]
-    if plan.refused:
-        words += f"; {_count(len(plan.refused), 'step')} could not be carried out, first: {plan.refused[0]}"
+    words = endings[status]
+    if refused:
+        words += f"; {_count(len(refused), 'step')} could not be carried out, first: {refused[0]}"
     return words
 
 
-def _way(plan: Plan) -> str:
-    moved = np.hypot(*np.diff(plan.states[:, :2], axis=0).T)
-    driven = sum(length for length, action in zip(moved, plan.actions, strict=True) if action == "drive")
-    turned = sum(action in _KINDS["turning"] for action in plan.actions) * 360 / 64
+def _way(terrain: HeightMap, robot: Robot, states: np.ndarray, actions: Sequence[Action]) -> str:
+    moved = np.hypot(*np.diff(states[:, :2], axis=0).T)
+    driven = sum(length for length, action in zip(moved, actions, strict=True) if action.kind is ActionKind.DRIVE)
+    turned = sum(action.kind in _TURNS for action in actions) * 360 / HEADINGS
     parts = [f"drives {driven:.2f} m"]
     if turned:
         parts.append(f"turns by {turned:.0f} degrees")
-    if heights := _step_heights(plan):
+    if heights := _step_heights(terrain, robot, states, actions):
         rises = [after - before for before, after, _ in heights]
         up, down = sum(rise > _FLAT for rise in rises), sum(rise < -_FLAT for rise in rises)
         level = len(rises) - up - down
@@ -61,26 +84,29 @@ def _way(plan: Plan) -> str:
     return ", ".join(parts)
 
 
-def _step_heights(plan: Plan) -> list[tuple[float, float, float]]:
-    """Heights of foothold, landing and the highest ground between, of each step."""
-    assert plan.robot is not None and plan.terrain is not None
-    feet = plan.robot.foot_positions(plan.states)
+def _step_heights(
+    terrain: HeightMap, robot: Robot, states: np.ndarray, actions: Sequence[Action]
+) -> list[tuple[float, float, float]]:
+    """Heights at foothold, at landing and at the highest point between, for each step."""
+    feet = robot.foot_positions(states)
     found = []
-    for k, action in enumerate(plan.actions):
-        if not action.startswith("step "):
+    for k, action in enumerate(actions):
+        foot = action.stepping_foot
+        if foot is None:
             continue
-        foot = FEET.index(action.split()[1])
         line = feet[k, foot] + np.linspace(0, 1, 64)[:, None] * (feet[k + 1, foot] - feet[k, foot])
-        heights = plan.terrain.height_at(line[:, 0], line[:, 1])
+        heights = np.asarray(terrain.height_at(line[:, 0], line[:, 1]))
         found.append((float(heights[0]), float(heights[-1]), float(np.nanmax(heights))))
     return found
 
 
-def _costs(plan: Plan) -> str:
-    kinds = np.array([action.split()[0] for action in plan.actions])
-    sums = {name: float(plan.action_costs[np.isin(kinds, members)].sum()) for name, members in _KINDS.items()}
-    return ", ".join(f"{name} {cost / plan.cost:.0%}" for name, cost in sums.items() if cost > 0) or "nothing to do"
+def _shares(actions: Sequence[Action], costs: np.ndarray) -> str:
+    sums = {
+        name: float(costs[np.array([action.kind in kinds for action in actions], dtype=bool)].sum())
+        for name, kinds in _GROUPS.items()
+    }
+    return ", ".join(f"{name} {cost / costs.sum():.0%}" for name, cost in sums.items() if cost > 0) or "nothing to do"
 
 
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -1,82 +1,101 @@
-"""What a planner returns: the plan, or why there is none."""
+"""The answer to a planning query: a plan, or the reason for its absence."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.detailed.actions.action import Action
 from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.motion.refinement import refine
 from hdsp.detailed.search.outcome import Status
-from hdsp.planning.explanation import explain
+from hdsp.planning.explanation import explain_ending, explain_plan
+from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Plan:
     """The outcome of a planning query.
 
     Convention: metres and radians in the world frame; feet in the order of ``hdsp.robot.robot.FEET``.
 
     Attributes:
-        status: how the search ended.
-        cost: of the plan, unitless; inf if there is none.
-        states: float64 [n, 7] from start to goal: base x, y (m), heading (rad), four foot offsets (m); [0, 7] if none.
-        actions: the n - 1 actions between them, e.g. ``drive``, ``turn_left``, ``step front_left +0.250``.
-        action_costs: float64 [n - 1]; they add up to ``cost``.
-        stats: expansions, states seen, bytes of memory, seconds (heuristic included), weight, heuristic; below
-            ``lower_bound`` no plan costs, 0 if nothing is known. With an anchor also ``anchor_weight``, and of the
-            last search's expansions those for the anchor and those for the guide, ``expansions_by``.
-        problems: what is wrong with start or goal, or what cuts them off from each other, in words.
-        refused: steps of former plans that could not be carried out, in words, if a refinable plan was asked for.
-        bound: proved: the plan costs at most so many times the least possible (of plans without the refused steps);
-            1 if it is optimal, inf if nothing is proved.
+        status: end of the search.
+        cost: cost of the plan, unitless; inf without a plan.
+        states: float64 [n, 7] from start to goal: base x, y (m), heading (rad), four foot offsets (m); [0, 7] without a
+            plan.
+        actions: the n - 1 actions between the states.
+        action_costs: float64 [n - 1]; their sum is ``cost``.
+        stats: effort and proofs.
+        terrain: the map under the plan.
+        robot: the robot that follows the plan.
+        problems: faults in start or goal, or the obstacle between them, in words.
+        refused: steps in former plans that could not be carried out, in words; empty unless ``refinable`` was set.
+        bound: proved: the plan costs at most so many times the optimum (among plans without the refused steps). 1 for
+            an optimal plan, inf without a proof.
     """
 
     status: Status
     cost: float
     states: np.ndarray
-    actions: list[str]
+    actions: tuple[Action, ...]
     action_costs: np.ndarray
-    stats: dict[str, Any]
-    problems: list[str] = field(default_factory=list)
-    refused: list[str] = field(default_factory=list)
+    stats: PlanStatistics
+    terrain: HeightMap = field(repr=False)
+    robot: Robot = field(repr=False)
+    problems: tuple[str, ...] = ()
+    refused: tuple[str, ...] = ()
     bound: float = np.inf
-    terrain: HeightMap | None = field(default=None, repr=False)
-    robot: Robot | None = field(default=None, repr=False)
-    _motion: Motion | None = field(default=None, repr=False, init=False)
 
     @property
     def solved(self) -> bool:
         return self.status == Status.SOLVED
 
+    @property
+    def steps(self) -> int:
+        """Number of steps."""
+        return sum(action.stepping_foot is not None for action in self.actions)
+
     def explain(self) -> str:
-        """What came out and why, in words for an operator; one line."""
-        return explain(self)
+        """The plan, or the reason for its absence, in words for an operator; one line."""
+        if self.solved:
+            return explain_plan(self.terrain, self.robot, self.states, self.actions, self.action_costs)
+        return explain_ending(self.status, self.stats, self.problems, self.refused)
 
     def refine(self) -> Motion:
-        """What the robot does to follow the plan: base and feet in each configuration, every one of them checked.
+        """The motion that follows the plan: base and feet in each configuration, all checked.
 
         Raises:
-            InputError: if there is no plan.
-            RefinementError: if an action cannot be carried out; it says which and why. ``Planner.plan(...,
-                refinable=True)`` looks for a plan without such actions.
+            InputError: without a plan.
+            RefinementError: the robot cannot carry out an action; the message names the action and the reason.
+                ``Planner.plan(..., refinable=True)`` looks for a plan without it.
         """
         if not self.solved:
             raise InputError(f"there is no plan to refine: {self.explain()}")
-        if self._motion is None:
-            self._motion = refine(self.terrain, self.robot, self.states, self.actions)
         return self._motion
 
+    @cached_property
+    def _motion(self) -> Motion:
+        return refine(self.terrain, self.robot, self.states, self.actions)
+
     def show(self, path: str | Path | None = None):
-        """Draw the plan on its terrain: saved as PNG if a path is given, else returned as a matplotlib figure."""
+        """Draw the plan on its terrain: a PNG with ``path``, else a matplotlib figure."""
         from hdsp.viz import planned_path_figure, save_planned_path
 
         if path is None:
-            return planned_path_figure(self.terrain, self, self.robot)
-        return save_planned_path(self.terrain, self, self.robot, path)
+            return planned_path_figure(self.terrain, self.states, self.actions, self.robot)
+        return save_planned_path(self.terrain, self.states, self.actions, self.robot, path)
+
+    def renewed(self, stats: dict[str, Any] | None = None, **changes) -> Plan:
+        """A copy with other statistics and other attributes than states, actions, terrain and robot."""
+        copy = replace(self, stats=replace(self.stats, **(stats or {})), **changes)
+        if "_motion" in self.__dict__:
+            copy.__dict__["_motion"] = self._motion
+        return copy

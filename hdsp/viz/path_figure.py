@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.detailed.actions.action import Action
 from hdsp.robot.robot import FEET as FOOT_NAMES
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -31,15 +32,27 @@ from hdsp.viz.style import (
     save,
 )
 
-if TYPE_CHECKING:
-    from hdsp.planning.plans import Plan
-
 _TRACKS = (VERMILLION, BLUE, GREEN, PURPLE, ORANGE, SKY, BLACK)
+
+
+class DrawnPath(NamedTuple):
+    """A path to draw.
+
+    Attributes:
+        states: float [n, 7] in world coordinates; [0, 7] without a path.
+        actions: the n - 1 actions between the states.
+        cost: cost, unitless.
+    """
+
+    states: np.ndarray
+    actions: Sequence[Action]
+    cost: float
 
 
 def save_planned_path(
     terrain: HeightMap,
-    plan: Plan,
+    states: np.ndarray,
+    actions: Sequence[Action],
     robot: Robot,
     path: str | os.PathLike,
     title: str | None = None,
@@ -50,8 +63,9 @@ def save_planned_path(
 
     Args:
         terrain: the map of the plan.
-        plan: object with `states` float [n, 7] in world coordinates and `actions` (n - 1 names). Without states (no
-            plan was found), only map, start and goal are drawn.
+        states: float [n, 7] in world coordinates. Without states (no plan was found), only map, start and goal are
+            drawn.
+        actions: the n - 1 actions between the states.
         robot: the plan's robot.
         path: PNG path.
         title: figure title.
@@ -61,12 +75,19 @@ def save_planned_path(
     Raises:
         InputError: if there is neither a path nor a start to draw.
     """
-    return save(planned_path_figure(terrain, plan, robot, title, start, goal), path)
+    return save(planned_path_figure(terrain, states, actions, robot, title, start, goal), path)
 
 
-def planned_path_figure(terrain: HeightMap, plan: Plan, robot: Robot, title: str | None = None, start=None, goal=None):
+def planned_path_figure(
+    terrain: HeightMap,
+    states: np.ndarray,
+    actions: Sequence[Action],
+    robot: Robot,
+    title: str | None = None,
+    start=None,
+    goal=None,
+):
     """Draws a plan as a matplotlib figure; see `save_planned_path` for the arguments."""
-    states = np.asarray(plan.states if plan.states is not None else [], float).reshape(-1, 7)
     start = states[0] if start is None and len(states) else start
     goal = states[-1] if goal is None and len(states) else goal
     if start is None:
@@ -76,7 +97,7 @@ def planned_path_figure(terrain: HeightMap, plan: Plan, robot: Robot, title: str
     axes = made.subplots()
     image = draw_terrain(axes, terrain)
     if len(states):
-        draw_path(axes, states, list(plan.actions), robot)
+        draw_path(axes, states, actions, robot)
     draw_pose(axes, start, START, label="start")
     if goal is not None:
         draw_pose(axes, goal, GOAL, label="goal")
@@ -92,7 +113,7 @@ def planned_path_figure(terrain: HeightMap, plan: Plan, robot: Robot, title: str
 
 def save_planned_paths(
     terrain: HeightMap,
-    plans: Mapping[str, Plan],
+    paths: Mapping[str, DrawnPath],
     tasks: Mapping[str, tuple],
     robot: Robot,
     path: str | os.PathLike,
@@ -102,7 +123,7 @@ def save_planned_paths(
 
     Args:
         terrain: the map of the plans.
-        plans: plans by task name; the legend marks a plan without states as having no path.
+        paths: paths by task name; the legend names tasks without a path.
         tasks: (start, goal) by name; poses (x, y, theta) in m and rad.
         robot: the plans' robot.
         path: PNG path.
@@ -118,21 +139,21 @@ def save_planned_paths(
     image = draw_terrain(axes, terrain)
     for number, (name, (start, goal)) in enumerate(tasks.items()):
         color = _TRACKS[number % len(_TRACKS)]
-        states = np.asarray(plans[name].states, float).reshape(-1, 7)
-        label = f"{name}: cost {plans[name].cost:.2f}" if len(states) else f"{name}: no path"
+        states, actions, cost = paths[name]
+        label = f"{name}: cost {cost:.2f}" if len(states) else f"{name}: no path"
         # A small offset separates paths over the same ground.
         axes.plot(*(states[:, :2].T + 0.012 * (number % 3 - 1)), color=color, linewidth=1.8, zorder=4, label=label)
         feet = robot.foot_positions(states)
-        for index, action in enumerate(plans[name].actions):
-            if action.startswith("step "):
-                foot = FOOT_NAMES.index(action.split()[1])
+        for index, action in enumerate(actions):
+            if (foot := action.stepping_foot) is not None:
                 axes.plot(*feet[index + 1, foot], "*", color=color, markersize=6, markeredgewidth=0, zorder=7)
         if len(states):
             draw_robot(axes, states[-1], robot, color)
         draw_pose(axes, start, START)
         draw_pose(axes, goal, color)
-        look = {"textcoords": "offset points", "color": color, "fontsize": 10, "fontweight": "bold", "zorder": 9}
-        axes.annotate(name, goal[:2], (22, -8), **look)
+        axes.annotate(
+            name, goal[:2], (22, -8), textcoords="offset points", color=color, fontsize=10, fontweight="bold", zorder=9
+        )
     axes.plot([], [], "*", color=BLACK, label="landing of a step", linestyle="none")
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
@@ -142,7 +163,7 @@ def save_planned_paths(
     return save(made, path)
 
 
-def draw_path(axes, states: np.ndarray, actions: list[str], robot: Robot, spacing: float = 0.6) -> None:
+def draw_path(axes, states: np.ndarray, actions: Sequence[Action], robot: Robot, spacing: float = 0.6) -> None:
     """Draws a path, detailed states [n, 7] with n - 1 actions, on axes in world metres.
 
     The robot is drawn about every `spacing` metres of the path and before each group of steps. A half turn counts like
@@ -158,10 +179,10 @@ def draw_path(axes, states: np.ndarray, actions: list[str], robot: Robot, spacin
 
     stepped = False
     for index, action in enumerate(actions):
-        if not action.startswith("step "):
+        stepping = action.stepping_foot
+        if stepping is None:
             continue
-        foot = FOOT_NAMES.index(action.split()[1])
-        (x0, y0), (x1, y1) = feet[index, foot], feet[index + 1, foot]
+        (x0, y0), (x1, y1) = feet[index, stepping], feet[index + 1, stepping]
         axes.annotate(
             "", (x1, y1), (x0, y0), zorder=7,
             arrowprops={"arrowstyle": "-|>", "color": VERMILLION, "linewidth": 1.2, "mutation_scale": 8,
@@ -172,14 +193,14 @@ def draw_path(axes, states: np.ndarray, actions: list[str], robot: Robot, spacin
         stepped = True
 
 
-def _shown(states: np.ndarray, actions: list[str], spacing: float) -> list[int]:
+def _shown(states: np.ndarray, actions: Sequence[Action], spacing: float) -> list[int]:
     """Indices of states at which the robot is drawn."""
     moved = np.hypot(*np.diff(states[:, :2], axis=0).T)
     turned = np.abs(np.angle(np.exp(1j * np.diff(states[:, 2])))) * (spacing / np.pi)
     way = np.concatenate([[0.0], np.cumsum(moved + turned)])
     chosen, last, since_step = [0], 0.0, np.inf
     for index in range(1, len(states) - 1):
-        is_step = actions[index].startswith("step ")
+        is_step = actions[index].stepping_foot is not None
         begins = is_step and since_step > spacing / 2
         since_step = 0.0 if is_step else since_step + way[index] - way[index - 1]
         if (begins or way[index] - last >= spacing) and way[-1] - way[index] > spacing / 2:

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from hdsp.detailed.actions.action import BASE_FORWARD, FOOT_MOVE, STEP, TURN_LEFT
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, successors
-from hdsp.detailed.states import BASE_FORWARD, FOOT_MOVE, STEP, TURN_LEFT, pack_states, unpack_states
+from hdsp.detailed.states import pack_states, unpack_states
 from hdsp.detailed.world.world import World, build_world
 from hdsp.robot.lattice import DRIVE_MOVES
 from hdsp.robot.robot import Robot

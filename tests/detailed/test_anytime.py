@@ -15,6 +15,7 @@ from hdsp.detailed.search.outcome import Limits
 from hdsp.detailed.search.store import Store
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import build_world
+from hdsp.planning.refinable import RefusedSteps
 from tests.detailed.instances import action_tuple, blocky, near_edges, toy, valid_states
 from tests.detailed.test_refinable import refusing, steps_of
 from tests.detailed.test_refine import with_bar
@@ -285,19 +286,17 @@ def test_it_may_be_left_at_any_time_and_does_not_disturb_other_queries(planner):
 
 def test_steps_that_cannot_be_carried_out_are_refused_and_the_rounds_go_on(planner, monkeypatch):
     """The test lets the first two plans fail at their first action."""
-    refused = []
 
-    def refuses(plan, banned, words):
-        if len(refused) < 2:
-            refused.append(plan.cost)
-            words.append("no")
-            return banned
-        return None
+    def refuses(self, plan):
+        if len(self.words) < 2:
+            self.words.append("no")
+            return True
+        return False
 
-    monkeypatch.setattr(planner, "_ban_what_cannot_be_done", refuses)
+    monkeypatch.setattr(RefusedSteps, "refuse_from", refuses)
     plans = list(planner.improve(START, GOAL, refinable=True))
     assert_each_is_news(plans)
-    assert plans[0].refused == ["no", "no"] and plans[-1].bound == 1
+    assert plans[0].refused == ("no", "no") and plans[-1].bound == 1
 
 
 def test_all_plans_can_be_carried_out_if_asked_for(monkeypatch):
@@ -308,6 +307,6 @@ def test_all_plans_can_be_carried_out_if_asked_for(monkeypatch):
     refusing({unwanted}, monkeypatch)
     plans = list(planner.improve(start, goal, (2.0, 1.5), refinable=True, expansions=200_000))
     assert_each_is_news(plans)
-    assert unwanted[0] in plans[-1].refused[0]
+    assert str(unwanted[0]) in plans[-1].refused[0]
     assert all(unwanted not in steps_of(plan) and plan.refine().check() == [] for plan in plans)
     assert plans[-1].stats["expansions"] <= 200_000

@@ -79,7 +79,7 @@ def test_positions_between_two_cells_go_forward_and_toward_the_body():
 
 
 def test_moves_are_sampled_at_least_once_a_cell():
-    for (dx, dy), first, count in zip(DRIVE_MOVES, MOVE_SAMPLES.first, MOVE_SAMPLES.count, strict=True):
+    for (dx, dy), first, count in zip(DRIVE_MOVES, MOVE_SAMPLES.first, MOVE_SAMPLES.counts, strict=True):
         rows = MOVE_SAMPLES.displacement[first : first + count]
         n = math.floor(math.hypot(dx, dy)) + 1
         assert len(rows) == n - 1

@@ -4,11 +4,10 @@ import pytest
 
 import hdsp.planning.plans
 from hdsp import Planner, RefinementError, Status
+from hdsp.detailed.actions.action import BASE_FORWARD, STEP, ActionKind, action_of
 from hdsp.detailed.actions.state_costs import foot_row
 from hdsp.detailed.motion.refinement import ban, last_step
-from hdsp.detailed.states import STEP, action_name
 from hdsp.detailed.world.world import cell_index
-from hdsp.robot.robot import FEET
 from tests.detailed.instances import successor_arrays
 from tests.detailed.test_refine import stretched, with_bar
 
@@ -21,7 +20,8 @@ def planner():
 
 
 def steps_of(plan):
-    return [(action, *plan.states[k].round(6)) for k, action in enumerate(plan.actions) if action.startswith("step ")]
+    steps = [k for k, action in enumerate(plan.actions) if action.kind is ActionKind.STEP]
+    return [(plan.actions[k], *plan.states[k].round(6)) for k in steps]
 
 
 def refusing(refused_steps, monkeypatch):
@@ -46,7 +46,7 @@ def test_a_step_that_cannot_be_carried_out_is_reported_and_avoided(planner, monk
     plan = planner.plan(START, GOAL, weight=2, refinable=True)
     assert plan.solved and unwanted not in steps_of(plan)
     assert len(plan.refused) == len(asked) - 1 >= 1
-    assert unwanted[0] in plan.refused[0] and "the test says so" in plan.refused[0]
+    assert str(unwanted[0]) in plan.refused[0] and "the test says so" in plan.refused[0]
     assert plan.refine().check() == [] and len(asked) == len(plan.refused) + 1  # the motion is kept
     assert plan.stats["expansions"] > before.stats["expansions"]
     assert len(planner.world.banned) == 0
@@ -55,7 +55,7 @@ def test_a_step_that_cannot_be_carried_out_is_reported_and_avoided(planner, monk
 
 def test_a_plan_whose_steps_can_all_be_carried_out_stays_as_it_is(planner):
     plain, refinable = (planner.plan(START, GOAL, weight=2, refinable=wanted) for wanted in (False, True))
-    assert refinable.refused == [] and plain.actions == refinable.actions
+    assert refinable.refused == () and plain.actions == refinable.actions
 
 
 def test_what_cannot_be_carried_out_without_a_step_to_blame_is_an_error(planner, monkeypatch):
@@ -77,7 +77,7 @@ def test_legs_too_short_for_any_step_leave_no_plan():
 
 def kernel_steps(world, state):
     _, _, codes = successor_arrays(world, state)
-    return sorted(action_name(int(code)) for code in codes if code >= STEP)
+    return sorted((action_of(int(code)) for code in codes if code >= STEP), key=str)
 
 
 def test_a_ban_takes_one_step_of_a_foot_and_grows_when_it_fails_again(planner):
@@ -88,9 +88,9 @@ def test_a_ban_takes_one_step_of_a_foot_and_grows_when_it_fails_again(planner):
     before = kernel_steps(world, state)
     assert action in before
     banned = ban(world.banned, world, planner.grid, plan.states[k], action)
-    assert kernel_steps(world._replace(banned=banned), state) == [name for name in before if name != action]
+    assert kernel_steps(world._replace(banned=banned), state) == [step for step in before if step != action]
 
-    foot = FEET.index(action.split()[1])
+    foot = action.stepping_foot
     near = state.copy()
     near[3 + (foot + 1) % 4] += 1  # another foot a cell farther
     tolerance = [0]
@@ -106,5 +106,5 @@ def test_a_ban_takes_one_step_of_a_foot_and_grows_when_it_fails_again(planner):
 
 
 def test_the_last_step_before_an_action_is_to_blame():
-    actions = ["drive", "step front_left +0.250", "base_shift forward", "step rear_left +0.250"]
+    actions = [action_of(code) for code in (0, STEP + 26, BASE_FORWARD, STEP + 32 + 26)]
     assert [last_step(actions, k) for k in (-1, 0, 1, 2, 3)] == [None, None, 1, 1, 3]

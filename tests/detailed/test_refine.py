@@ -28,7 +28,7 @@ def stretched(**legs):
 @pytest.fixture(scope="module")
 def plan():
     plan = Planner(with_bar(), heuristic="manual").plan((0.5, 0.75, 0.0), (1.6, 0.75, 0.0), weight=2)
-    assert plan.solved and sum(action.startswith("step ") for action in plan.actions) == 4
+    assert plan.solved and plan.steps == 4
     return plan
 
 
@@ -67,7 +67,7 @@ def test_a_step_lifts_one_foot_over_the_bar(plan, motion):
     for k, action in enumerate(plan.actions):
         rows = motion.action == k
         lifted = ~motion.carries[rows]
-        if not action.startswith("step "):
+        if action.stepping_foot is None:
             assert not lifted.any()
             continue
         assert (lifted.sum(axis=0) > 0).sum() == 1 and lifted.sum(axis=1).max() == 1
@@ -124,7 +124,7 @@ def test_a_step_beyond_the_legs_is_refused_by_name(plan):
         RefinementError, match=r"step \w+ \+0\.\d+ at .* cannot be carried out.*0\.6 to 0\.68 m"
     ) as error:
         refine(plan.terrain, stretched(min_length=0.6, max_length=0.68), plan.states, plan.actions)
-    assert plan.actions[error.value.action].startswith("step ")
+    assert plan.actions[error.value.action].stepping_foot is not None
     assert "\n" not in str(error.value)
 
 

@@ -3,9 +3,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from hdsp.detailed.actions.action import Action, ActionKind, action_of, undo
 from hdsp.detailed.actions.state_costs import state_cost
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.states import action_name, pack_states, undo, unpack_states
+from hdsp.detailed.states import pack_states, unpack_states
 from hdsp.detailed.world.world import build_world
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -105,7 +106,7 @@ def test_undo_inverts_every_action(robot):
             keys, _, actions = successor_arrays(world, state)
             for reached, action in zip(keys, actions, strict=True):
                 back = undo(np.int64(reached), action, t.move_dx, t.move_dy, t.shifts)
-                assert back == key, f"{action_name(int(action))} from {state}"
+                assert back == key, f"{action_of(int(action))} from {state}"
                 kinds[action_tuple(int(action))[0]] += 1
     assert len(kinds) == 5, kinds
 
@@ -119,8 +120,11 @@ def test_states_survive_packing():
 
 
 def test_action_names_say_what_moves_and_how_far():
-    assert [action_name(code) for code in (0, 20, 21, 22, 23, 30, 31)] == [
+    assert [str(action_of(code)) for code in (0, 20, 21, 22, 23, 30, 31)] == [
         "drive", "turn_left", "turn_right", "foot_move front_left +0.025", "foot_move front_left -0.025",
         "base_shift forward", "base_shift backward",
     ]  # fmt: skip
-    assert action_name(32 + 32 * 2 + 16 - 7) == "step rear_right -0.175"
+    step = action_of(32 + 32 * 2 + 16 - 7)
+    assert step == Action(ActionKind.STEP, "rear_right", pytest.approx(-0.175)) and step.stepping_foot == 2
+    assert str(step) == "step rear_right -0.175"
+    assert action_of(22).stepping_foot is None

@@ -83,4 +83,4 @@ def test_it_steps_up_where_it_cannot_drive():
     heights = flat.heights.copy()
     heights[55:] = 0.1
     plan = Planner(HeightMap(heights), "anymal_wheels").plan((0.8, 1.0, 0.0), (1.95, 1.0, 0.0), weight=1.5)
-    assert plan.solved and any(action.startswith("step ") for action in plan.actions)
+    assert plan.solved and plan.steps

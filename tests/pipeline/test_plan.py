@@ -1,12 +1,13 @@
 """The planning experiment: its terrain, and the record for each search."""
 
 import json
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hdsp.base.errors import InputError
+from hdsp.detailed.actions.action import Action, ActionKind
 from hdsp.planning.planner import Planner
 from hdsp.robot.robot import Robot
 from hdsp.terrain.arenas import read_arena
@@ -60,7 +61,7 @@ def test_a_path_of_the_arena_is_checked_against_its_blocks(config):
     assert in_words(run).startswith("VII, geometric, W = 2: solved, cost") and in_words(run).endswith(", free")
 
     states = np.array([[5.2, y, np.pi / 2, 0, 0, 0, 0] for y in np.arange(5.0, 9.99, 0.1)])
-    through = SimpleNamespace(**{**vars(result), "states": states, "actions": ["drive"] * 49, "solved": True})
+    through = replace(result, states=states, actions=(Action(ActionKind.DRIVE),) * 49)
     wall = describe("I", "manual", 2.0, through, 1.0) | checked(arena, through, ROBOT)
     assert wall["collision_free"] is False and "1.20 m high" in wall["collisions"][0]
     assert "COLLIDES" in in_words(wall)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hdsp.base.errors import InputError
+from hdsp.detailed.actions.action import Action, ActionKind
 from hdsp.planning.collisions import FOOT_RADIUS, check_plan
 from hdsp.planning.planner import Planner
 from hdsp.robot.robot import Robot
@@ -19,7 +20,7 @@ FOOT_OUT = ROBOT.feet.neutral_y + FOOT_RADIUS  # lateral distance from the base 
 
 def drive(*poses, feet=(0.0, 0.0, 0.0, 0.0)):
     states = np.array([[*pose, *feet] for pose in poses])
-    return SimpleNamespace(states=states, actions=["drive"] * (len(states) - 1))
+    return SimpleNamespace(states=states, actions=(Action(ActionKind.DRIVE),) * (len(states) - 1))
 
 
 def straight(length=1.0, y=0.0, heading=0.0):
@@ -94,10 +95,11 @@ def test_ramps_may_be_driven_up_but_not_into_from_the_side():
 def test_a_plan_up_stairs_is_free_and_the_same_without_steps_is_not():
     arena = Arena(4.0, Scene((Staircase(2.0, 2.0, 0.0, steps=1, rise=0.2, tread=0.3, width=2.0, depth=1.9),)))
     plan = Planner(arena.height_map()).plan((1.3, 2.0, 0.0), (2.8, 2.0, 0.0), weight=2.0)
-    assert plan.solved and any(action.startswith("step ") for action in plan.actions)
+    assert plan.solved and plan.steps
     assert check_plan(arena, plan, ROBOT).free
     through = SimpleNamespace(
-        states=drive(*[(x, 2.0, 0.0) for x in np.arange(1.3, 2.8, 0.1)]).states, actions=["drive"] * 14
+        states=drive(*[(x, 2.0, 0.0) for x in np.arange(1.3, 2.8, 0.1)]).states,
+        actions=(Action(ActionKind.DRIVE),) * 14,
     )
     assert not check_plan(arena, through, ROBOT).free
 

@@ -7,7 +7,8 @@ from hdsp.detailed.relaxed.foothold_regions import efforts_to
 from hdsp.detailed.search.estimate import estimate
 from hdsp.detailed.states import pack_states
 from hdsp.detailed.world.world import build_world, cell_index
-from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, changed_cells, standing_states
+from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, standing_states
+from hdsp.planning.map_changes import changed_cells
 from hdsp.robot.lattice import (
     ABSTRACT_ACTIONS,
     CELLS_PER_ABSTRACT,

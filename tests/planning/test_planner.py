@@ -9,6 +9,7 @@ from hdsp.abstract import FlatCosts, ManualCosts
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world import world_update
 from hdsp.detailed.world.world import build_world
+from hdsp.planning import query
 from hdsp.planning.heuristics import GeometricHeuristic
 from hdsp.robot.lattice import RESOLUTION
 from tests.detailed.instances import toy
@@ -70,7 +71,7 @@ def test_states_are_expanded_again_for_a_heuristic_that_is_admissible_but_not_co
         return solve(*args, reopen=reopen, **settings)
 
     least, asked = flat.plan(START, GOAL).cost, []
-    monkeypatch.setattr(hdsp.planning.planner, "solve", watched)
+    monkeypatch.setattr(query, "solve", watched)
     for heuristic, times in ((GeometricHeuristic(flat.world), 1), (Uneven(flat.world), 0), (FlatCosts("momaro"), 1)):
         asked.clear()
         plan = Planner(flat.terrain, heuristic=heuristic).plan(START, GOAL, weight=1.5)
@@ -92,7 +93,7 @@ def test_an_overestimating_heuristic_never_proves_a_cost_limit(flat):
 def test_a_start_in_a_wall_is_explained_by_the_foot():
     plan = Planner(with_wall()).plan((1.12, 1.25, 0.0, 0, 0, 0, 0), (1.9, 1.25, 0.0))
     assert plan.status == Status.INVALID_START and not plan.solved
-    assert np.isinf(plan.cost) and plan.states.shape == (0, 7) and plan.actions == []
+    assert np.isinf(plan.cost) and plan.states.shape == (0, 7) and plan.actions == ()
     assert "start" in plan.explain() and "rear_left foot cannot stand at (0.79, 1.51) m" in plan.explain()
     assert "\n" not in plan.explain()
 

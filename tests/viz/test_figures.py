@@ -1,14 +1,14 @@
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from hdsp.base.errors import InputError
+from hdsp.detailed.actions.action import Action, ActionKind
 from hdsp.labels.tasks import FIELDS, TaskSet
 from hdsp.robot.lattice import robot_frame_goals
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.viz import (
+    DrawnPath,
     draw_terrain,
     save_example_patches,
     save_planned_path,
@@ -21,6 +21,7 @@ from hdsp.viz.patch_figure import JUDGEMENTS, spread
 from hdsp.viz.style import figure
 
 MOMARO = Robot.load("momaro")
+DRIVE, STEP = Action(ActionKind.DRIVE), Action(ActionKind.STEP, "front_left", 0.2)
 
 
 def is_picture(path, least_side=200):
@@ -115,8 +116,7 @@ def test_planning_bars_show_solved_and_unsolved_searches(tmp_path):
 
 def test_all_paths_of_an_arena_are_drawn_and_tasks_without_one_are_named(tmp_path):
     states = np.array([[1.0, 1.0, 0.0, 0, 0, 0, 0], [1.1, 1.0, 0.0, 0, 0, 0, 0], [1.1, 1.0, 0.0, 0.2, 0, 0, 0]])
-    found = SimpleNamespace(states=states, actions=["drive", "step front_left +0.200"], cost=0.4)
-    none = SimpleNamespace(states=np.empty((0, 7)), actions=[], cost=np.inf)
+    found, none = DrawnPath(states, (DRIVE, STEP), 0.4), DrawnPath(np.empty((0, 7)), (), np.inf)
     tasks = {"I": ((1.0, 1.0, 0.0), (1.1, 1.0, 0.0)), "II": ((1.0, 1.0, 0.0), (1.8, 1.5, 1.0))}
     terrain = HeightMap.flat((80, 80))
     picture = save_planned_paths(terrain, {"I": found, "II": none}, tasks, MOMARO, tmp_path / "paths.png", "trained")
@@ -147,13 +147,13 @@ def test_a_planned_path_with_steps(tmp_path):
     states[:, 0] = np.linspace(0.4, 1.5, 12)
     states[:, 1] = 0.7
     states[6:, 3] = 0.2
-    plan = SimpleNamespace(states=states, actions=["drive"] * 5 + ["step front_left +0.200"] + ["drive"] * 5)
-    assert is_picture(save_planned_path(terrain, plan, MOMARO, tmp_path / "path.png", "a step"))
+    actions = [DRIVE] * 5 + [STEP] + [DRIVE] * 5
+    assert is_picture(save_planned_path(terrain, states, actions, MOMARO, tmp_path / "path.png", "a step"))
 
 
 def test_without_a_path_start_and_goal_are_drawn(tmp_path):
-    terrain, plan = HeightMap.flat((80, 60)), SimpleNamespace(states=None, actions=[])
+    terrain, plan = HeightMap.flat((80, 60)), (np.empty((0, 7)), ())
     picture = tmp_path / "none.png"
     with pytest.raises(InputError, match="start"):
-        save_planned_path(terrain, plan, MOMARO, picture)
-    assert is_picture(save_planned_path(terrain, plan, MOMARO, picture, start=(0.5, 0.5, 0.0), goal=(1.5, 1.0, 1.0)))
+        save_planned_path(terrain, *plan, MOMARO, picture)
+    assert is_picture(save_planned_path(terrain, *plan, MOMARO, picture, start=(0.5, 0.5, 0.0), goal=(1.5, 1.0, 1.0)))

@@ -9,8 +9,9 @@ Whether steps and base shifts also go backward is up to the robot.
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.detailed.actions.action import BASE_BACKWARD, BASE_FORWARD, foot_move_code, step_code
 from hdsp.detailed.actions.state_costs import foot_row, merged_cost, separated, supported
-from hdsp.detailed.states import BASE_BACKWARD, BASE_FORWARD, FOOT_MOVE, STEP, pack, unpack
+from hdsp.detailed.states import foot_offset, foot_shift, pack, unpack
 from hdsp.detailed.world.world import body_is_free, cell_index, step_effort, step_fits
 from hdsp.robot.lattice import HEADINGS
 
@@ -42,8 +43,8 @@ def _foot_moves(world, key, unevenness, out_key, out_cost, out_action, n):
     ix, iy, heading, _, _, _, _ = unpack(key)
     p = cell_index(world, ix, iy)
     for i in range(4):
-        shift = 15 - 5 * i
-        offset = (key >> shift) & 0x1F
+        shift = foot_shift(i)
+        offset = foot_offset(key, shift)
         before = unevenness[0] if i == 0 else unevenness[1] if i == 1 else unevenness[2] if i == 2 else unevenness[3]
         for backward in range(2):
             change = 1 - 2 * backward
@@ -57,7 +58,7 @@ def _foot_moves(world, key, unevenness, out_key, out_cost, out_action, n):
                 continue
             out_key[n] = new
             out_cost[n] = price * (1.0 + 10.0 * k * 0.5 * (np.float64(before) + reached))
-            out_action[n] = FOOT_MOVE + 2 * i + backward
+            out_action[n] = foot_move_code(i, backward)
             n += 1
     return n
 
@@ -105,8 +106,8 @@ def _steps(world, key, unevenness, out_key, out_cost, out_action, n):
     p = cell_index(world, ix, iy)
     cost = merged_cost(c.unevenness, unevenness[0], unevenness[1], unevenness[2], unevenness[3])
     for i in range(4):
-        shift = 15 - 5 * i
-        offset = (key >> shift) & 0x1F
+        shift = foot_shift(i)
+        offset = foot_offset(key, shift)
         at = p + feet[foot_row(t, heading, i, offset)]
         possible = steps[at]
         if possible == 0 or not supported(c, t.lowest, i, o0, o1, o2, o3):
@@ -145,7 +146,7 @@ def _steps(world, key, unevenness, out_key, out_cost, out_action, n):
                 effort = step_effort(c.step, c.step_per_metre, c.step_per_height, length, before, after)
                 out_key[n] = new
                 out_cost[n] = effort * 0.5 * (cost + merged_cost(c.unevenness, s0, s1, s2, s3))
-                out_action[n] = STEP + 32 * i + 16 + sign * length
+                out_action[n] = step_code(i, sign * length)
                 n += 1
                 break  # the nearest foothold; from there the foot can roll
     return n

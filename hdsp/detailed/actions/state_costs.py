@@ -59,18 +59,6 @@ def separated(constants, key):
 
 
 @njit(inline="always")
-def level(world, key):
-    """Whether the feet of a packed state stand at about the same height."""
-    t = world.tables
-    height, feet, n_offsets, n_samples = world.height, t.feet, t.n_offsets, t.n_samples
-    ix, iy, heading, o0, o1, o2, o3 = unpack(key)
-    p = cell_index(world, ix, iy)
-    p0, p1, p2, p3 = feet_cells(p, feet, n_offsets, n_samples, heading, o0, o1, o2, o3)
-    h0, h1, h2, h3 = height[p0], height[p1], height[p2], height[p3]
-    return max(max(h0, h1), max(h2, h3)) - min(min(h0, h1), min(h2, h3)) <= world.constants.level
-
-
-@njit(inline="always")
 def supported(constants, lowest, lifted, o0, o1, o2, o3):
     """Whether the base centre lies in the triangle of the three feet that stay, ``support_margin`` cells inside its
     edges."""

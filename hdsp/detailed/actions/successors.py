@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.detailed.actions.action import DRIVES, TURN_LEFT, TURN_RIGHT
 from hdsp.detailed.actions.manoeuvres import manoeuvres
 from hdsp.detailed.actions.state_costs import feet_cells
-from hdsp.detailed.states import FEET_MASK, TURN_LEFT, TURN_RIGHT, neutral_feet, unpack
+from hdsp.detailed.states import FEET_MASK, HEADING_SHIFT, neutral_feet, unpack
 from hdsp.detailed.world.world import FREE, cell_index, look_at_body
 from hdsp.robot.lattice import HEADINGS
 
@@ -121,7 +122,7 @@ def _drives(world, key, heading, p, rows, price, out_key, out_cost, out_action):
     p0, p1, p2, p3 = p + contacts[r0], p + contacts[r1], p + contacts[r2], p + contacts[r3]
     b = heading * len(world.standable) + p
     n = 0
-    for m in range(20):
+    for m in range(DRIVES):
         if price[m] == _INF:
             continue
         step = t.move_flat[m]
@@ -170,7 +171,7 @@ def _turns(world, rules, key, heading, p, rows, out_key, out_cost, out_action, n
         there = _summed_unevenness(world.uneven, t.contacts, p, neutral_rows(t, new))
         if body != FREE or there == _INF:
             continue
-        out_key[n] = key + ((new - heading) << 20)
+        out_key[n] = key + ((new - heading) << HEADING_SHIFT)
         out_cost[n] = c.turn * rules.turn_cost_factor * (1.0 + c.turn_unevenness * 0.5 * (here + there))
         out_action[n] = action
         n += 1

@@ -132,12 +132,12 @@ class Motion:
         # Only ground above the plane of the lowest box matters; its columns are sampled from the top down.
         up = turned[:, :, 2]
         plane = (under.min() - (cells - base[:, None, :2]) @ up[:, :2, None])[..., 0] / up[:, 2:]
-        row, near = np.nonzero(heights - base[:, 2:] > plane)
-        top, floor = heights[row, near] - base[row, 2], plane[row, near]
+        row, column = np.nonzero(heights - base[:, 2:] > plane)
+        top, floor = heights[row, column] - base[row, 2], plane[row, column]
         deepest = np.zeros(len(base))
         for share in np.linspace(0, 1, 8):
             height = top + share * np.maximum(floor - top, -_DEEPEST)
-            points = np.concatenate([cells[row, near] - base[row, :2], height[:, None]], axis=1)
+            points = np.concatenate([cells[row, column] - base[row, :2], height[:, None]], axis=1)
             inside = np.einsum("nij,ni->nj", turned[row], points)
             for box, lower in zip(boxes, under, strict=True):
                 hit = (box.x_min < inside[:, 0]) & (inside[:, 0] < box.x_max) & (abs(inside[:, 1]) < box.half_width)

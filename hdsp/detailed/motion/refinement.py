@@ -8,9 +8,12 @@ up, swings over the highest ground on its way, and is lowered straight down.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hdsp.base.errors import RefinementError
+from hdsp.detailed.actions.action import Action, ActionKind
 from hdsp.detailed.actions.state_costs import foot_row
 from hdsp.detailed.motion.motion import PHASES, Motion
 from hdsp.detailed.motion.stance import FOUND, OUT_OF_REACH, UNBALANCED, Ground, find_stance, limits_of, resting_stances
@@ -26,14 +29,14 @@ _ABOVE = 0.002  # m; a swinging foot keeps this much more than its clearance
 ROLL, LEAN, LIFT, SWING, LOWER = range(len(PHASES))
 
 
-def refine(terrain: HeightMap, robot: Robot, states: np.ndarray, actions: list[str]) -> Motion:
+def refine(terrain: HeightMap, robot: Robot, states: np.ndarray, actions: Sequence[Action]) -> Motion:
     """The motion that carries out a plan.
 
     Args:
         terrain: the map it was planned on.
         robot: whose plan it is.
         states: float64 [n, 7], world coordinates.
-        actions: names of the n - 1 actions between them.
+        actions: the n - 1 actions between them.
 
     Returns:
         a motion without problems.
@@ -44,13 +47,13 @@ def refine(terrain: HeightMap, robot: Robot, states: np.ndarray, actions: list[s
     return _Refinement(terrain, robot, np.asarray(states, float), actions).motion()
 
 
-def last_step(actions: list[str], before: int) -> int | None:
+def last_step(actions: Sequence[Action], before: int) -> int | None:
     """Number of the last step among actions 0 to ``before``, inclusive: what an action that cannot be carried out is
     put down to. None if there is none."""
-    return next((k for k in range(before, -1, -1) if actions[k].startswith("step ")), None)
+    return next((k for k in range(before, -1, -1) if actions[k].kind is ActionKind.STEP), None)
 
 
-def ban(banned: np.ndarray, world: World, grid: Grid, state: np.ndarray, action: str) -> np.ndarray:
+def ban(banned: np.ndarray, world: World, grid: Grid, state: np.ndarray, step: Action) -> np.ndarray:
     """Add a step to those that a search must not use (``World.banned``).
 
     A step is banned with the feet as they stand. When the same foot fails again at the same place, feet that stand
@@ -60,10 +63,11 @@ def ban(banned: np.ndarray, world: World, grid: Grid, state: np.ndarray, action:
         banned: int64 [n, 7], so far.
         world, grid: terrain and robot, and where they lie.
         state: float64 [7], world coordinates, from which the foot steps.
-        action: name of the step.
+        step: the step.
     """
     ix, iy, heading, *offsets = (int(v) for v in grid.to_lattice(state[:3], state[3:]))
-    foot = FEET.index(action.split()[1])
+    foot = step.stepping_foot
+    assert foot is not None
     row = foot_row(world.tables, heading, foot, offsets[foot] - world.tables.lowest)
     cell = int(cell_index(world, ix, iy)) + int(world.tables.feet[row])
     again = int((banned[:, :3] == (foot, cell, heading)).all(axis=1).sum())
@@ -91,8 +95,8 @@ class _Refinement:
             raise self._refusal(first - 1, f"on four feet, {self._why(lacking[first], 'the feet')}")
         self._add(0, ROLL, stances[:1], self.feet[:1])
         for k, action in enumerate(self.actions):
-            if action.startswith("step "):
-                self._step(k, FEET.index(action.split()[1]), stances[k], stances[k + 1])
+            if (foot := action.stepping_foot) is not None:
+                self._step(k, foot, stances[k], stances[k + 1])
             else:
                 self._roll(k, stances[k], stances[k + 1])
         motion = self._joined()
@@ -181,7 +185,7 @@ class _Refinement:
 
     def _refusal(self, k: int, why: str) -> RefinementError:
         x, y = self.states[max(k, 0), :2]
-        what = self.actions[k] if k >= 0 else "the start"
+        what = str(self.actions[k]) if k >= 0 else "the start"
         return RefinementError(k, f"{what} at ({x:.2f}, {y:.2f}) m cannot be carried out: {why}")
 
 

@@ -23,7 +23,7 @@ _SLACK = 0.002  # m; what is found keeps limits by this much, so that what lies 
 _LIFT = 0.05  # m; steps in which a base that would touch the ground is raised
 
 
-class Limits(NamedTuple):
+class StanceLimits(NamedTuple):
     """A robot's limits as the kernel reads them, metres and radians."""
 
     hips: np.ndarray  # float64 [4, 3]
@@ -47,10 +47,10 @@ class Ground(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def limits_of(robot: Robot) -> Limits:
+def limits_of(robot: Robot) -> StanceLimits:
     """The limits of a robot for ``find_stance``."""
     s = robot.stance
-    return Limits(
+    return StanceLimits(
         hips=robot.hips(),
         min_length=robot.legs.min_length,
         max_length=robot.legs.max_length,
@@ -171,7 +171,7 @@ def clear(boxes, ground, x, y, z, r):
     """Whether no column of ground reaches into a box of the body, which has no upper end.
 
     Args:
-        boxes: of the body, as in ``Limits``.
+        boxes: of the body, as in ``StanceLimits``.
         ground: heights.
         x, y, z: position of the base.
         r: float64 [3, 3], frame of the base to the world.

@@ -51,9 +51,9 @@ def find_foothold_regions(world: World, rules: Rules, counted_per_cell: float) -
     inner = tuple(slice(world.pad - rounds, world.pad + n + rounds) for n in (world.nx, world.ny))
     wider = binary_dilation(standable[inner], np.ones((3, 3), bool), iterations=rounds)
     regions, count = label(wider, np.ones((3, 3), int))
-    region = np.full(standable.shape, -1, dtype=np.int32)
-    region[inner] = np.where(standable[inner], regions - 1, -1)
-    region = region.ravel()
+    numbers = np.full(standable.shape, -1, dtype=np.int32)
+    numbers[inner] = np.where(standable[inner], regions - 1, -1)
+    region = numbers.ravel()
     effort = np.full((count, count), np.inf, dtype=np.float32)
     np.fill_diagonal(effort, 0)
     if count > 1:

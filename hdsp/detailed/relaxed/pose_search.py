@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.detailed.actions.action import DRIVES, TURN_LEFT, TURN_RIGHT
 from hdsp.detailed.relaxed.bucket_queue import BucketQueue, put, take
 from hdsp.detailed.relaxed.poses import look_at_feet, look_at_pose, stands_on_neutral
-from hdsp.detailed.states import TURN_LEFT, TURN_RIGHT
 from hdsp.robot.lattice import HEADINGS
 
 _NOTHING = np.float32(0)
@@ -106,7 +106,7 @@ def _was_expanded(poses, wave, pose):
 def _drive(world, poses, wave, pose, slot, x, y, so_far):
     nx, ny, move_dx, move_dy = world.nx, world.ny, world.tables.move_dx, world.tables.move_dy
     cut = False
-    for m in range(20):
+    for m in range(DRIVES):
         if wave.backward:
             u, v = x - move_dx[m], y - move_dy[m]
             if not (0 <= u < nx and 0 <= v < ny):

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.detailed.actions.action import POSE_ACTIONS
 from hdsp.detailed.actions.state_costs import feet_cells, foot_row, state_cost
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, pose_successors
 from hdsp.detailed.states import pack
@@ -43,7 +44,7 @@ def new_poses(world: World, center: int, window: int) -> Poses:
     return Poses(
         first=(center - window) % HEADINGS if slots < HEADINGS else 0,
         slots=slots,
-        edge=np.empty((n, 22), dtype=np.float32),
+        edge=np.empty((n, POSE_ACTIONS), dtype=np.float32),
         known=np.zeros(n, dtype=np.bool_),
         stepping=np.zeros(n, dtype=np.bool_),
         some=np.zeros(n, dtype=np.float32),
@@ -53,8 +54,9 @@ def new_poses(world: World, center: int, window: int) -> Poses:
 
 def nodes_of(world: World, poses: Poses, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Layer (0 on neutral feet, 1 on others) and pose of states int64 [n, 7]."""
+    layer = np.any(states[:, 3:] != 0, axis=1)
     slot = (states[:, 2] - poses.first) % HEADINGS
-    return states[:, 3:].any(axis=1).astype(np.int64), (slot * world.nx + states[:, 0]) * world.ny + states[:, 1]
+    return layer.astype(np.int64), (slot * world.nx + states[:, 0]) * world.ny + states[:, 1]
 
 
 @njit(inline="always")

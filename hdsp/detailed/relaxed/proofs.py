@@ -75,7 +75,7 @@ def why_unreachable(
     if holds(reached, goal):
         return None
     around_goal = flood.reached_from(goal, drive_only=True)
-    return _gap_of_base(world, reached.any(axis=0), around_goal.any(axis=0), start, goal)
+    return _gap_of_base(world, (reached != 0).any(axis=0), (around_goal != 0).any(axis=0), start, goal)
 
 
 def _foothold(world: World, state: np.ndarray, foot: int) -> int:

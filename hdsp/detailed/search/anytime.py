@@ -86,7 +86,7 @@ def improve(
             status = search.advance()
             if status is None and found.look():
                 yield found.improvement(order[1])
-            elif status is None and hopeless and not found.plan and search.store.count[EXPANDED] >= ask_after:
+            elif status is None and hopeless and not found.plan and search.store.counts[EXPANDED] >= ask_after:
                 if hopeless():
                     found.lower_bound = np.inf
                     yield found.improvement(order[1], Status.INFEASIBLE)
@@ -94,6 +94,7 @@ def improve(
                 hopeless = None
         found.look(thorough=True)
         last = i + 1 == len(rounds)
+        ended: Status | None
         if found.plan and (found.bound() <= weights[-1] or (last and status not in _CAPS)):
             ended = Status.SOLVED
         else:
@@ -129,7 +130,7 @@ class _Found:
                 self.plan, self.cost = plan, plan.cost
         if better or thorough:
             least = kernel.least_f(store, self.admissible)
-            if store.count[CUT]:
+            if store.counts[CUT]:
                 least = min(least, self.search.limits.cost)
             if np.isfinite(least):
                 least *= max(0.0, 1 - self.rounding * least)

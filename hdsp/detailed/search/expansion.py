@@ -7,11 +7,12 @@ and in the open lists that they fill.
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.detailed.actions.action import START
 from hdsp.detailed.actions.successors import other_successors, pose_successors
 from hdsp.detailed.search.estimate import estimate
 from hdsp.detailed.search.open_list import push
 from hdsp.detailed.search.store import CLOSED, CUT, SEEN, node_of
-from hdsp.detailed.states import FEET_MASK, START
+from hdsp.detailed.states import FEET_MASK
 
 
 @njit(inline="always")
@@ -20,7 +21,7 @@ def begin_at(store, start):
     node = node_of(store, start)
     store.g[node] = 0
     store.action[node] = START
-    store.count[SEEN] = 1
+    store.counts[SEEN] = 1
     return node
 
 
@@ -51,13 +52,13 @@ def relax(store, k, g, cost_limit):
     """
     cost = np.float32(g + store.out_cost[k])
     if cost > cost_limit:
-        store.count[CUT] = 1
+        store.counts[CUT] = 1
         return np.int64(-1)
     node = node_of(store, store.out_key[k])
     before = store.g[node]
     if cost >= before:
         return np.int64(-1)
-    store.count[SEEN] += before == np.inf
+    store.counts[SEEN] += before == np.inf
     store.g[node] = cost
     store.action[node] = store.out_action[k]
     store.flags[node] &= ~np.uint8(CLOSED)

@@ -47,7 +47,7 @@ def insert_start(store, open_list, heuristic, weight, start):
 @njit(allocates=False)
 def push_waiting(store, open_list, heuristic, weight):
     """Begins a round: fills an empty open list with all waiting states."""
-    for node in range(BLOCK, BLOCK * store.count[BLOCKS]):
+    for node in range(BLOCK, BLOCK * store.counts[BLOCKS]):
         store.flags[node] &= ~np.uint8(VISITED)
         if waits(store, node):
             offer(open_list, store, heuristic, weight, key_of(store, node), node)
@@ -61,7 +61,7 @@ def least_f(store, heuristic):
     knows the plan's path. At first, this state is the start; after its expansion, its successor on the plan; and so on.
     """
     least = np.inf
-    for node in range(BLOCK, BLOCK * store.count[BLOCKS]):
+    for node in range(BLOCK, BLOCK * store.counts[BLOCKS]):
         if waits(store, node):
             least = min(least, np.float64(store.g[node]) + estimate(heuristic, key_of(store, node)))
     return least
@@ -88,13 +88,13 @@ def run(world, rules, heuristic, store, open_list, weight, goals, goal_cost, cos
     Returns:
         RUNNING, SOLVED (all goals settled), EXHAUSTED (no state left to expand), OVER_COST_LIMIT or FULL.
     """
-    flags, count = store.flags, store.count
+    flags, count = store.flags, store.counts
     until = count[EXPANDED] + expansions
     while count[EXPANDED] < until:
         if not list_has_room(open_list) or not has_room(store):
             return FULL
-        if open_list.count[NEAR] == 0:
-            if open_list.count[FAR] == 0:
+        if open_list.counts[NEAR] == 0:
+            if open_list.counts[FAR] == 0:
                 return OVER_COST_LIMIT if count[CUT] else EXHAUSTED
             refill(open_list, flags)
             continue

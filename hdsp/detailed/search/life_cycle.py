@@ -115,7 +115,7 @@ class Search:
             if not has_room(self.store):
                 self.store = grown(self.store)
             kernel.mark_goal(self.store, key)
-        self.store.count[GOALS_LEFT] = len(valid)
+        self.store.counts[GOALS_LEFT] = len(valid)
 
     def _set_order(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool) -> None:
         self._heuristic, self._weight, self._reopen = heuristic, float(weight), reopen
@@ -126,7 +126,7 @@ class Search:
 
     def advance(self) -> Status | None:
         """Continues the search for a slice; returns its final status, None if the search continues."""
-        left = self.limits.expansions - int(self.store.count[EXPANDED])
+        left = self.limits.expansions - int(self.store.counts[EXPANDED])
         if left <= 0:
             return Status.EXPANSION_LIMIT
         code = self._run(min(left, _SLICE))
@@ -136,7 +136,7 @@ class Search:
             return Status.MEMORY_LIMIT
         elapsed = time.perf_counter() - self.began
         if self.progress is not None:
-            self.progress(int(self.store.count[EXPANDED]), elapsed)
+            self.progress(int(self.store.counts[EXPANDED]), elapsed)
         return Status.TIME_LIMIT if elapsed > self.limits.time else None
 
     def _run(self, expansions: int) -> int:
@@ -190,7 +190,7 @@ class Search:
 
     def count(self, result: SearchResult) -> None:
         """Writes the resources used so far into a result."""
-        result.expansions, result.seen = int(self.store.count[EXPANDED]), int(self.store.count[SEEN])
+        result.expansions, result.seen = int(self.store.counts[EXPANDED]), int(self.store.counts[SEEN])
         result.memory, result.open_memory = self.nbytes(), self._open_nbytes()
         result.seconds = time.perf_counter() - self.began
 

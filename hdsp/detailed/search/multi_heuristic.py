@@ -124,7 +124,7 @@ class _MultiSearch(Search):
         first = float(first_f(self.lists[0], self.store.flags, self._once)) / self._weight
         # Keys are rounded to single precision; the plan's cost and its lower bound are not.
         least = max(least, first * (1 - 2.0**-23))
-        if self.store.count[CUT]:
+        if self.store.counts[CUT]:
             least = min(least, self.limits.cost)
         return least * max(0.0, 1 - rounding(self.world) * least) if np.isfinite(least) else least
 

@@ -67,7 +67,7 @@ def run(
     Returns:
         A code as in ``kernel.run``.
     """
-    costs, flags, count = store.g, store.flags, store.count
+    costs, flags, count = store.g, store.flags, store.counts
     until = count[EXPANDED] + expansions
     while count[EXPANDED] < until:
         if not _all_have_room(store, anchor_list, guide_lists):

@@ -17,7 +17,7 @@ from hdsp.base.jit import njit
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS
 from hdsp.detailed.search.store import CLOSED
 
-#: Slots in ``OpenList.count``.
+#: Slots in ``OpenList.counts``.
 NEAR, FAR = range(2)
 
 _SAMPLE = 128  # far entries in the sample that sets the bound
@@ -30,7 +30,7 @@ class OpenList(NamedTuple):
     f: np.ndarray  # float32 [room]
     node: np.ndarray  # int32 [room]
     least: np.ndarray  # float32 [4], the last is the bound between near and far
-    count: np.ndarray  # int64 [2], entries near and far
+    counts: np.ndarray  # int64 [2], entries near and far
 
     def nbytes(self) -> int:
         """Total size of all arrays in bytes."""
@@ -43,13 +43,13 @@ def new_open_list() -> OpenList:
         f=np.empty(_ROOM, np.float32),
         node=np.empty(_ROOM, np.int32),
         least=np.full(4, -np.inf, np.float32),
-        count=np.zeros(2, np.int64),
+        counts=np.zeros(2, np.int64),
     )
 
 
 def clear(entries: OpenList) -> None:
     """Removes all entries."""
-    entries.count[:] = 0
+    entries.counts[:] = 0
     entries.least[:] = -np.inf
 
 
@@ -63,7 +63,7 @@ def with_room(entries: OpenList, flags: np.ndarray, more: int) -> OpenList:
     """
     room = _new_room(entries, flags, more)
     if room > len(entries.f):
-        near, far = int(entries.count[NEAR]), int(entries.count[FAR])
+        near, far = int(entries.counts[NEAR]), int(entries.counts[FAR])
         arrays = []
         for array in (entries.f, entries.node):
             longer = np.empty(room, array.dtype)
@@ -83,7 +83,7 @@ def growth_nbytes(entries: OpenList, flags: np.ndarray, more: int) -> int:
 def _new_room(entries: OpenList, flags: np.ndarray, more: int) -> int:
     """Drops outdated entries; returns the array length with room for ``more`` entries."""
     _drop_outdated(entries, flags)
-    room, used = len(entries.f), int(entries.count[NEAR] + entries.count[FAR])
+    room, used = len(entries.f), int(entries.counts[NEAR] + entries.counts[FAR])
     if 5 * (used + more) <= 4 * room:
         return room
     return max(int(1.25 * room), int(1.25 * (used + more)))
@@ -91,7 +91,7 @@ def _new_room(entries: OpenList, flags: np.ndarray, more: int) -> int:
 
 @njit(allocates=False)
 def _drop_outdated(entries, flags):
-    f, nodes, count = entries.f, entries.node, entries.count
+    f, nodes, count = entries.f, entries.node, entries.counts
     first = len(f) - count[FAR]
     for i in range(first, len(f)):
         if flags[nodes[i]] & CLOSED:
@@ -103,18 +103,18 @@ def _drop_outdated(entries, flags):
 @njit(inline="always")
 def list_has_room(entries):
     """Whether the successors of any one state still find room."""
-    return entries.count[NEAR] + entries.count[FAR] + MAX_SUCCESSORS <= len(entries.f)
+    return entries.counts[NEAR] + entries.counts[FAR] + MAX_SUCCESSORS <= len(entries.f)
 
 
 @njit(inline="always")
 def push(entries, f, node):
     """Adds an entry to near or far, depending on its f."""
     if f > entries.least[-1]:
-        entries.count[FAR] += 1
-        at = len(entries.f) - entries.count[FAR]
+        entries.counts[FAR] += 1
+        at = len(entries.f) - entries.counts[FAR]
         entries.f[at], entries.node[at] = f, node
     else:
-        _push_near(entries.f, entries.node, entries.count, f, node)
+        _push_near(entries.f, entries.node, entries.counts, f, node)
 
 
 @njit(inline="always")
@@ -135,8 +135,8 @@ def pop(entries):
     """Removes the first entry from the heap, which must not be empty; returns its node."""
     f_of, node_of = entries.f, entries.node
     top = np.int64(node_of[0])
-    n = entries.count[NEAR] - 1
-    entries.count[NEAR] = n
+    n = entries.counts[NEAR] - 1
+    entries.counts[NEAR] = n
     f, node = f_of[n], node_of[n]
     i = 0
     while True:
@@ -158,7 +158,7 @@ def pop(entries):
 @njit(allocates=False)
 def refill(entries, flags):
     """Moves the first far entries into the heap, which must be empty."""
-    f_of, node_of, count = entries.f, entries.node, entries.count
+    f_of, node_of, count = entries.f, entries.node, entries.counts
     n, first = count[FAR], len(f_of) - count[FAR]
     _sample_least(f_of[first:], entries.least)
     bound = entries.least[-1]
@@ -176,11 +176,11 @@ def refill(entries, flags):
 def first_f(entries, flags, outdated):
     """Least f in an open list, inf if it is empty; drops closed entries and entries with a flag in ``outdated``."""
     while True:
-        while entries.count[NEAR] > 0 and flags[entries.node[0]] & (CLOSED | outdated):
+        while entries.counts[NEAR] > 0 and flags[entries.node[0]] & (CLOSED | outdated):
             pop(entries)
-        if entries.count[NEAR] > 0:
+        if entries.counts[NEAR] > 0:
             return entries.f[0]
-        if entries.count[FAR] == 0:
+        if entries.counts[FAR] == 0:
             return np.float32(np.inf)
         refill(entries, flags)
 

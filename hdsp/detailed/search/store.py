@@ -9,16 +9,17 @@ Both kinds live in blocks of 64 *nodes*, 6 bytes each (cost 4, action 1, flags 1
 of the hash table. The way back is found by undoing actions.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.detailed.actions.action import START, undo
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS
-from hdsp.detailed.states import FEET_MASK, START, pack, undo, unpack
+from hdsp.detailed.states import FEET_MASK, pack, unpack
 from hdsp.robot.lattice import HEADINGS
 
-#: Slots of ``Store.count``.
+#: Slots of ``Store.counts``.
 SEEN, BLOCKS, KEYS, EXPANDED, GOALS_LEFT, CUT = range(6)
 
 #: Bits of ``Store.flags``.
@@ -50,7 +51,7 @@ class Store(NamedTuple):
     key: np.ndarray  # int64 [states off neutral], packed
     key_block: np.ndarray  # int32 [states off neutral / 64], the block that holds their nodes
     slot: np.ndarray  # int32 [power of two], hash table: place in ``key``, -1 = free
-    count: np.ndarray  # int64 [6]; CUT tells whether the cost limit kept a state out
+    counts: np.ndarray  # int64 [6]; CUT tells whether the cost limit kept a state out
     out_key: np.ndarray  # buffers for the successors of one state
     out_cost: np.ndarray
     out_action: np.ndarray
@@ -85,7 +86,7 @@ def new_store(shape: tuple[int, int], neutral: int, blocks: int = 128) -> Store:
         key=np.empty(keys, np.int64),
         key_block=np.empty(keys // BLOCK, np.int32),
         slot=np.full(2 * keys, -1, np.int32),
-        count=count,
+        counts=count,
         out_key=np.empty(MAX_SUCCESSORS, np.int64),
         out_cost=np.empty(MAX_SUCCESSORS, np.float64),
         out_action=np.empty(MAX_SUCCESSORS, np.uint8),
@@ -96,12 +97,12 @@ def new_store(shape: tuple[int, int], neutral: int, blocks: int = 128) -> Store:
 
 def grown(store: Store) -> Store:
     """The same store with more room for states, of whichever kind ran short."""
-    changed = {}
+    changed: dict[str, Any] = {}
     for name, length in _new_lengths(store).items():
         changed[name] = _longer(getattr(store, name), length)
         if name == "slot":
             changed[name][:] = -1
-            _fill_slots(changed[name], store.key, store.count[KEYS])
+            _fill_slots(changed[name], store.key, store.counts[KEYS])
     return store._replace(**changed)
 
 
@@ -112,14 +113,14 @@ def growth_nbytes(store: Store) -> int:
 
 def _new_lengths(store: Store) -> dict[str, int]:
     """Arrays that are too short for the successors of one more state, and their new lengths."""
-    lengths = {}
-    if store.count[BLOCKS] + SPARE_BLOCKS > len(store.origin):
+    lengths: dict[str, int] = {}
+    if store.counts[BLOCKS] + SPARE_BLOCKS > len(store.origin):
         blocks = int(_GROWTH * len(store.origin)) + SPARE_BLOCKS
         lengths |= {"g": BLOCK * blocks, "action": BLOCK * blocks, "flags": BLOCK * blocks, "origin": blocks}
-    if store.count[KEYS] + MAX_SUCCESSORS > len(store.key):
+    if store.counts[KEYS] + MAX_SUCCESSORS > len(store.key):
         blocks = int(_GROWTH * len(store.key_block)) + 4
         lengths |= {"key": BLOCK * blocks, "key_block": blocks}
-    if 4 * (store.count[KEYS] + MAX_SUCCESSORS) > 3 * len(store.slot):
+    if 4 * (store.counts[KEYS] + MAX_SUCCESSORS) > 3 * len(store.slot):
         lengths["slot"] = 2 * len(store.slot)
     return lengths
 
@@ -133,9 +134,9 @@ def _longer(array: np.ndarray, length: int) -> np.ndarray:
 @njit(inline="always")
 def has_room(store):
     """Whether the successors of any one state still find room."""
-    keys = store.count[KEYS] + MAX_SUCCESSORS
+    keys = store.counts[KEYS] + MAX_SUCCESSORS
     return (
-        store.count[BLOCKS] + SPARE_BLOCKS <= len(store.origin)
+        store.counts[BLOCKS] + SPARE_BLOCKS <= len(store.origin)
         and keys <= len(store.key)
         and 4 * keys <= 3 * len(store.slot)
     )
@@ -168,8 +169,8 @@ def _other_node(store, key):
         s = (s + 1) & mask
         at = np.int64(store.slot[s])
     if at < 0:
-        at = store.count[KEYS]
-        store.count[KEYS] += 1
+        at = store.counts[KEYS]
+        store.counts[KEYS] += 1
         if at % BLOCK == 0:
             store.key_block[at // BLOCK] = _new_block(store, -1 - at // BLOCK)
         store.key[at] = key
@@ -179,8 +180,8 @@ def _other_node(store, key):
 
 @njit(inline="always")
 def _new_block(store, where):
-    block = store.count[BLOCKS]
-    store.count[BLOCKS] += 1
+    block = store.counts[BLOCKS]
+    store.counts[BLOCKS] += 1
     store.origin[block] = where
     for node in range(BLOCK * block, BLOCK * (block + 1)):
         store.g[node] = np.inf
@@ -256,7 +257,7 @@ def waits(store, node):
 def count_waiting(store):
     """Number of states that still wait for their expansion."""
     n = 0
-    for node in range(BLOCK, BLOCK * store.count[BLOCKS]):
+    for node in range(BLOCK, BLOCK * store.counts[BLOCKS]):
         n += waits(store, node)
     return n
 

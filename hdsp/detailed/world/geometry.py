@@ -25,12 +25,12 @@ class MoveSamples(NamedTuple):
     Attributes:
         displacement: float64 [n, 2], cells; row 0 is the state itself (t = 0), the other rows are samples with t < 1.
         first: int64 [20], first row per move.
-        count: int64 [20], number of rows per move; the sample at t = 1 is row 0 for the reached state.
+        counts: int64 [20], number of rows per move; the sample at t = 1 is row 0 for the reached state.
     """
 
     displacement: np.ndarray
     first: np.ndarray
-    count: np.ndarray
+    counts: np.ndarray
 
 
 def _move_samples() -> MoveSamples:

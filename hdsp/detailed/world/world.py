@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hdsp.base.errors import InputError
 from hdsp.base.jit import njit
-from hdsp.detailed.states import pack_steps
+from hdsp.detailed.states import MAX_CELLS, pack_steps
 from hdsp.detailed.world.geometry import (
     MOVE_SAMPLES,
     base_cells,
@@ -111,11 +112,17 @@ def cell_index(world, ix, iy):
 
 
 def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) -> World:
-    """Compile a terrain for a robot. ``maps`` saves computing the cost maps again."""
+    """Compile a terrain for a robot. ``maps`` saves computing the cost maps again.
+
+    Raises:
+        InputError: for a map with more cells than packed states and tables can address.
+    """
     from scipy.ndimage import maximum_filter  # half a second to import, and ``import hdsp`` shall be quick
 
-    maps = maps or cost_maps(terrain, robot)
     nx, ny = terrain.heights.shape
+    if max(nx, ny) > MAX_CELLS:
+        raise InputError(f"height map of {nx} x {ny} cells: a side may have at most {MAX_CELLS} cells")
+    maps = maps or cost_maps(terrain, robot)
     pad = math.ceil(cells(robot.reach())) + 4
     stride = ny + 2 * pad
     heights = np.where(np.isnan(terrain.heights), -np.inf, terrain.heights).astype(np.float32)
@@ -205,6 +212,9 @@ def _tables(robot: Robot, stride: int, size: int) -> Tables:
     feet = flat(foot_cells(robot))
     between = contact_cells(robot) - foot_cells(robot)
     contact_offsets, layer = np.unique(between.reshape(-1, 2), axis=0, return_inverse=True)
+    if len(contact_offsets) * size > np.iinfo(np.int32).max:
+        most = np.iinfo(np.int32).max // len(contact_offsets)
+        raise InputError(f"height map of {size} cells, border included: at most {most} cells fit for this robot")
     contacts = feet + layer.reshape(feet.shape) * size
     boxes = [[flat(rectangle_cells(box, h)) for h in range(HEADINGS)] for box in robot.body.boxes]
     widest = max((len(c) for box in boxes for c in box), default=0)
@@ -230,7 +240,7 @@ def _tables(robot: Robot, stride: int, size: int) -> Tables:
         move_flat=flat(DRIVE_MOVES),
         move_key=pack_steps(DRIVE_MOVES),
         move_first=MOVE_SAMPLES.first,
-        move_count=MOVE_SAMPLES.count,
+        move_count=MOVE_SAMPLES.counts,
         deviation=factor,
         straight=straight,
         drive_price=np.stack([length * factor, np.where(straight, length * factor, np.inf)]),

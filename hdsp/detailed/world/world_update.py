@@ -64,11 +64,12 @@ def influence(robot: Robot) -> int:
 
 def _rectangle(changed: np.ndarray, margin: int) -> tuple[slice, slice]:
     """Slices around all changed cells with a margin, cut off at the map border."""
-    bounds = []
-    for axis in (1, 0):
-        at = np.flatnonzero(changed.any(axis=axis))
-        bounds.append(slice(max(int(at[0]) - margin, 0), min(int(at[-1]) + 1 + margin, changed.shape[1 - axis])))
-    return tuple(bounds)
+
+    def span(axis: int) -> slice:
+        at = np.flatnonzero(changed.any(axis=1 - axis))
+        return slice(max(int(at[0]) - margin, 0), min(int(at[-1]) + 1 + margin, changed.shape[axis]))
+
+    return span(0), span(1)
 
 
 def _layers(values: np.ndarray, world: World) -> np.ndarray:

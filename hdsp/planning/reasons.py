@@ -1,4 +1,4 @@
-"""Why a detailed state is not valid, in words for a robot operator."""
+"""Reasons in words for a robot operator: why a state is invalid, why a goal is out of reach."""
 
 import numpy as np
 
@@ -9,25 +9,36 @@ from hdsp.robot.lattice import Grid, heading_angle, metres
 from hdsp.robot.robot import FEET, Robot
 
 
-def problems(world: World, grid: Grid, robot: Robot, state: np.ndarray) -> list[str]:
-    """What is wrong with a detailed state, one phrase each; empty if it is valid.
+def invalid_because(world: World, grid: Grid, robot: Robot, state: np.ndarray) -> list[str]:
+    """Faults in a detailed state, one phrase each; empty for a valid state.
 
     Args:
         world: terrain and robot, compiled.
-        grid: where the terrain lies in the world.
-        robot: for its limits.
+        grid: place of the terrain in the world.
+        robot: its limits.
         state: int64 [7], lattice units.
     """
-    found = []
+    faults = _feet_without_foothold(world, grid, robot, state) + _feet_too_close(robot, state)
+    base = int(cell_index(world, state[0], state[1]))
+    if not body_is_free(world, int(state[2]), base):
+        if world.height[base] == -np.inf:
+            faults.append("the ground under the base is unknown")
+        else:
+            faults.append("the body would hit " + _hit(world, grid, body_hits(world, *(int(v) for v in state[:3]))))
+    return faults
+
+
+def _feet_without_foothold(world: World, grid: Grid, robot: Robot, state: np.ndarray) -> list[str]:
+    faults = []
     base = int(cell_index(world, state[0], state[1]))
     low, high = robot.offset_range()
-    offsets = np.clip(state[3:], low, high)
     for foot, name in enumerate(FEET):
-        if offsets[foot] != state[3 + foot]:
+        offset = int(state[3 + foot])
+        if not low <= offset <= high:
             limits = f"{robot.feet.offset_min:g} to {robot.feet.offset_max:g} m"
-            found.append(f"the {name} foot is out of its reach of {limits}")
+            faults.append(f"the {name} foot is out of its reach of {limits}")
             continue
-        cell = base + int(world.tables.feet[foot_row(world.tables, int(state[2]), foot, int(offsets[foot]) - low)])
+        cell = base + int(world.tables.feet[foot_row(world.tables, int(state[2]), foot, offset - low)])
         if world.standable[cell]:
             continue
         x, y = grid.center((cell // world.stride - world.pad, cell % world.stride - world.pad))
@@ -35,22 +46,21 @@ def problems(world: World, grid: Grid, robot: Robot, state: np.ndarray) -> list[
             why = "the ground there is unknown or off the map"
         else:
             why = f"an edge higher than {robot.drive.max_height_difference:g} m is within {robot.feet.clearance:g} m"
-        found.append(f"the {name} foot cannot stand at ({x:.2f}, {y:.2f}) m: {why}")
+        faults.append(f"the {name} foot cannot stand at ({x:.2f}, {y:.2f}) m: {why}")
+    return faults
+
+
+def _feet_too_close(robot: Robot, state: np.ndarray) -> list[str]:
+    faults, least = [], robot.feet.min_separation
     for side, front, rear in (("left", 0, 1), ("right", 3, 2)):
         apart = 2 * robot.feet.neutral_x + metres(state[3 + front] - state[3 + rear])
-        if apart < robot.feet.min_separation - 1e-9:
-            least = robot.feet.min_separation
-            found.append(f"the {side} feet are too close to each other: {apart:.3f} m, and {least:g} m are needed")
-    if not body_is_free(world, int(state[2]), base):
-        if world.height[base] == -np.inf:
-            found.append("the ground under the base is unknown")
-        else:
-            found.append("the body would hit " + _hit(world, grid, body_hits(world, *(int(v) for v in state[:3]))))
-    return found
+        if apart < least - 1e-9:
+            faults.append(f"the {side} feet are too close to each other: {apart:.3f} m, and {least:g} m are needed")
+    return faults
 
 
-def in_words(proof: Unreachable, world: World, grid: Grid) -> str:
-    """What cuts a start off from a goal."""
+def unreachable_because(proof: Unreachable, world: World, grid: Grid) -> str:
+    """The obstacle between a start and a goal."""
     (x0, y0), (x1, y1) = grid.center(proof.from_start), grid.center(proof.from_goal)
     gap = f"from ({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f}) m"
     if proof.proof == FOOT:
@@ -73,6 +83,6 @@ def in_words(proof: Unreachable, world: World, grid: Grid) -> str:
 
 
 def _hit(world: World, grid: Grid, cells: np.ndarray) -> str:
-    """What the body hits, by its height and place."""
+    """Height and place of the obstacle in front of the body, the first of ``cells`` [n, 2]."""
     x, y = grid.center(cells[0])
     return f"what rises to {world.height[cell_index(world, *cells[0])]:.2f} m at ({x:.2f}, {y:.2f}) m"

@@ -1,0 +1,14 @@
+"""Heuristics: estimates of the cost from a detailed state to the goal.
+
+- ``heuristic``: the contract, ``Heuristic``.
+- ``geometric``: distance, heading and feet. Admissible and consistent.
+- ``abstract``: costs-to-go in an abstraction (manual, learned, any ``AbstractCosts``). Well informed, not admissible.
+- ``standing``: abstract states at which the robot can stand.
+"""
+
+from hdsp.planning.heuristics.abstract import AbstractHeuristic
+from hdsp.planning.heuristics.geometric import GeometricHeuristic
+from hdsp.planning.heuristics.heuristic import Heuristic
+from hdsp.planning.heuristics.standing import standing_states
+
+__all__ = ["AbstractHeuristic", "GeometricHeuristic", "Heuristic", "standing_states"]

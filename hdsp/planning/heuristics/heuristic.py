@@ -1,0 +1,84 @@
+"""The contract of heuristics."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from hdsp.abstract.abstract_costs import Region
+from hdsp.base.errors import InputError
+from hdsp.base.jit import njit
+from hdsp.detailed.search.estimate import Estimate, estimate
+from hdsp.detailed.states import pack_states
+from hdsp.detailed.world.world import World
+from hdsp.terrain.height_map import HeightMap
+
+
+class Heuristic(ABC):
+    """Estimates the cost from any detailed state to one goal.
+
+    A heuristic belongs to one terrain and one robot. Its life: ``prepare`` once per map, ``set_goal`` once per query,
+    ``update`` after a change in the map, ``clear`` to forget the last goal.
+
+    A subclass implements ``estimate_for``. It returns a flat array and a lookup rule (``Estimate``), so that the search
+    kernels never call Python. A call on the heuristic evaluates the same rule for any states.
+
+    Convention: states are in lattice units (ix, iy, heading, 4 foot offsets); see ``hdsp.robot.lattice``.
+    """
+
+    name: str
+    #: True if no estimate exceeds the true cost. Weighted A* then keeps its bound, W times the optimum.
+    admissible: bool
+    #: True if no action lowers the estimate by more than its cost and the estimate at the goal is 0. A consistent
+    #: heuristic is admissible. Weighted A* then keeps its bound without reopening (``solve(..., reopen=False)``).
+    consistent: bool = False
+
+    def __init__(self, world: World):
+        self.world = world
+        self._estimate: Estimate | None = None
+
+    @abstractmethod
+    def estimate_for(self, goal: np.ndarray) -> Estimate:
+        """Estimate for the kernels; goal int64 [7], lattice units."""
+
+    def prepare(self) -> None:  # noqa: B027, a hook that few heuristics need
+        """Compute everything that holds for the whole map, independent of the goal."""
+
+    def set_goal(self, goal: np.ndarray) -> Estimate:
+        """Prepare for a goal, int64 [7], and return the estimate for the kernels."""
+        self._estimate = self.estimate_for(np.asarray(goal, dtype=np.int64))
+        return self._estimate
+
+    def __call__(self, states: np.ndarray) -> np.ndarray:
+        """Estimated costs, float64 [n], for detailed states [n, 7].
+
+        Raises:
+            InputError: without a goal.
+        """
+        if self._estimate is None:
+            raise InputError(f"{self.name} heuristic: call set_goal first")
+        return _estimates(self._estimate, pack_states(states, self.world.tables.lowest))
+
+    def clear(self) -> None:
+        """Forget the last goal; results for the whole map stay."""
+        self._estimate = None
+
+    def update(self, world: World, terrain: HeightMap, region: Region | None = None) -> None:
+        """Take over a changed terrain and forget the goal.
+
+        Args:
+            world: the terrain, compiled.
+            terrain: the terrain.
+            region: rectangle (first ix, first iy, end ix, end iy) in cells; outside, the map is unchanged. None: the
+                change may be anywhere.
+        """
+        self.world, self._estimate = world, None
+
+
+@njit()
+def _estimates(parameters, keys):
+    result = np.empty(len(keys))
+    for i in range(len(keys)):
+        result[i] = estimate(parameters, keys[i])
+    return result

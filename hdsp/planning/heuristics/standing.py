@@ -1,0 +1,54 @@
+"""Abstract states at which the robot can stand."""
+
+import numpy as np
+
+from hdsp.base.jit import njit
+from hdsp.detailed.actions.state_costs import foot_row
+from hdsp.detailed.world.world import World, body_is_free, cell_index
+from hdsp.robot.lattice import (
+    ABSTRACT_ANCHOR,
+    ABSTRACT_HEADINGS,
+    CELLS_PER_ABSTRACT,
+    HEADINGS_PER_ABSTRACT,
+    abstract_shape,
+)
+
+
+def standing_states(world: World) -> np.ndarray:
+    """Abstract states at whose anchor the robot can stand with some feet, bool [16, nx, ny]."""
+    nx, ny = abstract_shape((world.nx, world.ny))
+    return _standing_states(world, nx, ny)
+
+
+@njit()
+def _standing_states(world, nx, ny):
+    result = np.zeros((ABSTRACT_HEADINGS, nx, ny), dtype=np.bool_)
+    standable, feet, samples, n = world.standable, world.tables.feet, world.tables.n_samples, world.tables.n_offsets
+    apart = 2 * world.constants.neutral_x - world.constants.min_separation
+    for k in range(ABSTRACT_HEADINGS):
+        heading = k * HEADINGS_PER_ABSTRACT
+        left_front, left_rear, right_rear, right_front = [foot_row(world.tables, heading, i, 0) for i in range(4)]
+        for a in range(nx):
+            for b in range(ny):
+                ix, iy = CELLS_PER_ABSTRACT * a + ABSTRACT_ANCHOR, CELLS_PER_ABSTRACT * b + ABSTRACT_ANCHOR
+                p = cell_index(world, ix, iy)
+                result[k, a, b] = (
+                    _side_stands(standable, feet, samples, n, p, left_front, left_rear, apart)
+                    and _side_stands(standable, feet, samples, n, p, right_front, right_rear, apart)
+                    and body_is_free(world, heading, p)
+                )
+    return result
+
+
+@njit(inline="always")
+def _side_stands(standable, feet, n_samples, n_offsets, p, front, rear, apart):
+    """Whether both feet on one side, given by their rows in ``feet``, find footholds far enough apart.
+
+    The distance is largest with the front foot in its foremost and the rear foot in its rearmost foothold.
+    """
+    ahead, behind = n_offsets - 1, 0
+    while ahead >= 0 and not standable[p + feet[front + ahead * n_samples]]:
+        ahead -= 1
+    while behind < n_offsets and not standable[p + feet[rear + behind * n_samples]]:
+        behind += 1
+    return ahead >= 0 and behind < n_offsets and behind - ahead <= apart

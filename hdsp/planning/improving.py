@@ -1,0 +1,108 @@
+"""Anytime planning: plans that get better, each with a proven bound."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+
+from hdsp.detailed.relaxed.proofs import Unreachable
+from hdsp.detailed.search import anytime
+from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
+from hdsp.detailed.search.estimate import geometric_estimate
+from hdsp.detailed.search.outcome import Status
+from hdsp.planning.plan_statistics import PlanStatistics
+from hdsp.planning.plans import Plan
+from hdsp.planning.query import FEW, Query, now
+from hdsp.planning.refinable import RefusedSteps
+
+
+def improving_plans(query: Query, weights: Sequence[float], refinable: bool, prepared: float) -> Iterator[Plan]:
+    """Better and better plans; see ``Planner.improve``.
+
+    Args:
+        query: the query; its limits cover all rounds together.
+        weights: weights of the rounds, falling.
+        refinable: whether the robot must be able to carry out each plan.
+        prepared: time for the heuristic, s.
+    """
+    best, last, shown, lower = None, None, np.inf, 0.0
+    error = rounding(query.world)
+    refused = RefusedSteps(query)
+    rounds = _rounds(query, weights, refinable, refused)
+    with closing(rounds):
+        for plan, ended in rounds:
+            lower = max(lower, plan.stats.lower_bound)
+            better = plan.solved and (best is None or plan.cost < best.cost * (1 - LEAST_GAIN))
+            best = plan if better else best
+            if best is None and ended is None:
+                continue
+            if best is not None and ended in (Status.INFEASIBLE, Status.COST_LIMIT):
+                ended = Status.SOLVED  # there is no other plan without the refused steps
+            bound = np.inf if best is None else suboptimality(best.cost, lower, error)
+            how = None if ended is None else str(ended)
+            if last is not None and not better and bound >= shown:
+                if how is not None:
+                    last.stats.end(how)
+                continue
+            stats = {
+                **plan.stats,
+                "lower_bound": lower,
+                "ended": how,
+                "heuristic_seconds": prepared,
+                "seconds": plan.stats.search_seconds + prepared,
+            }
+            shown, last = bound, (best or plan).renewed(stats, bound=bound, refused=tuple(refused.words))
+            yield last
+
+
+def _rounds(
+    query: Query, weights: Sequence[float], refinable: bool, refused: RefusedSteps
+) -> Generator[tuple[Plan, Status | None]]:
+    """Plans from all rounds and the end of the search.
+
+    After a refused step the rounds start again without it, from the present weight on.
+    """
+    began, spent, cost, world = now(), 0, np.inf, query.world
+    proofs: list[Unreachable | None] = []
+
+    def hopeless() -> bool:
+        proofs.append(query.proof())
+        return proofs[-1] is not None
+
+    guide = None if query.heuristic.admissible else query.estimate
+    admissible = query.estimate if guide is None else geometric_estimate(query.world, query.goal)
+    while True:
+        limits = query.limits
+        left = replace(limits, expansions=limits.expansions - spent, time=limits.time - (now() - began))
+        rounds = anytime.improve(
+            world,
+            query.start,
+            query.goal,
+            weights,
+            admissible,
+            guide,
+            limits=left,
+            hopeless=None if proofs else hopeless,
+            ask_after=FEW,
+            progress=query.progress,
+        )
+        for found in rounds:
+            plan = query.plan_of(found.result, PlanStatistics(query.heuristic.name, float(found.weight)))
+            spent_now = {"expansions": plan.stats.expansions + spent, "search_seconds": now() - began}
+            plan = plan.renewed(spent_now)
+            if refinable and plan.solved and plan.cost < cost * (1 - LEAST_GAIN):
+                if refused.refuse_from(plan):
+                    world, spent = world._replace(banned=refused.banned), plan.stats.expansions
+                    weights = weights[weights.index(found.weight) :]
+                    break
+                cost = plan.cost
+            if found.ended == Status.INFEASIBLE and not plan.solved and not refused.words:
+                proof = proofs[-1] if proofs else query.proof()
+                if proof is not None:
+                    plan = query.proved(plan, proof)
+            yield plan, found.ended
+        else:
+            return

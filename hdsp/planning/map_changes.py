@@ -1,0 +1,31 @@
+"""Changes between two height maps."""
+
+import numpy as np
+
+from hdsp.abstract.abstract_costs import Region
+from hdsp.base.errors import InputError
+from hdsp.terrain.height_map import HeightMap
+
+
+def changed_cells(before: HeightMap, after: HeightMap, region: Region | None = None) -> np.ndarray | None:
+    """Cells, bool [nx, ny], in which two height maps differ; None if the maps do not cover the same ground.
+
+    Args:
+        before, after: the maps.
+        region: rectangle (first ix, first iy, end ix, end iy) to compare; None: everything.
+
+    Raises:
+        InputError: the region does not lie within the map.
+    """
+    if before.shape != after.shape or before.origin != after.origin:
+        return None
+    nx, ny = after.shape
+    first_x, first_y, end_x, end_y = (0, 0, nx, ny) if region is None else (int(value) for value in region)
+    if not (0 <= first_x <= end_x <= nx and 0 <= first_y <= end_y <= ny):
+        asked = None if region is None else tuple(region)
+        raise InputError(f"region {asked}: need (first ix, first iy, end ix, end iy) within {nx} x {ny} cells")
+    changed = np.zeros(after.shape, bool)
+    part = slice(first_x, end_x), slice(first_y, end_y)
+    old, new = before.heights[part], after.heights[part]
+    changed[part] = (old != new) & ~(np.isnan(old) & np.isnan(new))
+    return changed

@@ -1,0 +1,62 @@
+"""Statistics of a planning query."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+
+@dataclass(frozen=True, eq=False)
+class PlanStatistics(Mapping[str, Any]):
+    """Effort and proofs behind a plan.
+
+    Attributes are the normal access, ``stats.expansions``. A mapping offers the same values, ``stats["expansions"]``.
+
+    Attributes:
+        heuristic: name of the heuristic.
+        weight: W of weighted A*.
+        expansions: expanded states.
+        seen: generated states.
+        memory: bytes for states and open lists at the end.
+        search_seconds: time in the search.
+        lower_bound: no plan costs less; 0 without a proof.
+        heuristic_seconds: time to prepare the heuristic for the goal.
+        seconds: time of the whole query.
+        anchor_weight: W2 of multi-heuristic A*; None without an anchor.
+        expansions_by: expansions of the last search for the anchor and for the guide; None without an anchor.
+        ended: end of an anytime search, in the words of ``Status``. None while it goes on, and for ``Planner.plan``.
+    """
+
+    heuristic: str
+    weight: float
+    expansions: int = 0
+    seen: int = 0
+    memory: int = 0
+    search_seconds: float = 0.0
+    lower_bound: float = 0.0
+    heuristic_seconds: float = 0.0
+    seconds: float = 0.0
+    anchor_weight: float | None = None
+    expansions_by: Mapping[str, int] | None = None
+    ended: str | None = None
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in _NAMES:
+            raise KeyError(name)
+        return getattr(self, name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_NAMES)
+
+    def __len__(self) -> int:
+        return len(_NAMES)
+
+    def known(self) -> dict[str, Any]:
+        """Values other than None, for files."""
+        return {name: value for name, value in self.items() if value is not None}
+
+    def end(self, status: str) -> None:
+        """Enter the end of an anytime search: known only after its last plan was handed out."""
+        object.__setattr__(self, "ended", status)
+
+
+_NAMES = tuple(field.name for field in fields(PlanStatistics))

@@ -1,0 +1,174 @@
+"""A query to a planner: its ends, a search or a proof, and the plan."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hdsp.abstract.transform import feet_at
+from hdsp.base.errors import InputError
+from hdsp.detailed.actions.action import action_of
+from hdsp.detailed.relaxed.proofs import Unreachable, why_unreachable
+from hdsp.detailed.search.estimate import Estimate, geometric_estimate
+from hdsp.detailed.search.life_cycle import Progress
+from hdsp.detailed.search.multi_heuristic import solve_multi
+from hdsp.detailed.search.outcome import Limits, SearchResult, Status
+from hdsp.detailed.search.weighted_astar import solve
+from hdsp.detailed.world.world import World
+from hdsp.planning.heuristics import Heuristic
+from hdsp.planning.plan_statistics import PlanStatistics
+from hdsp.planning.plans import Plan
+from hdsp.planning.reasons import invalid_because, unreachable_because
+from hdsp.robot.lattice import Grid, heading_index
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+
+#: Expansions after which a search without a plan waits for a proof; about a tenth of a second.
+FEW = 50_000
+
+
+def locate(world: World, grid: Grid, robot: Robot, pose, name: str) -> tuple[np.ndarray, list[str]]:
+    """The detailed state at a world pose, int64 [7], and its faults in words.
+
+    Args:
+        world: terrain and robot, compiled.
+        grid: place of the terrain in the world.
+        robot: its limits.
+        pose: (x, y, theta) in m and rad, or 7 values with four foot offsets in m. Without feet, T_a->d chooses them.
+        name: the pose in messages.
+
+    Raises:
+        InputError: the pose has other values, or lies off the map.
+    """
+    try:
+        values = np.asarray(pose, dtype=float)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape not in ((3,), (7,)) or not np.isfinite(values).all():
+        raise InputError(f"{name} {pose!r}: need (x, y, theta) or these and 4 foot offsets, all finite numbers")
+    state = grid.to_lattice(values[:3], values[3:] if len(values) == 7 else (0.0,) * 4)
+    if len(values) == 3:
+        chosen = feet_at(world, (int(state[0]), int(state[1]), int(heading_index(values[2]))))
+        if chosen is not None:
+            return chosen, []
+    return state, invalid_because(world, grid, robot, state)
+
+
+@dataclass(frozen=True, eq=False)
+class Query:
+    """One query, ready for a search.
+
+    Attributes:
+        terrain: the map.
+        robot: whose plan it is.
+        grid: place of the map in the world.
+        world: terrain and robot, compiled.
+        heuristic: the guide.
+        estimate: the guide for this goal, for the kernels.
+        start, goal: int64 [7], lattice units.
+        limits: of the whole query.
+        progress: called now and then with (expansions, seconds).
+    """
+
+    terrain: HeightMap
+    robot: Robot
+    grid: Grid
+    world: World
+    heuristic: Heuristic
+    estimate: Estimate
+    start: np.ndarray
+    goal: np.ndarray
+    limits: Limits
+    progress: Progress | None = None
+
+    def weighted(self, weight: float) -> Plan:
+        """Weighted A*."""
+        # No bound is lost without reopening: the heuristic is consistent, or proves none.
+        once = self.heuristic.consistent or not self.heuristic.admissible
+        result = solve(
+            self.world,
+            self.start,
+            self.goal,
+            self.estimate,
+            weight=weight,
+            admissible=self.heuristic.admissible,
+            reopen=not (once and weight > 1 and self.limits.cost == np.inf),
+            limits=self.limits,
+            progress=self.progress,
+        )
+        return self.plan_of(result, PlanStatistics(self.heuristic.name, float(weight)))
+
+    def anchored(self, weight: float, anchor_weight: float) -> Plan:
+        """Multi-heuristic A* with the geometric heuristic as the anchor."""
+        result = solve_multi(
+            self.world,
+            self.start,
+            self.goal,
+            geometric_estimate(self.world, self.goal),
+            [self.estimate],
+            weight=weight,
+            anchor_weight=anchor_weight,
+            limits=self.limits,
+            progress=self.progress,
+        )
+        anchored, guided = result.expansions_by or (0, 0)
+        stats = PlanStatistics(
+            self.heuristic.name,
+            float(weight),
+            anchor_weight=float(anchor_weight),
+            expansions_by={"geometric": anchored, self.heuristic.name: guided},
+        )
+        return self.plan_of(result, stats)
+
+    def plan_of(self, result: SearchResult, stats: PlanStatistics) -> Plan:
+        """The plan that a search found, in world coordinates; ``stats`` holds its settings."""
+        path = result.paths[0]
+        spent = replace(
+            stats,
+            expansions=result.expansions,
+            seen=result.seen,
+            memory=result.memory,
+            search_seconds=result.seconds,
+            lower_bound=result.lower_bound,
+        )
+        return Plan(
+            status=result.status[0],
+            cost=float(result.cost[0]),
+            states=np.empty((0, 7)) if path is None else self.grid.to_world(path.states),
+            actions=() if path is None else tuple(action_of(int(code)) for code in path.actions),
+            action_costs=np.empty(0) if path is None else path.costs,
+            stats=spent,
+            terrain=self.terrain,
+            robot=self.robot,
+            bound=result.bound,
+        )
+
+    def proof(self) -> Unreachable | None:
+        """A proof that no plan exists, or None."""
+        return why_unreachable(self.world, self.start, self.goal)
+
+    def proved(self, plan: Plan, proof: Unreachable) -> Plan:
+        """The plan with a proof that no plan exists."""
+        words = unreachable_because(proof, self.world, self.grid)
+        return plan.renewed({"lower_bound": np.inf}, status=Status.INFEASIBLE, problems=(words,))
+
+    def search_or_prove(self, search: Callable[[Query], Plan]) -> Plan:
+        """Search a little; without a plan try to prove that none exists; without a proof search on.
+
+        A proof takes longer than most searches and names the obstacle. A search without a plan would take very long.
+        """
+        limits = self.limits
+        plan = search(replace(self, limits=replace(limits, expansions=min(limits.expansions, FEW))))
+        undecided = plan.status == Status.EXPANSION_LIMIT and limits.expansions > FEW
+        if not undecided and plan.status != Status.INFEASIBLE:
+            return plan
+        proof = self.proof()
+        if proof is None:
+            return search(self) if undecided else plan
+        return self.proved(plan, proof)
+
+
+now = time.perf_counter

@@ -1,0 +1,65 @@
+"""Plans without steps that the robot cannot carry out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from hdsp.base.errors import RefinementError
+from hdsp.detailed.motion.refinement import ban, last_step
+from hdsp.planning.plans import Plan
+from hdsp.planning.query import Query
+
+
+class RefusedSteps:
+    """Steps that could not be carried out so far.
+
+    Attributes:
+        words: one sentence per step.
+        banned: int64 [n, 7], the steps as ``World.banned``.
+    """
+
+    def __init__(self, query: Query):
+        self.words: list[str] = []
+        self.banned = query.world.banned
+        self._world, self._grid = query.world, query.grid
+
+    def refuse_from(self, plan: Plan) -> bool:
+        """Refine a plan; if an action cannot be carried out, refuse its last step. Returns whether a step was refused.
+
+        Raises:
+            RefinementError: an action before the first step cannot be carried out.
+        """
+        try:
+            plan.refine()
+        except RefinementError as error:
+            k = last_step(plan.actions, error.action)
+            if k is None:
+                raise
+            self.words.append(str(error))
+            self.banned = ban(self.banned, self._world, self._grid, plan.states[k], plan.actions[k])
+            return True
+        return False
+
+
+def refinable_plan(query: Query, search: Callable[[Query], Plan], plan: Plan) -> Plan:
+    """Search again without the refused steps, until the robot can carry out the plan or no other plan exists.
+
+    Args:
+        query: the query; its limits cover all searches together.
+        search: the search.
+        plan: its first plan.
+
+    Raises:
+        RefinementError: an action before the first step cannot be carried out.
+    """
+    refused = RefusedSteps(query)
+    expansions, seconds = plan.stats.expansions, plan.stats.search_seconds
+    while plan.solved and refused.refuse_from(plan):
+        left = replace(
+            query.limits, expansions=query.limits.expansions - expansions, time=query.limits.time - seconds
+        )  # fmt: skip
+        plan = search(replace(query, world=query.world._replace(banned=refused.banned), limits=left))
+        expansions += plan.stats.expansions
+        seconds += plan.stats.search_seconds
+    return plan.renewed({"expansions": expansions, "search_seconds": seconds}, refused=tuple(refused.words))
