@@ -10,31 +10,6 @@ import numpy as np
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import foot_row
 from hdsp.detailed.world.world import World, body_is_free, cell_index
-from hdsp.robot.lattice import CELLS_PER_ABSTRACT, HEADINGS, HEADINGS_PER_ABSTRACT, abstract_anchor
-
-
-def to_detailed(world: World, abstract, whole_cell: bool = False) -> np.ndarray | None:
-    """Returns the least-cost detailed state that matches an abstract state.
-
-    Args:
-        world: terrain and robot.
-        abstract: (a, b, k), abstract cell and heading.
-        whole_cell: search all detailed base states in the abstract cell (nearest to the anchor first) instead of the
-            anchor alone. The published labels show no shift in position or heading, so labelling uses the anchor.
-
-    Returns:
-        int64 [7] in lattice units, or None if no state is valid.
-    """
-    anchor = abstract_anchor(np.asarray(abstract))
-    bases = _matching_bases(anchor) if whole_cell else anchor[None]
-    best, best_cost = None, np.inf
-    for base in bases:
-        if not (0 <= base[0] < world.nx and 0 <= base[1] < world.ny):
-            continue
-        cost, offsets = best_feet(world, *base)
-        if cost < best_cost:
-            best, best_cost = np.array([*base, *offsets], dtype=np.int64), cost
-    return best
 
 
 def feet_at(world: World, base) -> np.ndarray | None:
@@ -52,19 +27,6 @@ def feet_at_all(world: World, bases: np.ndarray) -> tuple[np.ndarray, np.ndarray
     states[:, :3] = bases
     _fill_feet(world, states, valid)
     return states, valid
-
-
-def _matching_bases(anchor: np.ndarray) -> np.ndarray:
-    cell = anchor[:2] // CELLS_PER_ABSTRACT * CELLS_PER_ABSTRACT
-    half = HEADINGS_PER_ABSTRACT // 2
-    bases = [
-        (cell[0] + i, cell[1] + j, (anchor[2] + k) % HEADINGS)
-        for i in range(CELLS_PER_ABSTRACT)
-        for j in range(CELLS_PER_ABSTRACT)
-        for k in range(-half, half)
-    ]
-    off = [abs(x - anchor[0]) + abs(y - anchor[1]) + abs((h - anchor[2] + 32) % HEADINGS - 32) for x, y, h in bases]
-    return np.array(bases)[np.argsort(off, kind="stable")]
 
 
 @njit()

@@ -43,14 +43,6 @@ class CostMaps(NamedTuple):
     edge: np.ndarray
     standable: np.ndarray
 
-    def foot_cost(self, robot: Robot) -> np.ndarray:
-        """Foot cost C_F for the ground in each cell alone, float32 [nx, ny]; inf where no foot can stand.
-
-        Source: paper, Sec. V-A.
-        """
-        cost = 1 + 10 * robot.drive.unevenness_cost * self.unevenness
-        return np.where(self.standable, cost, np.inf).astype(np.float32)
-
 
 def cost_maps(terrain: HeightMap, robot: Robot) -> CostMaps:
     """Computes the cost maps of a terrain for a robot."""

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hdsp.abstract.transform import best_feet, feet_at, to_detailed
+from hdsp.abstract.transform import best_feet, feet_at
 from hdsp.base.errors import InputError
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.search.estimate import geometric_estimate
@@ -9,10 +9,10 @@ from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.rules import LabelSettings, label_map
-from hdsp.robot.lattice import ABSTRACT_ACTIONS, Grid, abstract_anchor, detailed_to_abstract
+from hdsp.robot.lattice import ABSTRACT_ACTIONS, Grid
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.scenes import CATEGORIES, random_map
+from hdsp.terrain.scenes import random_map
 from tests.detailed.instances import blocky, toy
 from tests.naive import Naive
 
@@ -143,15 +143,3 @@ def test_the_best_feet_are_those_found_by_trying_all(seed):
 def test_feet_are_neutral_on_even_ground():
     world = build_world(HeightMap.flat((72, 72)), MOMARO)
     assert feet_at(world, np.array([36, 36, 5])).tolist() == [36, 36, 5, 0, 0, 0, 0]
-
-
-@pytest.mark.parametrize("category", CATEGORIES[::3])
-def test_the_detailed_state_of_an_abstract_state_falls_back_into_it(category):
-    world = build_world(random_map(3, category, 0), MOMARO)
-    for abstract in [(9, 9, 0), (7, 10, 3), (11, 8, 15), (4, 4, 8)]:
-        anchored, anywhere = to_detailed(world, abstract), to_detailed(world, abstract, whole_cell=True)
-        if anchored is not None:
-            assert anchored[:3].tolist() == abstract_anchor(np.array(abstract)).tolist()
-            assert anywhere is not None
-        if anywhere is not None:
-            assert detailed_to_abstract(anywhere).tolist() == list(abstract)

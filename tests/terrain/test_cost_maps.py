@@ -66,14 +66,3 @@ def test_unknown_ground_bears_no_foot_and_adds_no_unevenness():
     maps = cost_maps(HeightMap(heights), MOMARO)
     assert not maps.unevenness.any()
     assert maps.standable[24, 20] and not maps.standable[23, 20] and not maps.standable[22, 22]
-
-
-def test_foot_costs_are_those_of_the_paper():
-    heights = np.zeros((40, 40), np.float32)
-    heights[20:] = 0.04
-    maps = cost_maps(HeightMap(heights), MOMARO)
-    cost = maps.foot_cost(MOMARO)
-    assert cost[0, 0] == 1
-    np.testing.assert_allclose(cost, 1 + 0.309234 * maps.unevenness, rtol=1e-6)
-    heights[20:] = 0.3
-    assert np.isinf(cost_maps(HeightMap(heights), MOMARO).foot_cost(MOMARO)[20, 20])
