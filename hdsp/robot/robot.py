@@ -23,7 +23,7 @@ _PRESETS = resources.files("hdsp.robot") / "presets"
 #: Foot order in every array with a foot axis.
 FEET = ("front_left", "rear_left", "rear_right", "front_right")
 
-_LONGEST_STEP = 15  # cells; the largest step length in an action code (hdsp.detailed.states)
+_LONGEST_STEP = 15  # cells; the largest step length in an action code (hdsp.detailed.actions.action)
 _OFFSETS = 32  # lattice steps; the number of foot offsets in a state code
 
 Metres = Annotated[float, unit("m")]
