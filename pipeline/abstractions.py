@@ -49,12 +49,12 @@ def task_predictor(name: str, config: DictConfig, folders: Folders, model: str =
     """
     robot = Robot.load(plain(config.robot))
     if name == "trained" or name.startswith(SHIPPED):
+        from hdsp.base.settings import load_settings
         from hdsp.learning.abstraction import LearnedAbstraction
-        from hdsp.learning.hardware import HardwareSettings
         from hdsp.learning.loading import load_abstraction, presets
-        from hdsp.learning.network_settings import settings_from
+        from hdsp.learning.settings import HardwareSettings
 
-        hardware = settings_from(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
+        hardware = load_settings(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
         hardware.apply_threads()
         if name.startswith(SHIPPED):
             model = robot.name + name.removeprefix(SHIPPED)

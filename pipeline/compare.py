@@ -107,12 +107,12 @@ def models(runs: Mapping[str, Path]) -> dict[str, Any]:
 
 def measured(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Size and speed of a model, measured with random weights, which have no influence on them."""
+    from hdsp.base.settings import load_settings
     from hdsp.learning import HardwareSettings, LearnedAbstraction, ModelSettings, build_network, count_parameters
-    from hdsp.learning.network_settings import settings_from
 
     hardware = HardwareSettings("cpu", threads=1)
     hardware.apply_threads()
-    model = settings_from(ModelSettings, settings, "model")
+    model = load_settings(ModelSettings, settings, "model")
     network = build_network(model)
     seconds = map_seconds(LearnedAbstraction(network, model, hardware=hardware))
     return {"parameters": count_parameters(network), "dense": network.is_dense(), "map_seconds": seconds}

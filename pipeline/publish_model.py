@@ -39,12 +39,12 @@ ERROR_LEVELS = (0.5, 0.9, 0.99, 1.0)
 
 
 def publish_model(config: DictConfig, folders: Folders, source: str) -> None:
+    from hdsp.base.settings import load_settings
     from hdsp.learning.abstraction import LearnedAbstraction
-    from hdsp.learning.hardware import HardwareSettings
-    from hdsp.learning.network_settings import settings_from
+    from hdsp.learning.settings import HardwareSettings
 
     robot = Robot.load(plain(config.robot))
-    hardware = settings_from(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
+    hardware = load_settings(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
     hardware.apply_threads()
     if (Path(source) / CHECKPOINT).is_file():
         trained = in_progress(Path(source), robot, config, folders)
@@ -88,12 +88,13 @@ def in_progress(source: Path, robot: Robot, config: DictConfig, folders: Folders
     """Loads the best epoch so far from an unfinished training of `config.model`."""
     import torch
 
+    from hdsp.base.settings import load_settings
     from hdsp.learning import LearnedAbstraction, Provenance
-    from hdsp.learning.network_settings import settings_from
-    from hdsp.learning.networks import ModelSettings, build_network
+    from hdsp.learning.networks import build_network
+    from hdsp.learning.settings import ModelSettings
     from pipeline.train import folder_hash
 
-    model = settings_from(ModelSettings, plain(config.model), "model")
+    model = load_settings(ModelSettings, plain(config.model), "model")
     network = build_network(model)
     state = torch.load(source / CHECKPOINT, map_location="cpu", weights_only=False)
     prefix = "network."

@@ -160,14 +160,14 @@ class Document(NamedTuple):
         return line + 1
 
 
-def load_settings(kind: type[T], values: Any, where: str = "", document: Document | None = None) -> T:
+def load_settings(kind: type[T], values: Any, where: str = "", source: Document | str | None = None) -> T:
     """Builds settings of class ``kind`` from a mapping; returns an instance of ``kind`` unchanged.
 
     Args:
         kind: settings class (`checked`).
         values: plain nested values.
         where: name of this configuration part, the first part of all paths in messages.
-        document: origin of the values; messages then begin with file and line.
+        source: file with the values, or its name; messages then begin with it, and with the line if it is known.
 
     Raises:
         InputError: a key is unknown, missing or wrong; the message names the first one.
@@ -177,7 +177,7 @@ def load_settings(kind: type[T], values: Any, where: str = "", document: Documen
     try:
         return _adapter(kind).validate_python(values)
     except ValidationError as error:
-        raise InputError(_first_fault(error, where, document)) from None
+        raise InputError(_first_fault(error, where, source)) from None
     except RecursionError:
         raise InputError(_joined(where, f": {_TOO_DEEP}")) from None
 
@@ -342,7 +342,7 @@ def _check_keys(kind: type, values: Mapping[Any, Any]) -> None:
             raise PydanticCustomError("unknown_key", "{text}", {"key": key, "text": unknown_key(key, allowed)})
 
 
-def _first_fault(error: ValidationError, where: str, document: Document | None = None) -> str:
+def _first_fault(error: ValidationError, where: str, source: Document | str | None = None) -> str:
     found = error.errors(include_url=False)[0]
     kind, path, context = found["type"], list(found["loc"]), found.get("ctx", {})
     inner = path
@@ -363,7 +363,9 @@ def _first_fault(error: ValidationError, where: str, document: Document | None =
         words = f" is {shown(found['input'])}; need {_need(found)}"
     steps = "".join(map(_step, path))
     text = _joined(where + steps if where else steps.lstrip("."), words)
-    return text if document is None else f"{document.name}, line {document.line(inner)}: {text}"
+    if isinstance(source, Document):
+        return f"{source.name}, line {source.line(inner)}: {text}"
+    return text if source is None else f"{source}: {text}"
 
 
 def _need(found: ErrorDetails) -> str:

@@ -23,9 +23,8 @@ from hdsp.base.settings import Count, Natural, checked
 from hdsp.base.workers import ClusterSettings, connected
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.rules import LabelSettings, MapTasks, label_map
-from hdsp.labels.scan_patches import Residue
 from hdsp.labels.tasks import TaskSet
-from hdsp.robot.lattice import HEADINGS, HEADINGS_PER_ABSTRACT, PATCH_CELLS, Grid, heading_index
+from hdsp.robot.lattice import HEADINGS, HEADINGS_PER_ABSTRACT, PATCH_CELLS, Grid, Residue, heading_index
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.patches import ROTATED_MAP_CELLS

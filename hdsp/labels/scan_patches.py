@@ -21,7 +21,7 @@ from hdsp.detailed.world.world import build_world
 from hdsp.labels.rules import LabelSettings, MapTasks, label_map
 from hdsp.labels.shards import SCHEMA_VERSION, read_shard, write_shard
 from hdsp.labels.tasks import TaskSet
-from hdsp.robot.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, RESOLUTION, cells, is_detailed
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, RESOLUTION, Residue, cells, is_detailed
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.patches import ROTATED_MAP_CELLS
@@ -30,10 +30,6 @@ from hdsp.terrain.patches import ROTATED_MAP_CELLS
 _ATTEMPTS = 20_000
 #: m; a patch of bare floor has a smaller height range.
 FLAT = 0.05
-
-
-#: An abstract heading modulo a quarter turn.
-Residue = Annotated[int, Field(ge=0, lt=ABSTRACT_HEADINGS // 4)]
 
 
 @checked

@@ -10,14 +10,13 @@ if TYPE_CHECKING:
     from hdsp.learning.abstraction import LearnedAbstraction, Provenance
     from hdsp.learning.architectures import ARCHITECTURES
     from hdsp.learning.callbacks import PlateauLossWeights, PublishedLossWeights
-    from hdsp.learning.encoding import HeightEncoding
-    from hdsp.learning.hardware import HardwareSettings
     from hdsp.learning.learned_costs import LearnedCosts
     from hdsp.learning.module import AbstractionModule
     from hdsp.learning.network_conformance import check_network
-    from hdsp.learning.networks import ModelSettings, TaskNetwork, build_network, count_parameters
+    from hdsp.learning.networks import TaskNetwork, build_network, count_parameters
+    from hdsp.learning.settings import HardwareSettings, HeightEncoding, ModelSettings, TrainingConfig
     from hdsp.learning.task_data import TaskStream, task_loader
-    from hdsp.learning.training import TrainingConfig, TrainResult, train
+    from hdsp.learning.training import TrainResult, train
 
 __all__ = [
     "ARCHITECTURES",
@@ -45,18 +44,18 @@ __all__ = [
 _MODULES = {
     "ARCHITECTURES": "architectures",
     "AbstractionModule": "module",
-    "HardwareSettings": "hardware",
-    "HeightEncoding": "encoding",
+    "HardwareSettings": "settings",
+    "HeightEncoding": "settings",
     "LearnedAbstraction": "abstraction",
     "LearnedCosts": "learned_costs",
-    "ModelSettings": "networks",
+    "ModelSettings": "settings",
     "PlateauLossWeights": "callbacks",
     "Provenance": "abstraction",
     "PublishedLossWeights": "callbacks",
     "TaskNetwork": "networks",
     "TaskStream": "task_data",
     "TrainResult": "training",
-    "TrainingConfig": "training",
+    "TrainingConfig": "settings",
     "build_network": "networks",
     "check_network": "network_conformance",
     "count_parameters": "networks",

@@ -11,7 +11,7 @@ import secrets
 import shutil
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -24,12 +24,13 @@ from scipy.special import expit
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
+from hdsp.base.settings import checked, load_settings, read_json, shown
 from hdsp.learning.calibration import Calibration, calibration_figures, fit_calibration
-from hdsp.learning.hardware import HardwareSettings, autocast
+from hdsp.learning.hardware import autocast
 from hdsp.learning.metrics import MINIMUM_COST
-from hdsp.learning.network_settings import settings_from
-from hdsp.learning.networks import ModelSettings, TaskNetwork, build_network
+from hdsp.learning.networks import TaskNetwork, build_network
 from hdsp.learning.networks.dense import DenseEvaluation
+from hdsp.learning.settings import HardwareSettings, ModelSettings
 from hdsp.robot import lattice
 from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import COST_MODEL_VERSION
@@ -42,7 +43,7 @@ WINDOWS = 24  # patches per goal evaluation in ``predict_windows``
 Precision = Literal["float32", "float16"]
 
 
-@dataclass(frozen=True)
+@checked
 class Provenance:
     """Origin of a model's labels.
 
@@ -64,6 +65,31 @@ class Provenance:
     def of(cls, robot: Robot, labels_hash: str = "", **notes: Any) -> "Provenance":
         """Provenance for labels made now for ``robot``, with the current cost model."""
         return cls(robot.name, robot.hash(), COST_MODEL_VERSION, labels_hash, notes)
+
+
+@checked
+class SavedAbstraction:
+    """Contents of ``config.json``.
+
+    Attributes:
+        format_version: version of the format, ``FORMAT_VERSION``.
+        model: settings for ``build_network``.
+        lattice: the lattices and actions of training.
+        provenance: source of the labels.
+        metrics: flat metrics at the end of training.
+        weights_sha256: checksum of ``model.safetensors``.
+        calibration: corrections fitted after training.
+        precision: precision of the trained values in the file.
+    """
+
+    format_version: int
+    model: ModelSettings
+    lattice: dict[str, Any]
+    provenance: Provenance
+    metrics: dict[str, float]
+    weights_sha256: str
+    calibration: Calibration = field(default_factory=Calibration)
+    precision: Precision = "float32"
 
 
 class LearnedAbstraction:
@@ -299,20 +325,15 @@ class LearnedAbstraction:
             InputError: a file is missing or damaged; or the lattice, actions, cost model or robot differ from training.
         """
         folder = Path(folder)
-        config_path = existing_file(folder / "config.json", "pretrained abstraction")
+        config_path = folder / "config.json"
+        config = read_json(config_path, "pretrained abstraction")
         weights_path = existing_file(folder / "model.safetensors", "weights of a pretrained abstraction")
-        try:
-            config = json.loads(config_path.read_text())
-            found = {
-                key: config[key]
-                for key in ("format_version", "model", "lattice", "provenance", "metrics", "weights_sha256")
-            }
-        except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{config_path}: not the configuration of an abstraction ({error})") from None
-        _check_agreement(config_path, "format_version", found["format_version"], FORMAT_VERSION)
+        if isinstance(config, dict) and isinstance(version := config.get("format_version"), int):
+            _check_agreement(config_path, "format_version", version, FORMAT_VERSION)
+        saved = load_settings(SavedAbstraction, config, source=str(config_path))
         for key, value in _lattice_contract().items():
-            _check_agreement(config_path, f"lattice.{key}", found["lattice"].get(key), value)
-        provenance = settings_from(Provenance, found["provenance"], f"{config_path} provenance")
+            _check_agreement(config_path, f"lattice.{key}", saved.lattice.get(key), value)
+        provenance = saved.provenance
         _check_agreement(config_path, "cost_model_version", provenance.cost_model_version, COST_MODEL_VERSION)
         if robot is not None and provenance.robot_hash not in ("", robot.hash()):
             raise InputError(
@@ -320,20 +341,21 @@ class LearnedAbstraction:
             )
 
         weights = weights_path.read_bytes()
-        if hashlib.sha256(weights).hexdigest() != found["weights_sha256"]:
+        if hashlib.sha256(weights).hexdigest() != saved.weights_sha256:
             raise InputError(
                 f"{weights_path}: damaged or of another abstraction, its checksum is not the one in config.json"
             )
-        model = settings_from(ModelSettings, found["model"], f"{config_path} model")
-        network = build_network(model)
+        try:
+            network = build_network(saved.model)
+        except (InputError, RuntimeError, MemoryError) as error:  # options that no memory holds
+            raise InputError(f"{config_path}: {' '.join(str(error).split())}") from None
         try:
             network.load_state_dict(load_tensors(weights))
         except (RuntimeError, SafetensorError) as error:
             raise InputError(
-                f"{weights_path}: does not fit {model.architecture}: {str(error).splitlines()[0]}"
+                f"{weights_path}: does not fit {saved.model.architecture}: {str(error).splitlines()[0]}"
             ) from None
-        calibration = Calibration.from_dict(config["calibration"]) if "calibration" in config else None
-        return cls(network, model, provenance, found["metrics"], hardware, calibration)
+        return cls(network, saved.model, provenance, saved.metrics, hardware, saved.calibration)
 
 
 def _lattice_contract() -> dict[str, Any]:
@@ -350,4 +372,4 @@ def _lattice_contract() -> dict[str, Any]:
 
 def _check_agreement(path: Path, what: str, found: Any, expected: Any) -> None:
     if found != expected:
-        raise InputError(f"{path}: {what} is {found}, but this program works with {expected}")
+        raise InputError(f"{path}: {what} is {shown(found)}, but this program works with {shown(expected)}")

@@ -16,13 +16,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import field
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
+from pydantic import BeforeValidator, model_validator
 from scipy.optimize import minimize_scalar
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import Natural, Positive, checked, fault, load_settings
 
 BINS = 15
 #: Quantile levels kept with a model.
@@ -121,7 +123,21 @@ def conformal_quantile(residuals: np.ndarray, level: float) -> float:
     return float(ordered[rank - 1]) if rank <= len(ordered) else math.inf
 
 
-@dataclass(frozen=True)
+def _by_level(values: Any) -> Any:
+    """JSON has texts for keys and lists for tuples."""
+
+    def number(key: Any) -> Any:
+        try:
+            return float(key) if isinstance(key, str) else key
+        except ValueError:
+            return key
+
+    if not isinstance(values, Mapping):
+        return values
+    return {number(level): tuple(row) if isinstance(row, list) else row for level, row in values.items()}
+
+
+@checked
 class Calibration:
     """Corrections for a network's probabilities and costs.
 
@@ -132,17 +148,17 @@ class Calibration:
         tasks: number of fitted tasks.
     """
 
-    temperature: float = 1.0
+    temperature: Positive = 1.0
     excess: tuple[float, ...] = ()
-    cost_quantiles: Mapping[float, tuple[float, ...]] = field(default_factory=dict)
-    tasks: int = 0
+    cost_quantiles: Annotated[dict[float, tuple[float, ...]], BeforeValidator(_by_level)] = field(default_factory=dict)
+    tasks: Natural = 0
 
-    def __post_init__(self):
-        if not (math.isfinite(self.temperature) and self.temperature > 0):
-            raise InputError(f"calibration.temperature is {self.temperature}; it must be positive")
+    @model_validator(mode="after")
+    def _check(self) -> Self:
         for level, values in self.cost_quantiles.items():
-            if len(values) != len(self.excess) + 1 or not np.isfinite(values).all():
-                raise InputError(f"calibration.cost_quantiles of {level}: need {len(self.excess) + 1} finite numbers")
+            if len(values) != len(self.excess) + 1:
+                raise fault("cost_quantiles", {level: values}, f"{len(self.excess) + 1} numbers for each level")
+        return self
 
     def at_level(self, level: float, cost: np.ndarray, flat_cost: np.ndarray) -> np.ndarray:
         """Returns cost quantiles, float32, any shape, from predicted costs on the terrain and on flat ground.
@@ -178,12 +194,7 @@ class Calibration:
         Raises:
             InputError: the values are no calibration.
         """
-        try:
-            quantiles = {float(level): tuple(map(float, row)) for level, row in values["cost_quantiles"].items()}
-            edges = tuple(map(float, values["excess"]))
-            return cls(float(values["temperature"]), edges, quantiles, int(values["tasks"]))
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"calibration: not readable ({type(error).__name__}: {error})") from None
+        return load_settings(cls, values, "calibration")
 
 
 def fit_calibration(

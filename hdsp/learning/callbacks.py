@@ -13,7 +13,7 @@ import torch
 from lightning.pytorch.callbacks import WeightAveraging
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
-from hdsp.base.errors import InputError
+from hdsp.learning.settings import LossSettings
 from hdsp.learning.task_data import ResumableBatches
 
 #: Losses, in the order in which rules treat them.
@@ -24,11 +24,8 @@ class LossWeightRule(pl.Callback, ABC):
     """Divides the weights of the losses from ``losses_to_cut`` by ``factor`` after each training epoch."""
 
     def __init__(self, factor: float = 5.0, patience: int = 3):
-        if not factor > 1:
-            raise InputError(f"trainer.losses.factor: {factor} is not above 1")
-        if patience < 1:
-            raise InputError(f"trainer.losses.patience: {patience} is below 1")
-        self.factor, self.patience = factor, patience
+        settings = LossSettings(factor=factor, patience=patience)
+        self.factor, self.patience = settings.factor, settings.patience
 
     @abstractmethod
     def losses_to_cut(self, losses: Mapping[str, float]) -> list[str]:

@@ -1,58 +1,16 @@
 """Lightning module for task networks: losses, optimiser, schedule and metrics."""
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import lightning.pytorch as pl
 import torch
 from torch import Tensor
 
-from hdsp.base.errors import InputError
 from hdsp.learning.callbacks import LOSSES
 from hdsp.learning.metrics import TaskMetrics, task_losses
 from hdsp.learning.networks import TaskNetwork
+from hdsp.learning.settings import LossSettings, OptimizerSettings, ScheduleSettings
 from hdsp.learning.task_data import Batch
-
-
-@dataclass(frozen=True)
-class OptimizerSettings:
-    """Optimiser settings; the paper uses ``sgd`` with lr 1e-4 and momentum 0.9.
-
-    Weight decay acts on matrices and kernels, not on biases and normalisations.
-    """
-
-    name: Literal["sgd", "adamw"] = "sgd"
-    lr: float = 1e-4
-    momentum: float = 0.9
-    weight_decay: float = 0.0
-
-
-@dataclass(frozen=True)
-class ScheduleSettings:
-    """Learning rate schedule, stepped each batch.
-
-    Attributes:
-        name: ``constant``; ``cosine`` to zero; ``onecycle``: up during the first ``warmup`` share, then down to zero.
-        warmup: share of all steps, between 0 and 1.
-    """
-
-    name: Literal["constant", "cosine", "onecycle"] = "constant"
-    warmup: float = 0.2
-
-    def __post_init__(self):
-        if not 0 < self.warmup < 1:
-            raise InputError(f"trainer.schedule.warmup: {self.warmup} is not between 0 and 1")
-
-
-@dataclass(frozen=True)
-class LossSettings:
-    """Initial loss weights and their decay rule: ``plateau`` (paper), ``published`` (script) or ``constant``."""
-
-    feasibility: float = 1.0
-    cost: float = 1.0
-    rule: Literal["constant", "plateau", "published"] = "plateau"
-    factor: float = 5.0
-    patience: int = 3
 
 
 class AbstractionModule(pl.LightningModule):

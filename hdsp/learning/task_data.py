@@ -1,10 +1,9 @@
 """Labelled tasks as tensor batches, from memory by index (`task_loader`) or shard by shard (`TaskStream`)."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -12,29 +11,12 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, IterableDataset, Sampler, get_worker_info
 
 from hdsp.base.errors import InputError
+from hdsp.learning.settings import BatchSettings
 from hdsp.robot.lattice import N_ABSTRACT_ACTIONS
 
 if TYPE_CHECKING:
     from hdsp.base.storage import Place
     from hdsp.labels.tasks import TaskSet
-
-
-@dataclass(frozen=True)
-class BatchSettings:
-    """Batch composition.
-
-    Attributes:
-        by: ``map``: all 22 goals on ``size`` maps (the trunk runs once per map). ``task``: ``size`` single tasks, each
-            evaluated separately; size 1 is the paper's training.
-        size: maps or tasks per batch.
-    """
-
-    by: Literal["map", "task"] = "map"
-    size: int = 32
-
-    def __post_init__(self):
-        if self.size < 1:
-            raise InputError(f"trainer.batch.size: {self.size} is below 1")
 
 
 class Batch(NamedTuple):

@@ -9,10 +9,10 @@ import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import lightning.pytorch as pl
 import torch
@@ -20,16 +20,15 @@ from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
 from lightning.pytorch.loggers import Logger
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import load_settings
 from hdsp.learning.abstraction import LearnedAbstraction, Provenance
 from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, AveragedWeights, EpochPosition
-from hdsp.learning.hardware import HardwareSettings
 from hdsp.learning.history import EpochHistory, OnEpoch
-from hdsp.learning.metrics import combined_score
-from hdsp.learning.module import AbstractionModule, LossSettings, OptimizerSettings, ScheduleSettings
-from hdsp.learning.network_settings import settings_from
-from hdsp.learning.networks import ModelSettings, build_network
+from hdsp.learning.module import AbstractionModule
+from hdsp.learning.networks import build_network
 from hdsp.learning.networks.base import TaskNetwork
-from hdsp.learning.task_data import BatchSettings, ResumableBatches, TaskStream, task_loader
+from hdsp.learning.settings import BatchSettings, ModelSettings, TrainerSettings, TrainingConfig
+from hdsp.learning.task_data import ResumableBatches, TaskStream, task_loader
 
 if TYPE_CHECKING:
     from hdsp.base.storage import Place
@@ -37,95 +36,6 @@ if TYPE_CHECKING:
 
 #: Validation batches; their size has no influence on results.
 VALIDATION_BATCH = BatchSettings(by="map", size=64)
-
-
-@dataclass(frozen=True)
-class SelectionSettings:
-    """Selection of the epoch whose state is kept.
-
-    Attributes:
-        set: validation set that decides.
-        metric: ``combined``: lowest (1 - feasibility accuracy) + cost error; or one of the two alone.
-    """
-
-    set: str = "val"
-    metric: Literal["combined", "feasibility_accuracy", "cost_error"] = "combined"
-
-    def score(self, metrics: Mapping[str, float]) -> float:
-        """Returns an epoch's score; lower is better."""
-        accuracy, error = metrics[f"feasibility_accuracy/{self.set}"], metrics[f"cost_error/{self.set}"]
-        if self.metric == "feasibility_accuracy":
-            return 1 - accuracy
-        # Without tasks feasible for both, the cost error is NaN, and the state must not win.
-        return combined_score(accuracy, error) if self.metric == "combined" else combined_score(1.0, error)
-
-
-@dataclass(frozen=True)
-class TrainerSettings:
-    """Trainer settings, as in ``conf/trainer/*.yaml``: all training inputs besides model and data.
-
-    Attributes:
-        epochs, seed, batch, optimizer, schedule, losses, selection: see their classes.
-        mirror: random mirroring of maps on the robot's x axis. It is the only symmetry in the costs: backward driving
-            differs from forward driving, and a quarter turn moves the feet.
-        gradient_clip: largest gradient norm per step; None = no limit.
-        ema: decay for the weight average that is evaluated and saved; None = the last weights.
-        early_stopping: epochs without a better score before training ends; None = no early stop.
-        checkpoint_minutes: time between checkpoints within an epoch.
-        initial: folder with a saved abstraction of the same model; training starts from its weights. None = random
-            weights.
-        splits, val_splits: labelled splits that ``pipeline.train`` passes to ``train``.
-        stream: whether ``pipeline.train`` passes split folders, from which a few shards at a time are in memory.
-        share, residues: ``pipeline.train`` passes this share of all maps in ``splits``, and from this share only maps
-            with these abstract headings modulo a quarter turn; None = all.
-    """
-
-    epochs: int = 100
-    seed: int = 0
-    batch: BatchSettings = field(default_factory=BatchSettings)
-    mirror: bool = False
-    optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
-    schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
-    losses: LossSettings = field(default_factory=LossSettings)
-    selection: SelectionSettings = field(default_factory=SelectionSettings)
-    gradient_clip: float | None = None
-    # Left out of the checkpoint fingerprint (`_fingerprint`), which holds the tasks themselves, and ema, early_stopping
-    # and initial if they are set.
-    ema: float | None = field(default=None, repr=False)
-    early_stopping: int | None = field(default=None, repr=False)
-    checkpoint_minutes: float = field(default=10.0, repr=False)
-    initial: str | None = field(default=None, repr=False)
-    stream: bool = field(default=False, repr=False)
-    share: float = field(default=1.0, repr=False)
-    residues: tuple[int, ...] | None = field(default=None, repr=False)
-    splits: tuple[str, ...] = field(default=("train",), repr=False)
-    val_splits: tuple[str, ...] = field(default=("val",), repr=False)
-
-    def __post_init__(self):
-        for name in ("splits", "val_splits"):
-            if not getattr(self, name):
-                raise InputError(f"trainer.{name}: it is empty; need the name of a labelled split")
-        if self.epochs < 1:
-            raise InputError(f"trainer.epochs: {self.epochs} is below 1")
-        if self.ema is not None and not 0 < self.ema < 1:
-            raise InputError(f"trainer.ema: {self.ema} is not between 0 and 1")
-        if self.early_stopping is not None and self.early_stopping < 1:
-            raise InputError(f"trainer.early_stopping: {self.early_stopping} is below 1")
-        if not 0 < self.share <= 1:
-            raise InputError(f"trainer.share: {self.share} is not above 0 and at most 1")
-        if self.stream and (self.share < 1 or self.residues is not None):
-            raise InputError("trainer.stream: whole splits are streamed; share has to be 1.0 and residues null")
-        if not self.checkpoint_minutes > 0:
-            raise InputError(f"trainer.checkpoint_minutes: {self.checkpoint_minutes} is not above 0")
-
-
-@dataclass(frozen=True)
-class TrainingConfig:
-    """Configuration for ``train``: model, trainer, and hardware, which has no influence on results."""
-
-    model: ModelSettings = field(default_factory=ModelSettings)
-    trainer: TrainerSettings = field(default_factory=TrainerSettings)
-    hardware: HardwareSettings = field(default_factory=HardwareSettings)
 
 
 @dataclass(frozen=True)
@@ -182,7 +92,7 @@ def train(
         InputError: a configuration key is unknown or a value wrong, a task set is empty, the selection set is missing,
             or no epoch gave a network that finds feasible tasks.
     """
-    config = settings_from(TrainingConfig, config, "config")
+    config = load_settings(TrainingConfig, config)
     trainer_settings, out_dir = config.trainer, Path(out_dir)
     if trainer_settings.selection.set not in val_sets:
         names = ", ".join(val_sets) or "(none)"

@@ -10,10 +10,11 @@ Abstract cell ``(a, b)`` is the block of detailed cells ``[4a, 4a + 4) x [4b, 4b
 
 import math
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from hdsp.base.errors import InputError
 
@@ -25,6 +26,10 @@ ABSTRACT_RESOLUTION = RESOLUTION * CELLS_PER_ABSTRACT
 ABSTRACT_HEADINGS = 16
 HEADINGS_PER_ABSTRACT = HEADINGS // ABSTRACT_HEADINGS
 ABSTRACT_ANCHOR = CELLS_PER_ABSTRACT // 2
+
+#: An abstract heading in settings, and an abstract heading modulo a quarter turn.
+AbstractHeading = Annotated[int, Field(ge=0, lt=ABSTRACT_HEADINGS)]
+Residue = Annotated[int, Field(ge=0, lt=ABSTRACT_HEADINGS // 4)]
 
 PATCH_CELLS = 72
 PATCH_CENTER = PATCH_CELLS // 2

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import load_settings
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, ModelSettings, build_network
 from hdsp.learning.calibration import (
     Calibration,
@@ -19,7 +20,6 @@ from hdsp.learning.calibration import (
     fit_temperature,
     reliability,
 )
-from hdsp.learning.network_settings import settings_from
 from tests.learning.synthetic import TINY_MODEL, synthetic_tasks
 
 EXACT = HardwareSettings(accelerator="cpu", precision="32")
@@ -160,7 +160,7 @@ def test_what_is_no_probability_is_named(probability, feasible, reason):
 @pytest.fixture(scope="module")
 def abstraction():
     torch.manual_seed(0)
-    model = settings_from(ModelSettings, TINY_MODEL, "model")
+    model = load_settings(ModelSettings, TINY_MODEL, "model")
     network = build_network(model)
     with torch.no_grad():
         network.heads.bias.copy_(torch.tensor([0.4, 0.0]))

@@ -7,7 +7,9 @@ import pytest
 import torch
 
 from hdsp.base.errors import InputError
-from hdsp.learning.encoding import HeightEncoding, greatest_difference
+from hdsp.base.settings import load_settings
+from hdsp.learning.encoding import greatest_difference
+from hdsp.learning.settings import HeightEncoding
 from hdsp.robot.lattice import cells
 from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import cost_maps
@@ -103,7 +105,7 @@ def test_unevenness_is_that_of_the_cost_model():
 
 def test_encoding_survives_its_mapping():
     encoding = HeightEncoding(reference="base", clip=(-0.5, 1.0), channels=("edge",), edge_scale=0.2)
-    assert HeightEncoding.from_config(encoding.to_dict()) == encoding
+    assert load_settings(HeightEncoding, encoding.to_dict(), "model.encoding") == encoding
 
 
 @pytest.mark.parametrize(
@@ -112,4 +114,4 @@ def test_encoding_survives_its_mapping():
 )
 def test_wrong_encodings_are_refused(faulty):
     with pytest.raises(InputError, match=r"encoding\."):
-        HeightEncoding.from_config(faulty)
+        load_settings(HeightEncoding, faulty, "model.encoding")

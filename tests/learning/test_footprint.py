@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import load_settings
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, Provenance
-from hdsp.learning.network_settings import settings_from
 from hdsp.learning.networks import ModelSettings, build_network
 from hdsp.learning.networks.footprint import POSES
 from hdsp.learning.networks.requirements import FEET, REQUIREMENT_FEATURES
@@ -87,7 +87,7 @@ def test_whole_maps_in_bfloat16(network):
     region = (8, 8, 12, 12)
 
     def edges(precision):
-        settings = settings_from(ModelSettings, model_file("footprint"), "model")
+        settings = load_settings(ModelSettings, model_file("footprint"), "model")
         hardware = HardwareSettings(accelerator="cpu", precision=precision)
         return LearnedCosts(LearnedAbstraction(network, settings, Provenance(), {}, hardware)).edges(terrain, region)
 

@@ -6,9 +6,9 @@ import torch
 
 from hdsp.abstract.abstract_costs import AbstractCosts, TaskPredictor
 from hdsp.base.errors import InputError
+from hdsp.base.settings import load_settings
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, ModelSettings, build_network
 from hdsp.learning.learned_costs import distinct_patches
-from hdsp.learning.network_settings import settings_from
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, robot_frame_goals
 from hdsp.terrain.height_map import HeightMap
 from tests.learning.synthetic import TINY_MODEL
@@ -17,7 +17,7 @@ from tests.learning.synthetic import TINY_MODEL
 @pytest.fixture(scope="module")
 def costs():
     torch.manual_seed(2)
-    model = settings_from(ModelSettings, TINY_MODEL, "model")
+    model = load_settings(ModelSettings, TINY_MODEL, "model")
     network = build_network(model)
     # A random network with constant predictions would leave half the code untested.
     with torch.no_grad():

@@ -87,12 +87,15 @@ def test_he_initialisation_makes_the_trunk_depend_on_the_map():
 @pytest.mark.parametrize(
     ("config", "message"),
     [
-        ({"architecture": "klamt"}, "model.architecture: 'klamt' is not one of klamt2019, compact, swept, "),
+        ({"architecture": "klamt"}, "model.architecture is 'klamt'; need one of klamt2019, compact, swept, "),
         ({"architcture": "compact"}, "model: unknown key 'architcture'"),
         ({"architecture": "compact", "options": {"width": 3}}, "model.options: unknown key 'width'"),
         ({"architecture": "klamt2019", "options": {"hidden": 3}}, "model.options: unknown key 'hidden'"),
-        ({"initialisation": "zeros"}, "model.initialisation: 'zeros' is not one of he, default"),
-        ({"architecture": "compact", "options": {"widths": [8]}}, "widths [8] and blocks [1, 1, 1]"),
+        ({"initialisation": "zeros"}, "model.initialisation is 'zeros'; need 'he' or 'default'"),
+        (
+            {"architecture": "compact", "options": {"widths": [8]}},
+            "model.options.blocks is [1, 1, 1]; need as many entries as widths, [8]",
+        ),
         ({"encoding": {"clip": [1, 0]}}, "encoding.clip"),
     ],
 )

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import load_settings
 from hdsp.learning import HardwareSettings, LearnedAbstraction, ModelSettings, Provenance, build_network
 from hdsp.learning.metrics import MINIMUM_COST
-from hdsp.learning.network_settings import settings_from
 from hdsp.robot.robot import Robot
 from tests.learning.synthetic import TINY_MODEL, synthetic_tasks
 
@@ -19,7 +19,7 @@ EXACT = HardwareSettings(accelerator="cpu", precision="32")
 @pytest.fixture
 def abstraction():
     torch.manual_seed(0)
-    model = settings_from(ModelSettings, TINY_MODEL, "model")
+    model = load_settings(ModelSettings, TINY_MODEL, "model")
     provenance = Provenance.of(Robot.load("momaro"), "0123", maps=3)
     return LearnedAbstraction(build_network(model), model, provenance, {"cost_error/val": 0.1}, EXACT)
 

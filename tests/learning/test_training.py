@@ -224,15 +224,18 @@ def test_training_leaves_the_global_random_state_alone(tasks, val, tmp_path):
     ("part", "message"),
     [
         ({"selection": {"set": "test"}}, "trainer.selection.set: 'test' is not one of the validation sets val"),
-        ({"epochs": 0}, "trainer.epochs: 0 is below 1"),
-        ({"ema": 1.0}, "trainer.ema: 1.0 is not between 0 and 1"),
-        ({"early_stopping": 0}, "trainer.early_stopping: 0 is below 1"),
-        ({"splits": []}, "trainer.splits: it is empty"),
-        ({"share": 0.0}, "trainer.share: 0.0 is not above 0"),
-        ({"stream": True, "residues": [0]}, "trainer.stream: whole splits are streamed"),
-        ({"optimiser": {}}, "config.trainer: unknown key 'optimiser'"),
-        ({"batch": {"by": "patch"}}, "config.trainer.batch.by: 'patch' is not one of map, task"),
-        ({"optimizer": {"lr": "high"}}, "config.trainer.optimizer.lr: need float, got 'high'"),
+        ({"epochs": 0}, "trainer.epochs is 0; need at least 1"),
+        ({"ema": 1.0}, "trainer.ema is 1.0; need less than 1"),
+        ({"early_stopping": 0}, "trainer.early_stopping is 0; need at least 1"),
+        ({"splits": []}, "trainer.splits is []; need a list of at least 1"),
+        ({"share": 0.0}, "trainer.share is 0.0; need a positive number"),
+        (
+            {"stream": True, "residues": [0]},
+            "trainer.stream is True; need false where share is below 1 or residues is set",
+        ),
+        ({"optimiser": {}}, "trainer: unknown key 'optimiser'; did you mean 'optimizer'?"),
+        ({"batch": {"by": "patch"}}, "trainer.batch.by is 'patch'; need 'map' or 'task'"),
+        ({"optimizer": {"lr": "high"}}, "trainer.optimizer.lr is 'high'; need a finite number"),
     ],
 )
 def test_wrong_configurations_are_named(tasks, val, tmp_path, part, message):

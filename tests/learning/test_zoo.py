@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import load_settings
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, ModelSettings
-from hdsp.learning.network_settings import settings_from
 from hdsp.learning.networks import ARCHITECTURES, build_network
 from hdsp.learning.networks.dense import DenseTrunk
 from hdsp.learning.task_data import mirror_goals
@@ -22,7 +22,7 @@ EXACT = HardwareSettings("cpu", "32", 1)
 def abstraction(name: str) -> LearnedAbstraction:
     """A model from conf/model with random weights; its costs and predictions vary like a trained model's."""
     torch.manual_seed(0)
-    model = settings_from(ModelSettings, model_file(name), "model")
+    model = load_settings(ModelSettings, model_file(name), "model")
     network = build_network(model).eval()
     half = len(network.heads.bias) // 2  # the first half are costs, the second half logits
     with torch.no_grad():
@@ -166,10 +166,19 @@ def test_a_goal_map_shows_front_and_rear_feet_at_the_goal():
 @pytest.mark.parametrize(
     ("config", "message"),
     [
-        ({"options": {"kernels": [3, 6, 14, 4]}}, "model.options.kernels: [3, 6, 14, 4] have to be above 0"),
-        ({"options": {"kernels": [3, 7, 45, 4]}}, "kernels: [3, 7, 45, 4] leave nothing of 72 cells"),
-        ({"architecture": "dilated", "options": {"pool": 80}}, "pool 80 leave nothing of a patch of 72 cells"),
-        ({"architecture": "dilated", "options": {"widths": [8]}}, "need one entry for each convolution"),
+        (
+            {"options": {"kernels": [3, 6, 14, 4]}},
+            "model.options.kernels is [3, 6, 14, 4]; need odd numbers for the first two",
+        ),
+        ({"options": {"kernels": [3, 7, 45, 4]}}, "kernels is [3, 7, 45, 4]; need kernels that leave some of 72 cells"),
+        (
+            {"architecture": "dilated", "options": {"pool": 80}},
+            "kernels that with dilations [1, 2, 4, 8] and pool 80 fit a patch of 72 cells",
+        ),
+        (
+            {"architecture": "dilated", "options": {"widths": [8]}},
+            "kernels is [5, 3, 3, 3]; need as many entries as widths, [8]",
+        ),
     ],
 )
 def test_wrong_options_are_named(config, message):

@@ -7,9 +7,9 @@ import pytest
 import yaml
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import load_settings
 from hdsp.labels.shards import write_shard
-from hdsp.learning.network_settings import settings_from
-from hdsp.learning.training import TrainingConfig
+from hdsp.learning.settings import TrainingConfig
 from pipeline.compare import SECTIONS, differences
 from pipeline.config import CONF, compose, flatten, plain
 from pipeline.train import part_of
@@ -32,7 +32,7 @@ def test_an_ablation_differs_from_the_base_in_what_its_file_says(name, base):
     config = compose([f"experiment=ablation/{name}"])
     assert Path(config.runtime.outputs) == Path("outputs/ablations") / name
     assert config.profile == "beyond" and config.runtime.inputs == "outputs/beyond"
-    settings_from(TrainingConfig, {"model": plain(config.model), "trainer": plain(config.trainer)}, "config")
+    load_settings(TrainingConfig, {"model": plain(config.model), "trainer": plain(config.trainer)}, "config")
     assert set(differences(base, flat(config))) == (set() if name == "base" else told(name))
 
 

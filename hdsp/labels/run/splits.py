@@ -20,7 +20,7 @@ from hdsp.base.provenance import ROOT, code_fingerprint
 from hdsp.base.settings import Count, Natural, checked, one_of
 from hdsp.labels.shards import SCHEMA_VERSION, SUFFIX
 from hdsp.labels.tasks import TaskSet
-from hdsp.robot.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, PATCH_CELLS
+from hdsp.robot.lattice import HEADINGS_PER_ABSTRACT, PATCH_CELLS, AbstractHeading
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.patches import ROTATED_MAP_CELLS
@@ -37,7 +37,6 @@ LabelMap = Callable[[HeightMap, Robot, "LabelSettings", int], "MapTasks | None"]
 SHARD_NAME = re.compile(rf"\d{{5,}}-[0-9a-f]{{12}}{re.escape(SUFFIX)}")
 
 
-AbstractHeading = Annotated[int, Field(ge=0, lt=ABSTRACT_HEADINGS)]
 Category = Annotated[str, one_of(ALL_CATEGORIES)]
 
 

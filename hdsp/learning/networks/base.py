@@ -6,8 +6,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from hdsp.learning.encoding import HeightEncoding
 from hdsp.learning.networks.dense import DenseEvaluation
+from hdsp.learning.settings import HeightEncoding
 
 
 class TaskNetwork(nn.Module):
@@ -18,7 +18,7 @@ class TaskNetwork(nn.Module):
     unknown; the encoding belongs to the network. A subclass is made from an encoding and its options.
 
     Attributes:
-        Options: dataclass of the architecture's options.
+        Options: settings class of the architecture's options (`hdsp.base.settings.checked`).
     """
 
     Options: ClassVar[type]

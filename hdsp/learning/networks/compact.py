@@ -1,17 +1,18 @@
 """Smaller, faster network: strided residual stages, and a goal gate on the map features."""
 
-from dataclasses import dataclass
+from typing import Annotated, Self
 
 import torch
+from pydantic import Field, model_validator
 from torch import Tensor, nn
 
-from hdsp.base.errors import InputError
-from hdsp.learning.encoding import HeightEncoding
+from hdsp.base.settings import Natural, checked, fault
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
+from hdsp.learning.settings import HeightEncoding, Width
 
 
-@dataclass(frozen=True)
+@checked
 class CompactOptions:
     """Layer widths.
 
@@ -22,16 +23,16 @@ class CompactOptions:
         hidden: width of the layers that see the goal.
     """
 
-    widths: tuple[int, ...] = (32, 48, 64)
-    blocks: tuple[int, ...] = (1, 1, 1)
-    map_features: int = 24
-    hidden: int = 256
+    widths: Annotated[tuple[Width, ...], Field(min_length=1, max_length=5)] = (32, 48, 64)
+    blocks: tuple[Annotated[Natural, Field(le=100)], ...] = (1, 1, 1)
+    map_features: Width = 24
+    hidden: Width = 256
 
-    def __post_init__(self):
-        if len(self.widths) != len(self.blocks) or not 1 <= len(self.widths) <= 5:
-            raise InputError(
-                f"model.options: widths {list(self.widths)} and blocks {list(self.blocks)} need 1 to 5 entries each"
-            )
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if len(self.widths) != len(self.blocks):
+            raise fault("blocks", self.blocks, f"as many entries as widths, {list(self.widths)}")
+        return self
 
 
 class Compact(TaskNetwork):

@@ -1,18 +1,19 @@
 """Network without strides: dilated convolutions, then max pooling over squares."""
 
-from dataclasses import dataclass
+from typing import Annotated, Self
 
+from pydantic import Field, model_validator
 from torch import Tensor, nn
 
-from hdsp.base.errors import InputError
-from hdsp.learning.encoding import HeightEncoding
+from hdsp.base.settings import Count, checked, fault
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.dense import DenseTrunk
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
+from hdsp.learning.settings import HeightEncoding, Width
 from hdsp.robot.lattice import PATCH_CELLS
 
 
-@dataclass(frozen=True)
+@checked
 class DilatedOptions:
     """Layer widths and reach.
 
@@ -25,23 +26,21 @@ class DilatedOptions:
         hidden: width of the layers that see the goal.
     """
 
-    widths: tuple[int, ...] = (16, 32, 32, 32)
-    kernels: tuple[int, ...] = (5, 3, 3, 3)
-    dilations: tuple[int, ...] = (1, 2, 4, 8)
-    pool: int = 8
-    hidden: int = 128
+    widths: Annotated[tuple[Width, ...], Field(min_length=1, max_length=20)] = (16, 32, 32, 32)
+    kernels: tuple[Count, ...] = (5, 3, 3, 3)
+    dilations: tuple[Count, ...] = (1, 2, 4, 8)
+    pool: Count = 8
+    hidden: Width = 128
 
-    def __post_init__(self):
-        if not len(self.widths) == len(self.kernels) == len(self.dilations) > 0:
-            raise InputError(
-                f"model.options: widths {list(self.widths)}, kernels {list(self.kernels)} and dilations "
-                f"{list(self.dilations)} need one entry for each convolution"
-            )
-        if min(self.kernels + self.dilations) < 1 or self.pool < 1 or self.cells() < 1:
-            raise InputError(
-                f"model.options: kernels {list(self.kernels)}, dilations {list(self.dilations)} and pool {self.pool} "
-                f"leave nothing of a patch of {PATCH_CELLS} cells"
-            )
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for name in ("kernels", "dilations"):
+            if len(values := getattr(self, name)) != len(self.widths):
+                raise fault(name, values, f"as many entries as widths, {list(self.widths)}")
+        if self.cells() < 1:
+            others = f"with dilations {list(self.dilations)} and pool {self.pool}"
+            raise fault("kernels", self.kernels, f"kernels that {others} fit a patch of {PATCH_CELLS} cells")
+        return self
 
     def cells(self) -> int:
         """Returns the side of a patch's feature map."""

@@ -2,14 +2,15 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Annotated, Self
 
 import torch
+from pydantic import Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional
 
 from hdsp.base.errors import InputError
-from hdsp.learning.encoding import HeightEncoding
+from hdsp.base.settings import Count, checked, fault
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
 from hdsp.learning.networks.requirements import (
@@ -24,6 +25,7 @@ from hdsp.learning.networks.requirements import (
     PoseRequirements,
     told,
 )
+from hdsp.learning.settings import HeightEncoding, Width
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
 
 #: Largest base displacement along an axis, in cells: the longest action at any heading residue.
@@ -48,7 +50,7 @@ NEAR_RADIUS = 2
 GROUND_RADIUS = 2
 
 
-@dataclass(frozen=True)
+@checked
 class FootprintOptions:
     """Layer widths.
 
@@ -67,26 +69,24 @@ class FootprintOptions:
             them.
     """
 
-    width: int = 32
-    dilations: tuple[int, ...] = (1, 2, 4)
-    taps: tuple[int, int] = (9, 7)
-    spacing: int = 3
-    hidden: int = 96
-    features: int = 48
-    context: int = 64
-    feet: int = 128
-    head: int = 128
+    width: Width = 32
+    dilations: tuple[Count, ...] = (1, 2, 4)
+    taps: tuple[Count, Count] = (9, 7)
+    spacing: Count = 3
+    hidden: Width = 96
+    features: Width = 48
+    context: Width = 64
+    feet: Width = 128
+    head: Annotated[Width, Field(ge=2)] = 128
     stance: PoseRequirementOptions | None = None
 
-    def __post_init__(self):
-        if sum(self.dilations) > 7 or min(self.dilations, default=1) < 1:
-            raise InputError(
-                f"model.options.dilations: {list(self.dilations)} have to be at least 1 and add up to <= 7"
-            )
-        if min(self.taps) < 1 or any(n % 2 == 0 for n in self.taps) or max(self.taps) * self.spacing > 27:
-            raise InputError(
-                f"model.options: taps {list(self.taps)} have to be odd, and with spacing {self.spacing} within 27 cells"
-            )
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if sum(self.dilations) > 7:
+            raise fault("dilations", self.dilations, "numbers that add up to at most 7")
+        if any(n % 2 == 0 for n in self.taps) or max(self.taps) * self.spacing > 27:
+            raise fault("taps", self.taps, f"odd numbers, and with spacing {self.spacing} within 27 cells")
+        return self
 
 
 class Footprint(TaskNetwork):

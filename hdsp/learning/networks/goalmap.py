@@ -1,20 +1,25 @@
 """Network with the goal as a map: goal feet are painted beside the heights, and convolutions see both."""
 
 import math
-from dataclasses import dataclass
+from typing import Annotated
 
 import torch
+from pydantic import Field
 from torch import Tensor, nn
 
-from hdsp.learning.encoding import HeightEncoding
+from hdsp.base.settings import checked
 from hdsp.learning.networks.base import TaskNetwork
+from hdsp.learning.settings import HeightEncoding, Width
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
 
 #: Side of the feature maps with painted goals, and patch cells per feature cell along one axis.
 SIDE, SPAN = PATCH_CELLS // 2, 2
 
 
-@dataclass(frozen=True)
+Offset = Annotated[float, Field(ge=0, le=PATCH_CENTER)]
+
+
+@checked
 class GoalMapOptions:
     """Layer widths.
 
@@ -24,9 +29,9 @@ class GoalMapOptions:
         hidden: width of the layer after the convolutions.
     """
 
-    widths: tuple[int, int, int] = (16, 32, 48)
-    feet: tuple[float, float] = (13.0, 10.0)
-    hidden: int = 96
+    widths: tuple[Width, Width, Width] = (16, 32, 48)
+    feet: tuple[Offset, Offset] = (13.0, 10.0)
+    hidden: Width = 96
 
 
 class GoalMap(TaskNetwork):

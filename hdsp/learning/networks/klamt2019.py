@@ -1,17 +1,18 @@
 """The paper's network, as published by its authors."""
 
-from dataclasses import dataclass
+from typing import Self
 
+from pydantic import model_validator
 from torch import Tensor, nn
 
-from hdsp.base.errors import InputError
-from hdsp.learning.encoding import HeightEncoding
+from hdsp.base.settings import Count, checked, fault
 from hdsp.learning.networks.base import MapGoalLinear, TaskNetwork
 from hdsp.learning.networks.dense import DenseTrunk
+from hdsp.learning.settings import HeightEncoding
 from hdsp.robot.lattice import PATCH_CELLS
 
 
-@dataclass(frozen=True)
+@checked
 class Klamt2019Options:
     """Options; the defaults are the published architecture.
 
@@ -23,15 +24,15 @@ class Klamt2019Options:
     """
 
     padded: bool = True
-    kernels: tuple[int, int, int, int] = (3, 7, 14, 4)
+    kernels: tuple[Count, Count, Count, Count] = (3, 7, 14, 4)
 
-    def __post_init__(self):
-        if min(self.kernels) < 1 or (self.padded and not self.kernels[0] % 2 == self.kernels[1] % 2 == 1):
-            raise InputError(
-                f"model.options.kernels: {list(self.kernels)} have to be above 0, and the first two odd where padded"
-            )
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.padded and not self.kernels[0] % 2 == self.kernels[1] % 2 == 1:
+            raise fault("kernels", self.kernels, "odd numbers for the first two, which are padded")
         if self.cells() < 1:
-            raise InputError(f"model.options.kernels: {list(self.kernels)} leave nothing of {PATCH_CELLS} cells")
+            raise fault("kernels", self.kernels, f"kernels that leave some of {PATCH_CELLS} cells")
+        return self
 
     def cells(self) -> int:
         """Returns the side of a patch's feature map."""

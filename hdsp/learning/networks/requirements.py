@@ -1,14 +1,14 @@
 """Robot requirements on the ground at a pose, as shares of the robot's limits."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor, nn
 
-from hdsp.base.errors import InputError
+from hdsp.base.settings import NotNegative, Positive, checked
 from hdsp.robot.lattice import cells
+from hdsp.robot.robot import Box
 from hdsp.terrain.cost_maps import disc_mask
 
 #: Ground channels: height (NaN = unknown), highest and lowest height nearby, unevenness (see ``HeightEncoding``), and
@@ -26,7 +26,7 @@ POSE_FEATURES = 3 * (1 + len(SHARPNESS)) + 1
 REQUIREMENT_FEATURES = POSE_FEATURES + 2 * len(FEET)
 
 
-@dataclass(frozen=True)
+@checked
 class PoseRequirementOptions:
     """Robot limits from ``hdsp.robot.robot.Robot``; all lengths in metres.
 
@@ -37,29 +37,16 @@ class PoseRequirementOptions:
         clearance: distance that feet keep from cells with larger differences.
         contact_inward: offset, from each foot toward the body, to the ground whose unevenness costs.
         unevenness_cost: drive cost per metre of unevenness.
-        boxes: volumes that have to stay free, with ``above``, ``x_min``, ``x_max`` and ``half_width``.
+        boxes: volumes that have to stay free.
     """
 
-    neutral: tuple[float, float]
-    level: float
-    edge: float
-    clearance: float
-    contact_inward: float
-    unevenness_cost: float
-    boxes: tuple[dict, ...]
-
-    def __post_init__(self):
-        for name in ("level", "edge", "clearance"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"model.options.stance.{name}: {getattr(self, name)} has to be > 0")
-        if not min(self.neutral) > 0:
-            raise InputError(f"model.options.stance.neutral: {list(self.neutral)} have to be > 0")
-        keys = {"above", "x_min", "x_max", "half_width"}
-        for box in self.boxes:
-            if set(box) != keys or min(box["above"], box["half_width"], box["x_max"] - box["x_min"]) <= 0:
-                raise InputError(
-                    f"model.options.stance.boxes: {box} needs {', '.join(sorted(keys))}, and all sizes > 0"
-                )
+    neutral: tuple[Positive, Positive]
+    level: Positive
+    edge: Positive
+    clearance: Positive
+    contact_inward: NotNegative
+    unevenness_cost: NotNegative
+    boxes: tuple[Box, ...]
 
 
 class PoseRequirements(nn.Module):
@@ -158,7 +145,7 @@ class PoseRequirements(nn.Module):
         body = torch.zeros_like(spread)
         for box, covering in zip(self.options.boxes, bodies, strict=True):
             rise = (at(HIGHEST, covering).amax(dim, keepdim=True) - under).nan_to_num(nan=0.0, neginf=0.0)
-            body = torch.maximum(body, rise / box["above"])
+            body = torch.maximum(body, rise / box.above)
         price = self.options.unevenness_cost * (contacts.amax(dim, keepdim=True) + contacts.sum(dim, keepdim=True))
         above = (feet - base).nan_to_num(nan=0.0).clamp(-0.5, 0.8)
         shares = (_told(share) for share in (spread, barred.amax(dim, keepdim=True), body))
@@ -174,9 +161,9 @@ def _told(share: Tensor) -> list[Tensor]:
     return [share.clamp_max(MOST), *(told(share, width) for width in SHARPNESS)]
 
 
-def _covering(box: Mapping[str, float], radius: int) -> Tensor:
+def _covering(box: Box, radius: int) -> Tensor:
     """Points [n, 2] in cells whose squares with this radius cover a box and little else."""
-    spans = ((box["x_min"], box["x_max"]), (-box["half_width"], box["half_width"]))
+    spans = ((box.x_min, box.x_max), (-box.half_width, box.half_width))
     axes = []
     for low, high in spans:
         low, high = math.ceil(cells(low)), math.floor(cells(high))  # cells with their centre inside

@@ -1,20 +1,24 @@
 """Network that samples map features under the robot along the way to each goal."""
 
 import math
-from dataclasses import dataclass
+from typing import Annotated
 
 import torch
+from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from hdsp.base.errors import InputError
-from hdsp.learning.encoding import HeightEncoding
+from hdsp.base.settings import NotNegative, checked
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
+from hdsp.learning.settings import HeightEncoding, Width
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
 
+#: Number of sample points along an axis.
+Points = Annotated[int, Field(ge=1, le=20)]
 
-@dataclass(frozen=True)
+
+@checked
 class SweptOptions:
     """Layer widths and sample points.
 
@@ -27,17 +31,11 @@ class SweptOptions:
         hidden: width of the layers after the sampling.
     """
 
-    widths: tuple[int, ...] = (8, 24, 32)
-    points: tuple[int, int] = (4, 3)
-    reach: tuple[float, float] = (14.0, 11.0)
-    samples: int = 5
-    hidden: int = 96
-
-    def __post_init__(self):
-        if len(self.widths) != 3:
-            raise InputError(f"model.options.widths: {list(self.widths)} has to have 3 entries")
-        if self.samples < 2 or min(self.points) < 1:
-            raise InputError(f"model.options: samples {self.samples} below 2 or points {list(self.points)} below 1")
+    widths: tuple[Width, Width, Width] = (8, 24, 32)
+    points: tuple[Points, Points] = (4, 3)
+    reach: tuple[NotNegative, NotNegative] = (14.0, 11.0)
+    samples: Annotated[int, Field(ge=2, le=50)] = 5
+    hidden: Width = 96
 
 
 class Swept(TaskNetwork):

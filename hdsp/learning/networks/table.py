@@ -1,15 +1,14 @@
 """Network with one output per action: it takes no goal, and one evaluation per patch serves all actions."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from hdsp.base.errors import InputError
-from hdsp.learning.encoding import HeightEncoding
+from hdsp.base.settings import checked
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.dense import DenseTrunk
+from hdsp.learning.settings import HeightEncoding, Width
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, robot_frame_goals
 
 #: Largest difference, in abstract steps, between a goal and its action.
@@ -18,7 +17,7 @@ TOLERANCE = 1e-3
 RESIDUES = ABSTRACT_HEADINGS // 4
 
 
-@dataclass(frozen=True)
+@checked
 class TableOptions:
     """Layer widths.
 
@@ -27,8 +26,8 @@ class TableOptions:
         hidden: width of the two layers after the convolutions.
     """
 
-    widths: tuple[int, int, int, int] = (12, 24, 40, 48)
-    hidden: int = 192
+    widths: tuple[Width, Width, Width, Width] = (12, 24, 40, 48)
+    hidden: Width = 192
 
 
 class Table(TaskNetwork):
