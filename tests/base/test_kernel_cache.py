@@ -78,7 +78,7 @@ def test_a_kernel_is_compiled_again_after_edits_of_what_it_freezes_and_after_no_
     assert run() == (93.0, False)
     edit(package / "more.py", "return 1", "return 2")
     edit(package / "probe.py", "@njit()", "# A comment that moves the kernel down.\n@njit()")
-    (package / "base/workers.py").write_text("VALUE = 1\n")
+    edit(package / "base/files.py", "import os\n", "import os\n\nVALUE = 1\n")
     assert run() == (93.0, True)
     edit(package / "robot/lattice.py", "RESOLUTION = 0.025", "RESOLUTION = 0.05")
     assert run() == (118.0, False)
