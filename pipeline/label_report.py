@@ -20,7 +20,7 @@ from pipeline.stage import Folders, run_stage, write_json
 
 
 def label_report(config: DictConfig, folders: Folders) -> None:
-    from hdsp.labels.label_summary import describe_labels
+    from hdsp.labels.run.label_summary import describe_labels
 
     splits: dict[str, Any] = {}
     for split, chosen in config.labelling.splits.items():

@@ -2,7 +2,7 @@
 
 - `rules`: labels of one map, and why a task is infeasible
 - `tasks`, `shards`: labelled tasks as arrays, and as files
-- `counts`, `label_summary`: counts of labels and what they say of a split
+- `counts`: counts of labels
 - `published_tasks`: the authors' published labels
 - `scan_patches`, `course_patches`: labelled patches of scans and of simulated courses; `scan_sets`: folders of scans
 - `evaluation`: agreement between an abstraction and labels

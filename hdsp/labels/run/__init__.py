@@ -2,6 +2,7 @@
 
 - `split_run`: labels all maps of a split into shards, resumable
 - `splits`: maps and shards of a split, and the hash of its labels
+- `label_summary`: counts, shares and costs of a labelled split, and reasons for dropped maps
 - `cluster`, `jobs`: the scheduling side and the worker side of a run on Dask; `progress`: its bar
 
 Importing this package loads none of its modules, so a worker loads only its own side.
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hdsp.labels.run.cluster import ClusterLabelling
+    from hdsp.labels.run.label_summary import describe_labels
     from hdsp.labels.run.progress import TaskProgress
     from hdsp.labels.run.split_run import LabelledSplit, label_split
     from hdsp.labels.run.splits import LabelRun, ShardPlan, SplitSettings
@@ -23,6 +25,7 @@ __all__ = [
     "ShardPlan",
     "SplitSettings",
     "TaskProgress",
+    "describe_labels",
     "label_split",
 ]
 
@@ -34,6 +37,7 @@ _MODULES = {
     "ShardPlan": "splits",
     "SplitSettings": "splits",
     "TaskProgress": "progress",
+    "describe_labels": "label_summary",
     "label_split": "split_run",
 }
 
