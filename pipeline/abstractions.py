@@ -51,8 +51,8 @@ def task_predictor(name: str, config: DictConfig, folders: Folders, model: str =
     if name == "trained" or name.startswith(SHIPPED):
         from hdsp.base.settings import load_settings
         from hdsp.learning.abstraction import LearnedAbstraction
+        from hdsp.learning.learning_settings import HardwareSettings
         from hdsp.learning.loading import load_abstraction, presets
-        from hdsp.learning.settings import HardwareSettings
 
         hardware = load_settings(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
         hardware.apply_threads()

@@ -41,7 +41,7 @@ ERROR_LEVELS = (0.5, 0.9, 0.99, 1.0)
 def publish_model(config: DictConfig, folders: Folders, source: str) -> None:
     from hdsp.base.settings import load_settings
     from hdsp.learning.abstraction import LearnedAbstraction
-    from hdsp.learning.settings import HardwareSettings
+    from hdsp.learning.learning_settings import HardwareSettings
 
     robot = Robot.load(plain(config.robot))
     hardware = load_settings(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
@@ -90,8 +90,8 @@ def in_progress(source: Path, robot: Robot, config: DictConfig, folders: Folders
 
     from hdsp.base.settings import load_settings
     from hdsp.learning import LearnedAbstraction, Provenance
+    from hdsp.learning.learning_settings import ModelSettings
     from hdsp.learning.networks import build_network
-    from hdsp.learning.settings import ModelSettings
     from pipeline.train import folder_hash
 
     model = load_settings(ModelSettings, plain(config.model), "model")

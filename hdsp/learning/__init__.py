@@ -11,10 +11,10 @@ if TYPE_CHECKING:
     from hdsp.learning.architectures import ARCHITECTURES
     from hdsp.learning.callbacks import PlateauLossWeights, PublishedLossWeights
     from hdsp.learning.learned_costs import LearnedCosts
+    from hdsp.learning.learning_settings import HardwareSettings, HeightEncoding, ModelSettings, TrainingConfig
     from hdsp.learning.module import AbstractionModule
     from hdsp.learning.network_conformance import check_network
     from hdsp.learning.networks import TaskNetwork, build_network, count_parameters
-    from hdsp.learning.settings import HardwareSettings, HeightEncoding, ModelSettings, TrainingConfig
     from hdsp.learning.task_data import TaskStream, task_loader
     from hdsp.learning.training import TrainResult, train
 
@@ -44,18 +44,18 @@ __all__ = [
 _MODULES = {
     "ARCHITECTURES": "architectures",
     "AbstractionModule": "module",
-    "HardwareSettings": "settings",
-    "HeightEncoding": "settings",
+    "HardwareSettings": "learning_settings",
+    "HeightEncoding": "learning_settings",
     "LearnedAbstraction": "abstraction",
     "LearnedCosts": "learned_costs",
-    "ModelSettings": "settings",
+    "ModelSettings": "learning_settings",
     "PlateauLossWeights": "callbacks",
     "Provenance": "abstraction",
     "PublishedLossWeights": "callbacks",
     "TaskNetwork": "networks",
     "TaskStream": "task_data",
     "TrainResult": "training",
-    "TrainingConfig": "settings",
+    "TrainingConfig": "learning_settings",
     "build_network": "networks",
     "check_network": "network_conformance",
     "count_parameters": "networks",

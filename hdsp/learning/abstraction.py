@@ -27,10 +27,10 @@ from hdsp.base.files import existing_file
 from hdsp.base.settings import checked, load_settings, read_json, shown
 from hdsp.learning.calibration import Calibration, calibration_figures, fit_calibration
 from hdsp.learning.hardware import autocast
+from hdsp.learning.learning_settings import HardwareSettings, ModelSettings
 from hdsp.learning.metrics import MINIMUM_COST
 from hdsp.learning.networks import TaskNetwork, build_network
 from hdsp.learning.networks.dense import DenseEvaluation
-from hdsp.learning.settings import HardwareSettings, ModelSettings
 from hdsp.robot import lattice
 from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import COST_MODEL_VERSION

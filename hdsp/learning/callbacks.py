@@ -13,7 +13,7 @@ import torch
 from lightning.pytorch.callbacks import WeightAveraging
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
-from hdsp.learning.settings import LossSettings
+from hdsp.learning.learning_settings import LossSettings
 from hdsp.learning.task_data import ResumableBatches
 
 #: Losses, in the order in which rules treat them.

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hdsp.learning.settings import HeightEncoding
+from hdsp.learning.learning_settings import HeightEncoding
 
 
 def encode(encoding: HeightEncoding, heights: Tensor) -> Tensor:

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 
 from hdsp.learning.callbacks import LOSSES
+from hdsp.learning.learning_settings import LossSettings, OptimizerSettings, ScheduleSettings
 from hdsp.learning.metrics import TaskMetrics, task_losses
 from hdsp.learning.networks import TaskNetwork
-from hdsp.learning.settings import LossSettings, OptimizerSettings, ScheduleSettings
 from hdsp.learning.task_data import Batch
 
 

@@ -17,8 +17,8 @@ from torch import Tensor, nn
 
 from hdsp.base.conformance import Contract
 from hdsp.base.errors import InputError
+from hdsp.learning.learning_settings import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
-from hdsp.learning.settings import HeightEncoding
 from hdsp.robot.lattice import PATCH_CELLS, robot_frame_goals
 from hdsp.terrain.scenes import random_map
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, IterableDataset, Sampler, get_worker_info
 
 from hdsp.base.errors import InputError
-from hdsp.learning.settings import BatchSettings
+from hdsp.learning.learning_settings import BatchSettings
 from hdsp.robot.lattice import N_ABSTRACT_ACTIONS
 
 if TYPE_CHECKING:

@@ -24,10 +24,10 @@ from hdsp.base.settings import load_settings
 from hdsp.learning.abstraction import LearnedAbstraction, Provenance
 from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, AveragedWeights, EpochPosition
 from hdsp.learning.history import EpochHistory, OnEpoch
+from hdsp.learning.learning_settings import BatchSettings, ModelSettings, TrainerSettings, TrainingConfig
 from hdsp.learning.module import AbstractionModule
 from hdsp.learning.networks import build_network
 from hdsp.learning.networks.base import TaskNetwork
-from hdsp.learning.settings import BatchSettings, ModelSettings, TrainerSettings, TrainingConfig
 from hdsp.learning.task_data import ResumableBatches, TaskStream, task_loader
 
 if TYPE_CHECKING:

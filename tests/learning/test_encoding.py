@@ -9,7 +9,7 @@ import torch
 from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.learning.encoding import greatest_difference
-from hdsp.learning.settings import HeightEncoding
+from hdsp.learning.learning_settings import HeightEncoding
 from hdsp.robot.lattice import cells
 from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import cost_maps

@@ -9,7 +9,7 @@ import yaml
 from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.labels.shards import write_shard
-from hdsp.learning.settings import TrainingConfig
+from hdsp.learning.learning_settings import TrainingConfig
 from pipeline.compare import SECTIONS, differences
 from pipeline.config import CONF, compose, flatten, plain
 from pipeline.train import part_of

@@ -5,8 +5,8 @@ from typing import Any
 
 from hdsp.base.settings import load_settings
 from hdsp.learning.architectures import ARCHITECTURES, network_class
+from hdsp.learning.learning_settings import ModelSettings
 from hdsp.learning.networks.base import TaskNetwork, count_parameters, initialise_he
-from hdsp.learning.settings import ModelSettings
 
 
 def build_network(config: Mapping[str, Any] | ModelSettings) -> TaskNetwork:

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from hdsp.learning.learning_settings import HeightEncoding
 from hdsp.learning.networks.dense import DenseEvaluation
-from hdsp.learning.settings import HeightEncoding
 
 
 class TaskNetwork(nn.Module):

@@ -7,9 +7,9 @@ from pydantic import Field, model_validator
 from torch import Tensor, nn
 
 from hdsp.base.settings import Natural, checked, fault
+from hdsp.learning.learning_settings import HeightEncoding, Width
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
-from hdsp.learning.settings import HeightEncoding, Width
 
 
 @checked

@@ -6,10 +6,10 @@ from pydantic import Field, model_validator
 from torch import Tensor, nn
 
 from hdsp.base.settings import Count, checked, fault
+from hdsp.learning.learning_settings import HeightEncoding, Width
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.dense import DenseTrunk
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
-from hdsp.learning.settings import HeightEncoding, Width
 from hdsp.robot.lattice import PATCH_CELLS
 
 

@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from hdsp.base.errors import InputError
 from hdsp.base.settings import Count, checked, fault
+from hdsp.learning.learning_settings import HeightEncoding, Width
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
 from hdsp.learning.networks.requirements import (
@@ -25,7 +26,6 @@ from hdsp.learning.networks.requirements import (
     PoseRequirements,
     told,
 )
-from hdsp.learning.settings import HeightEncoding, Width
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
 
 #: Largest base displacement along an axis, in cells: the longest action at any heading residue.

@@ -8,8 +8,8 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from hdsp.base.settings import checked
+from hdsp.learning.learning_settings import HeightEncoding, Width
 from hdsp.learning.networks.base import TaskNetwork
-from hdsp.learning.settings import HeightEncoding, Width
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
 
 #: Side of the feature maps with painted goals, and patch cells per feature cell along one axis.

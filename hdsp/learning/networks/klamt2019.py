@@ -6,9 +6,9 @@ from pydantic import model_validator
 from torch import Tensor, nn
 
 from hdsp.base.settings import Count, checked, fault
+from hdsp.learning.learning_settings import HeightEncoding
 from hdsp.learning.networks.base import MapGoalLinear, TaskNetwork
 from hdsp.learning.networks.dense import DenseTrunk
-from hdsp.learning.settings import HeightEncoding
 from hdsp.robot.lattice import PATCH_CELLS
 
 

@@ -6,9 +6,9 @@ from torch import Tensor, nn
 
 from hdsp.base.errors import InputError
 from hdsp.base.settings import checked
+from hdsp.learning.learning_settings import HeightEncoding, Width
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.dense import DenseTrunk
-from hdsp.learning.settings import HeightEncoding, Width
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, robot_frame_goals
 
 #: Largest difference, in abstract steps, between a goal and its action.
