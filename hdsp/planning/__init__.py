@@ -1,1 +1,31 @@
-"""TODO"""
+"""Planning: queries and their answers.
+
+- `planner`: `Planner`, the entry point
+- `heuristics`: the contract `Heuristic`; geometric and abstract heuristics
+- `query`: one query with its search or its proof
+- `refinable`, `improving`: plans without impossible steps; anytime planning
+- `plans`, `plan_statistics`: `Plan` and its statistics
+- `explanation`, `reasons`: plans in words; reasons for invalid states and unreachable goals
+- `collisions`: an independent check of plans against arenas
+- `margin`, `map_changes`: a margin around the base; changed cells between two maps
+"""
+
+from hdsp.planning.collisions import Collision, PlanCheck, check_plan
+from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
+from hdsp.planning.margin import with_margin
+from hdsp.planning.plan_statistics import PlanStatistics
+from hdsp.planning.planner import Planner
+from hdsp.planning.plans import Plan
+
+__all__ = [
+    "AbstractHeuristic",
+    "Collision",
+    "GeometricHeuristic",
+    "Heuristic",
+    "Plan",
+    "PlanCheck",
+    "PlanStatistics",
+    "Planner",
+    "check_plan",
+    "with_margin",
+]

@@ -3,6 +3,8 @@ import math
 import numpy as np
 import pytest
 
+from hdsp.base.errors import InputError
+from hdsp.detailed.world import build_world, world
 from hdsp.detailed.world.geometry import (
     MOVE_SAMPLES,
     base_cells,
@@ -14,8 +16,20 @@ from hdsp.detailed.world.geometry import (
 )
 from hdsp.robot.lattice import DRIVE_MOVES, HEADINGS, RESOLUTION, heading_angle, rotation
 from hdsp.robot.robot import Rectangle, Robot
+from hdsp.terrain.height_map import HeightMap
 from tests.detailed.instances import toy
 from tests.naive import rectangle_offsets
+
+
+@pytest.mark.parametrize("shape", [(65537, 1), (1, 65537)])
+def test_maps_too_long_for_packed_states_are_refused(shape):
+    with pytest.raises(InputError, match=rf"{shape[0]} x {shape[1]} cells.*65536"):
+        build_world(HeightMap.flat(shape), Robot.load("momaro"))
+
+
+def test_maps_with_too_many_cells_for_the_tables_are_refused():
+    with pytest.raises(InputError, match=r"1073741824 cells.*at most"):
+        world._tables(Robot.load("momaro"), stride=1 << 15, size=1 << 30)
 
 
 @pytest.fixture(scope="module", params=["momaro", "toy"])

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from hdsp.base.errors import InputError
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.search import life_cycle
 from hdsp.detailed.search.estimate import geometric_estimate, pose_estimate
@@ -247,6 +248,12 @@ def test_start_and_goal_must_be_valid():
     good, bad = (3, 3, 0, 0, 0, 0, 0), (4, 5, 0, 0, 0, 0, 0)
     assert planned(world, bad, good).status == [Status.INVALID_START]
     assert planned(world, good, bad).status == [Status.INVALID_GOAL]
+
+
+def test_a_search_that_expands_no_state_twice_takes_no_cost_limit():
+    world = build_world(HeightMap.flat((12, 12)), toy())
+    with pytest.raises(InputError, match="cost limit 1"):
+        planned(world, (6, 6, 5, 0, 0, 0, 0), (6, 6, 5, 0, 0, 0, 0), reopen=False, limits=Limits(cost=1.0))
 
 
 def test_a_start_that_is_the_goal_costs_nothing():

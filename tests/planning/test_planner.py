@@ -1,4 +1,5 @@
 import math
+from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
@@ -60,6 +61,17 @@ def test_all_heuristics_solve_what_can_be_solved(flat):
         assert plan.cost >= least - 1e-6
         if isinstance(heuristic, GeometricHeuristic):
             assert plan.cost <= 1.5 * least + 1e-6
+
+
+def test_plans_and_their_statistics_do_not_change_and_read_as_a_mapping(flat):
+    plan = flat.plan(START, GOAL)
+    assert plan.stats["expansions"] == plan.stats.expansions > 0 and dict(plan.stats) == plan.stats
+    assert plan.stats.known().keys() == plan.stats.keys() - {"anchor_weight", "expansions_by", "ended"}
+    with pytest.raises(KeyError, match="speed"):
+        plan.stats["speed"]
+    for thing, name in ((plan, "cost"), (plan.stats, "seen"), (plan.actions[0], "kind")):
+        with pytest.raises(FrozenInstanceError):
+            setattr(thing, name, 0)
 
 
 def test_states_are_expanded_again_for_a_heuristic_that_is_admissible_but_not_consistent(flat, monkeypatch):
