@@ -41,7 +41,7 @@ def fingerprints(architecture: str, root: Path = ROOT) -> dict[str, str]:
         root: folder with `hdsp` and `pipeline`.
 
     Raises:
-        InputError: for an unknown architecture.
+        InputError: the architecture is unknown.
     """
     return {stage: code_fingerprint(*entries(stage, architecture, root), root=root) for stage in STAGES}
 

@@ -7,7 +7,7 @@ from numba import config, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-_CONFIG: Any = config  # its members are set at run time
+_CONFIG: Any = config  # numba sets its members at run time
 _READ, _KEEP, _DATA = 0, 3, 1  # arguments of LLVM's prefetch
 
 

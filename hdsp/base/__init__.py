@@ -1,12 +1,12 @@
-"""Basics that know nothing of robots.
+"""Common services without robots.
 
-- `errors`: errors for users
-- `settings`: the loader of typed settings from YAML, JSON and mappings
+- `errors`: user errors
+- `settings`: loader for typed settings from YAML, JSON and mappings
 - `files`, `downloads`, `storage`: whole-or-absent files, published data files, local folders and object stores
 - `workers`: worker processes, on this machine or a cluster
 - `jit`, `kernel_cache`: compiled kernels and their cache on disk
 - `provenance`, `definitions`: fingerprints of the code behind a result
-- `conformance`: the base of checkers for own implementations of a contract
+- `conformance`: contracts for checks of user implementations
 """
 
 from hdsp.base.conformance import ConformanceError, Contract

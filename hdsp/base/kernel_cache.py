@@ -19,7 +19,7 @@ import numba
 import numpy as np
 from numba.core.caching import IndexDataCacheFile
 
-_CONFIG: Any = numba.config  # its members are set at run time
+_CONFIG: Any = numba.config  # numba sets its members at run time
 
 
 def key_by_content(kernel: Any) -> None:

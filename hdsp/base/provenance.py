@@ -123,7 +123,7 @@ class _Reach:
         mentioned = set(definition.words)
         for chain in definition.chains:
             if chain[0] not in definition.taken:
-                mentioned.update(chain[1:])  # of a variable
+                mentioned.update(chain[1:])  # attributes of a variable
                 continue
             name, found, attributes = self._named(definition, chain)
             mentioned.update(attributes)
@@ -158,7 +158,7 @@ class _Reach:
             found, length = self._find(found.name, chain[length]), length + 1
         definitions, attributes = self._definitions(found), chain[length:]
         if attributes and len(definitions) == 1 and (methods := definitions[0].methods.get(attributes[0])):
-            definitions, attributes = [*definitions, *methods], attributes[1:]  # of this class, not of any
+            definitions, attributes = [*definitions, *methods], attributes[1:]  # methods of this class alone
         if not definitions and self._is_foreign(definition, chain[0]):
             attributes = ()
         name = ".".join(chain[: len(chain) - len(attributes)])

@@ -347,7 +347,7 @@ class LearnedAbstraction:
             )
         try:
             network = build_network(saved.model)
-        except (InputError, RuntimeError, MemoryError) as error:  # options that no memory holds
+        except (InputError, RuntimeError, MemoryError) as error:  # options too large for memory
             raise InputError(f"{config_path}: {' '.join(str(error).split())}") from None
         try:
             network.load_state_dict(load_tensors(weights))

@@ -124,7 +124,7 @@ def conformal_quantile(residuals: np.ndarray, level: float) -> float:
 
 
 def _by_level(values: Any) -> Any:
-    """JSON has texts for keys and lists for tuples."""
+    """Converts text keys from JSON to numbers, and lists to tuples."""
 
     def number(key: Any) -> Any:
         try:

@@ -1,4 +1,4 @@
-"""The robot, and the lattices on which it is planned for.
+"""Robot description, and the lattices for its planning.
 
 - `robot`: geometry, limits and cost constants of a robot; presets are YAML files in `presets`
 - `lattice`: detailed and abstract lattice, abstract actions, conversions between their coordinates and the world
