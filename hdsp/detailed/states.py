@@ -18,27 +18,27 @@ _Y_SHIFT = HEADING_SHIFT + _HEADING_BITS
 _X_SHIFT = _Y_SHIFT + _CELL_BITS
 _FOOT_SHIFTS = _FOOT_BITS * np.arange(3, -1, -1)
 
-#: Most cells of a map along x or y.
+#: Most cells along x or y.
 MAX_CELLS = 1 << _CELL_BITS
-#: The feet bits of a packed state.
+#: Feet bits in a packed state.
 FEET_MASK = (1 << HEADING_SHIFT) - 1
 
 
 @njit(inline="always")
 def foot_shift(foot):
-    """Place of the lowest bit of a foot's offset in a packed state."""
+    """Position of a foot's lowest bit in a packed state."""
     return _FOOT_BITS * (3 - foot)
 
 
 @njit(inline="always")
 def foot_offset(key, shift):
-    """Offset of the foot at ``foot_shift``, counted from the lowest."""
+    """Foot offset at a ``foot_shift``, counted from the lowest."""
     return (key >> shift) & _FOOT_MASK
 
 
 @njit(inline="always")
 def pack(ix, iy, heading, o0, o1, o2, o3):
-    """State as int64; ``o`` are foot offsets counted from the lowest."""
+    """Packed state, int64; ``o`` are foot offsets counted from the lowest."""
     base = (np.int64(ix) << _X_SHIFT) | (np.int64(iy) << _Y_SHIFT) | (np.int64(heading) << HEADING_SHIFT)
     front = (np.int64(o0) << 3 * _FOOT_BITS) | (np.int64(o1) << 2 * _FOOT_BITS)
     return base | front | (np.int64(o2) << _FOOT_BITS) | np.int64(o3)
@@ -46,13 +46,13 @@ def pack(ix, iy, heading, o0, o1, o2, o3):
 
 @njit(inline="always")
 def neutral_feet(lowest):
-    """The feet bits of a packed state on neutral feet."""
+    """Feet bits for neutral feet."""
     return -lowest * (1 << 3 * _FOOT_BITS | 1 << 2 * _FOOT_BITS | 1 << _FOOT_BITS | 1)
 
 
 @njit(inline="always")
 def unpack(key):
-    """(ix, iy, heading, o0, o1, o2, o3) of a packed state."""
+    """Splits a packed state into (ix, iy, heading, o0, o1, o2, o3)."""
     return (
         key >> _X_SHIFT, (key >> _Y_SHIFT) & _CELL_MASK, (key >> HEADING_SHIFT) & _HEADING_MASK,
         (key >> 3 * _FOOT_BITS) & _FOOT_MASK, (key >> 2 * _FOOT_BITS) & _FOOT_MASK,
@@ -61,19 +61,19 @@ def unpack(key):
 
 
 def pack_steps(steps: np.ndarray) -> np.ndarray:
-    """Change of a packed state by steps (dx, dy), int64 [n, 2]; int64 [n]."""
+    """Changes in packed states, int64 [n], for steps (dx, dy), int64 [n, 2]."""
     return (steps[:, 0] << _X_SHIFT) + (steps[:, 1] << _Y_SHIFT)
 
 
 def pack_states(states, lowest: int) -> np.ndarray:
-    """Packed states, int64 [n], of detailed states [n, 7] in lattice units; ``lowest`` is the smallest foot offset."""
+    """Packs detailed states [n, 7] in lattice units into int64 [n]; ``lowest`` is the smallest foot offset."""
     s = np.atleast_2d(np.asarray(states, dtype=np.int64))
     base = s[:, 0] << _X_SHIFT | s[:, 1] << _Y_SHIFT | s[:, 2] << HEADING_SHIFT
     return base | np.bitwise_or.reduce(s[:, 3:] - lowest << _FOOT_SHIFTS, axis=1)
 
 
 def unpack_states(keys, lowest: int) -> np.ndarray:
-    """Detailed states, int64 [n, 7] in lattice units, of packed states [n]."""
+    """Unpacks states [n] into detailed states, int64 [n, 7], lattice units."""
     k = np.asarray(keys, dtype=np.int64)[..., None]
     base = [k >> _X_SHIFT, k >> _Y_SHIFT & _CELL_MASK, k >> HEADING_SHIFT & _HEADING_MASK]
     return np.concatenate([*base, (k >> _FOOT_SHIFTS & _FOOT_MASK) + lowest], axis=-1)

@@ -1,6 +1,6 @@
 """The detailed actions: one byte in the search, an ``Action`` everywhere else.
 
-Every action can be undone, so a search keeps one byte per state to find the way back.
+Every action can be undone. One byte per state is therefore enough to find the path to a state.
 """
 
 from dataclasses import dataclass
@@ -20,17 +20,17 @@ TURN_LEFT, TURN_RIGHT = DRIVES, DRIVES + 1
 FOOT_MOVE = TURN_RIGHT + 1  # + 2 * foot + (0 forward, 1 backward)
 BASE_FORWARD, BASE_BACKWARD = FOOT_MOVE + 8, FOOT_MOVE + 9
 STEP = BASE_BACKWARD + 1  # + 32 * foot + 16 + length in cells
-START = 255  # of the state where a search began
+START = 255  # marks the first state in a search
 
-_LENGTHS = 32  # codes of a foot's steps
+_LENGTHS = 32  # step codes per foot
 _NO_LENGTH = 16
 
-#: Number of actions on neutral feet that keep them there: driving and turning, codes 0 to 21.
+#: Number of actions between poses on neutral feet, i.e. driving and turning: codes 0 to 21.
 POSE_ACTIONS = FOOT_MOVE
 
 
 class ActionKind(StrEnum):
-    """What the robot does."""
+    """Kinds of detailed actions."""
 
     DRIVE = "drive"
     TURN_LEFT = "turn_left"
@@ -42,13 +42,13 @@ class ActionKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """One action of a plan; ``str`` gives it in words, e.g. ``drive`` or ``step front_left +0.250``.
+    """One action in a plan; ``str`` gives it in words, e.g. ``drive`` or ``step front_left +0.250``.
 
     Attributes:
-        kind: the kind of action.
-        foot: name of the foot that moves or steps, one of ``hdsp.robot.robot.FEET``; else None.
-        length: how far the foot goes, m, forward positive; None for driving and turning. Of a base shift the sign alone
-            is meant: its length depends on the heading.
+        kind: kind of action.
+        foot: name of the moving foot, one of ``hdsp.robot.robot.FEET``; None for other kinds.
+        length: way of the foot, m, forward positive; None for driving and turning. For a base shift only the sign
+            counts: the heading decides its length.
     """
 
     kind: ActionKind
@@ -57,7 +57,7 @@ class Action:
 
     @property
     def stepping_foot(self) -> int | None:
-        """Number of the foot that steps; None if the action is no step."""
+        """Number of the stepping foot; None for other kinds."""
         return FEET.index(self.foot) if self.foot is not None and self.kind is ActionKind.STEP else None
 
     def __str__(self) -> str:
@@ -70,7 +70,7 @@ class Action:
 
 @cache
 def action_of(code: int) -> Action:
-    """The action of a code, which is not ``START``."""
+    """Action for a code other than ``START``."""
     if code < DRIVES:
         return Action(ActionKind.DRIVE)
     if code < FOOT_MOVE:
@@ -86,19 +86,19 @@ def action_of(code: int) -> Action:
 
 @njit(inline="always")
 def foot_move_code(foot, backward):
-    """Code of moving a foot by a cell; ``backward`` is 0 or 1."""
+    """Code for a foot move by one cell; ``backward`` is 0 or 1."""
     return FOOT_MOVE + 2 * foot + backward
 
 
 @njit(inline="always")
 def step_code(foot, length):
-    """Code of a step by so many cells, negative backward."""
+    """Code for a step by ``length`` cells, negative backward."""
     return STEP + _LENGTHS * foot + _NO_LENGTH + length
 
 
 @njit()
 def undo(key, action, move_dx, move_dy, shifts):
-    """The packed state from which the action of a code led to ``key``."""
+    """Packed state before an action that led to ``key``."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     if action < DRIVES:
         return pack(ix - move_dx[action], iy - move_dy[action], heading, o0, o1, o2, o3)

@@ -1,9 +1,9 @@
-"""Manoeuvres: moving a foot, shifting the base, stepping. All that takes feet off their neutral positions and back.
+"""Manoeuvres: foot moves, base shifts and steps, i.e. all actions with feet off neutral.
 
-Source: paper, Sec. V-A, with the rules and costs of docs/cost-model.md. Feet leave neutral by steps and base shifts,
-and single feet roll back toward neutral. A foot steps only where it needs to: when it cannot roll on because of an edge
-on its line, and then to the nearest foothold beyond. The base shifts where a foot can step or is ahead of neutral.
-Whether steps and base shifts also go backward is up to the robot.
+Source: paper, Sec. V-A, with the rules and costs in docs/cost-model.md. Steps and base shifts take feet off neutral;
+single feet roll back toward neutral. A foot steps only where an edge on its line stops it, and then to the nearest
+foothold beyond the edge. The base shifts where a foot can step or is ahead of neutral. The robot file decides whether
+steps and base shifts also go backward.
 """
 
 import numpy as np
@@ -20,15 +20,15 @@ _INF = np.inf
 
 @njit(allocates=False)
 def manoeuvres(world, key, can_step, unevenness, out_key, out_cost, out_action, n):
-    """Write the successors of a valid state by manoeuvres, from position ``n`` on; returns the new number.
+    """Writes the successors by manoeuvres after the first ``n``; returns the new number.
 
     Args:
         world, key, out_key, out_cost, out_action: as in ``successors``.
         can_step: whether some foot can step from here.
         unevenness: S under the four feet.
-        n: number of successors already written.
+        n: number of successors before.
     """
-    # Not inlined: what it names would have its references counted at every state, and few states get here.
+    # Not inlined: its arrays would have their references counted at every state, and few states get here.
     n = _foot_moves(world, key, unevenness, out_key, out_cost, out_action, n)
     n = _base_shifts(world, key, can_step, unevenness, out_key, out_cost, out_action, n)
     if can_step:
@@ -154,10 +154,11 @@ def _steps(world, key, unevenness, out_key, out_cost, out_action, n):
 
 @njit()
 def is_banned(banned, foot, cell, heading, o0, o1, o2, o3):
-    """Whether a step is banned, int64 rows [n, 7]: the foot, its flat cell, the heading, how far the offsets of the
-    next three feet are ahead of its own, and by how many cells they may differ from that.
+    """Whether a step is banned.
 
-    A base shift changes none of these: what cannot be carried out from one position of the base cannot from another.
+    A row in ``banned``, int64 [n, 7], holds the foot, its flat cell, the heading, the offsets of the next three feet
+    relative to its own, and the tolerance for these offsets in cells. A base shift changes none of them: a step that is
+    impossible from one base position is impossible from all.
     """
     offsets = (o0, o1, o2, o3)
     for k in range(len(banned)):
@@ -174,7 +175,7 @@ def is_banned(banned, foot, cell, heading, o0, o1, o2, o3):
 
 @njit(inline="always")
 def _with_foot(unevenness, i, value):
-    """The four values with the one of foot ``i`` replaced."""
+    """The four values with a new one for foot ``i``."""
     s0, s1, s2, s3 = unevenness
     return (
         value if i == 0 else s0, value if i == 1 else s1,

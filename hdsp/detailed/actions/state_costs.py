@@ -1,6 +1,6 @@
-"""What a detailed state costs, where its feet are, and whether it stands.
+"""Costs and validity of detailed states, and the cells under their feet.
 
-State costs are those of the paper, Sec. V-A: ``C = 1 + k (max S + sum S)`` over the feet; see docs/cost-model.md.
+State cost: ``C = 1 + k (max S + sum S)`` over the feet (paper, Sec. V-A; docs/cost-model.md).
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from hdsp.detailed.world.world import body_is_free, cell_index
 
 @njit(allocates=False)
 def state_cost(world, key):
-    """State cost C of a packed state; inf if a foot cannot stand there or the body collides."""
+    """State cost C for a packed state; inf without a foothold for every foot, or with a body collision."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     p = cell_index(world, ix, iy)
     t = world.tables
@@ -26,22 +26,22 @@ def state_cost(world, key):
 
 @njit(inline="always")
 def merged_cost(k, s0, s1, s2, s3):
-    """State cost C (unitless) from S under the feet."""
+    """State cost C (unitless) for S under the feet."""
     largest = max(max(s0, s1), max(s2, s3))
     return 1.0 + k * (np.float64(largest) + s0 + s1 + s2 + s3)
 
 
 @njit(inline="always")
 def foot_row(tables, heading, foot, offset):
-    """Where the samples of a foot begin in ``tables.feet`` and ``tables.contacts``."""
+    """First sample for a foot in ``tables.feet`` and ``tables.contacts``."""
     return ((heading * 4 + foot) * tables.n_offsets + offset) * tables.n_samples
 
 
 @njit(inline="always")
 def feet_cells(p, feet, n_offsets, n_samples, heading, o0, o1, o2, o3):
-    """Flat cells of the four feet; with ``tables.contacts``, where their S is in ``world.uneven``.
+    """Flat cells under the four feet; with ``tables.contacts``, their places in ``world.uneven``.
 
-    Takes arrays and numbers, since each tuple handed on counts references.
+    The arguments are arrays and numbers, because a tuple argument costs reference counts.
     """
     row = heading * 4 * n_offsets
     return (
@@ -52,7 +52,7 @@ def feet_cells(p, feet, n_offsets, n_samples, heading, o0, o1, o2, o3):
 
 @njit(inline="always")
 def separated(constants, key):
-    """Whether front and rear foot of each side keep their distance in a packed state."""
+    """Whether front and rear foot keep their distance on each side."""
     apart = 2 * constants.neutral_x - constants.min_separation
     _, _, _, o0, o1, o2, o3 = unpack(key)
     return o1 - o0 <= apart and o2 - o3 <= apart
@@ -60,8 +60,7 @@ def separated(constants, key):
 
 @njit(inline="always")
 def supported(constants, lowest, lifted, o0, o1, o2, o3):
-    """Whether the base centre lies in the triangle of the three feet that stay, ``support_margin`` cells inside its
-    edges."""
+    """Whether the three other feet support the base: its centre lies ``support_margin`` cells inside their triangle."""
     x, y = constants.neutral_x + lowest, constants.neutral_y
     back = -constants.neutral_x + lowest
     px = (x + o0, back + o1, back + o2, x + o3)

@@ -1,7 +1,7 @@
-"""The detailed actions: all successors of a state. Driving and turning are here, feet and base in ``manoeuvres``.
+"""All successors of a state. This module drives and turns; ``manoeuvres`` moves feet and base.
 
-Source: paper, Sec. V-A, with the cost model of docs/cost-model.md. The robot drives and turns on neutral feet; where
-they stand at different heights, as on stairs, it only drives straight.
+Source: paper, Sec. V-A, with the cost model in docs/cost-model.md. The robot drives and turns on neutral feet. With
+feet at different heights, e.g. on stairs, it only drives straight.
 """
 
 from typing import NamedTuple
@@ -22,13 +22,13 @@ _INF = np.inf
 
 
 class Rules(NamedTuple):
-    """How a search may move, beyond what the robot can do.
+    """Restrictions on a search, besides the robot's own.
 
     Attributes:
-        heading_center: heading about which the window below lies.
-        heading_window: most heading steps a state may differ from the centre; 32 or more means any heading.
-        turn_cost_factor: multiplies the cost of turning.
-        drive_only: only driving and turning, which takes place on neutral feet: a problem of three dimensions.
+        heading_center: middle heading in the window.
+        heading_window: largest difference to the middle heading, in heading steps; 32 or more allows all headings.
+        turn_cost_factor: factor on turning costs.
+        drive_only: only driving and turning, on neutral feet: a three-dimensional problem.
     """
 
     heading_center: int = 0
@@ -38,23 +38,23 @@ class Rules(NamedTuple):
 
 
 def allowed_headings(rules: Rules) -> np.ndarray:
-    """Which headings lie within the window, bool [64]."""
+    """Headings within the window, bool [64]."""
     off = (np.arange(HEADINGS) - rules.heading_center + HEADINGS // 2) % HEADINGS - HEADINGS // 2
     return abs(off) <= rules.heading_window
 
 
 @njit(allocates=False)
 def successors(world, rules, key, out_key, out_cost, out_action):
-    """Write all successors of a valid state.
+    """Writes all successors of a valid state.
 
     Args:
         world: terrain and robot.
-        rules: restrictions of this search.
+        rules: restrictions on the search.
         key: packed state.
-        out_key, out_cost, out_action: arrays int64, float64, uint8 [MAX_SUCCESSORS] to write to.
+        out_key, out_cost, out_action: output arrays, int64, float64, uint8 [MAX_SUCCESSORS].
 
     Returns:
-        Number of successors written.
+        Number of successors.
     """
     if key & FEET_MASK == neutral_feet(world.tables.lowest):
         return pose_successors(world, rules, key, out_key, out_cost, out_action)
@@ -63,7 +63,7 @@ def successors(world, rules, key, out_key, out_cost, out_action):
 
 @njit(allocates=False)
 def other_successors(world, key, out_key, out_cost, out_action):
-    """``successors`` of a state with feet off neutral."""
+    """``successors`` for feet off neutral."""
     t = world.tables
     uneven, steps = world.uneven, world.steps
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
@@ -84,7 +84,7 @@ def _can_step(ways, heading, backward):
 
 @njit(inline="always")
 def pose_successors(world, rules, key, out_key, out_cost, out_action):
-    """``successors`` of a state on neutral feet."""
+    """``successors`` for neutral feet."""
     t = world.tables
     uneven, height, feet, contacts, steps = world.uneven, world.height, t.feet, t.contacts, world.steps
     ix, iy, heading, _, _, _, _ = unpack(key)
@@ -107,7 +107,7 @@ def pose_successors(world, rules, key, out_key, out_cost, out_action):
 
 @njit(inline="always")
 def neutral_rows(tables, heading):
-    """Where the samples of the four feet begin in ``tables.feet`` and ``tables.contacts`` if they are neutral."""
+    """First samples for four neutral feet in ``tables.feet`` and ``tables.contacts``."""
     between = tables.n_offsets * tables.n_samples
     first = (heading * 4 * tables.n_offsets - tables.lowest) * tables.n_samples
     return first, first + between, first + 2 * between, first + 3 * between

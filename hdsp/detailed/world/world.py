@@ -1,7 +1,7 @@
-"""A terrain and a robot, compiled into the arrays that the search kernels read.
+"""Terrain and robot, compiled into arrays for the search kernels.
 
-The maps are one-dimensional with a border on which no foot can stand, so that no kernel tests bounds. What depends on
-the base alone (whether the body is free) is computed when a pose is first seen and kept.
+The maps are one-dimensional. No foot can stand on their border, so kernels need no bounds check. The state of the body
+depends on the base pose alone. It is computed at the first look at a pose and kept.
 """
 
 import math
@@ -31,18 +31,18 @@ _CELL = metres(1.0)  # m, side of a cell
 
 
 class Tables(NamedTuple):
-    """What depends on the robot and the size of the padded map, not on the terrain."""
+    """Values for a robot and the size of the padded map, independent of the terrain."""
 
     feet: np.ndarray  # int32 [64 * 4 * offsets * samples], foot cell relative to base cell
-    contacts: np.ndarray  # int32, the same, plus where in ``World.uneven`` the foot finds what it pays
-    contact_offsets: np.ndarray  # int64 [layers, 2], of the layers of ``World.uneven``
+    contacts: np.ndarray  # int32, the same, plus the start of the foot's layer in ``World.uneven``
+    contact_offsets: np.ndarray  # int64 [layers, 2], for the layers in ``World.uneven``
     n_offsets: int
     n_samples: int
     lowest: int  # smallest foot offset, steps
     move_dx: np.ndarray  # int64 [20]
     move_dy: np.ndarray
     move_flat: np.ndarray  # int64 [20]
-    move_key: np.ndarray  # int64 [20], what a move adds to a packed state
+    move_key: np.ndarray  # int64 [20], change of a packed state by the move
     move_first: np.ndarray  # int64 [20]
     move_count: np.ndarray
     deviation: np.ndarray  # float64 [64, 20], factor on driving
@@ -57,7 +57,7 @@ class Tables(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """Scalars of the cost model, in metres and unitless costs."""
+    """Scalars in the cost model, in metres and unitless costs."""
 
     unevenness: float
     turn: float
@@ -80,42 +80,49 @@ class Constants(NamedTuple):
 
 
 class World(NamedTuple):
-    """Terrain of nx x ny cells with a border of ``pad`` cells around it; flat index ``(ix + pad) * stride + iy +
-    pad``."""
+    """Terrain with nx x ny cells inside a border of ``pad`` cells.
+
+    Flat index: ``(ix + pad) * stride + iy + pad``.
+    """
 
     nx: int
     ny: int
     pad: int
     stride: int
     standable: np.ndarray  # bool flat: whether a foot can stand
-    uneven: np.ndarray  # float32 [layers * cells]: S under a foot in a cell, inf where it cannot stand; one layer for
-    # each offset from the cell of a foot to the middle of its contact (``Tables.contact_offsets``)
+    uneven: np.ndarray  # float32 [layers * cells]: S under a foot in a cell, inf without a foothold; one layer per
+    # offset between a foot's cell and the middle of its contact (``Tables.contact_offsets``)
     height: np.ndarray  # float32 flat; -inf where unknown
-    swing: np.ndarray  # float32 flat: highest cell within the clearance of a foot, inf next to unknown cells
+    swing: np.ndarray  # float32 flat: highest cell within a foot's clearance, inf next to unknown cells
     window_height: np.ndarray  # float32 flat: highest cell within the body's reach
     edge: np.ndarray  # bool flat: no wheel passes
     steps: np.ndarray  # uint64 flat: bit h set if a foot here can step toward heading h
-    banned: np.ndarray  # int64 [n, 7]: steps that a search must not use (manoeuvres.is_banned)
+    banned: np.ndarray  # int64 [n, 7]: steps closed to the search (``manoeuvres.is_banned``)
     base: np.ndarray  # uint8 [64 * cells]: whether the body is FREE or BLOCKED, 0 = not yet computed
     tables: Tables
     constants: Constants
 
 
-#: What ``World.base`` says of a pose.
+#: Values in ``World.base``.
 FREE, BLOCKED = np.uint8(1), np.uint8(2)
 
 
 @njit(inline="always")
 def cell_index(world, ix, iy):
-    """Flat index of a cell of the map."""
+    """Flat index of a map cell."""
     return (ix + world.pad) * world.stride + iy + world.pad
 
 
 def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) -> World:
-    """Compile a terrain for a robot. ``maps`` saves computing the cost maps again.
+    """Compiles a terrain for a robot.
+
+    Args:
+        terrain: height map.
+        robot: robot.
+        maps: its cost maps, if they exist already.
 
     Raises:
-        InputError: for a map with more cells than packed states and tables can address.
+        InputError: the map has more cells than packed states and tables can address.
     """
     from scipy.ndimage import maximum_filter  # half a second to import, and ``import hdsp`` shall be quick
 
@@ -167,7 +174,7 @@ def _body_reach(robot: Robot) -> float:
 
 
 def _uneven_under_feet(unevenness: np.ndarray, standable: np.ndarray, robot: Robot, offsets: np.ndarray) -> np.ndarray:
-    """``World.uneven`` from S of the padded map, float32 [nx, ny]."""
+    """``World.uneven`` for S on the padded map, float32 [nx, ny]."""
     from scipy.ndimage import maximum_filter
 
     size = 2 * math.floor(cells(robot.feet.contact_half_width) + 1e-9) + 1
@@ -255,7 +262,7 @@ def _tables(robot: Robot, stride: int, size: int) -> Tables:
 
 @njit()
 def _possible_steps(standable, height, swing, edge, near_edge, line, max_height, max_clearance):
-    """For each cell the headings toward which a foot that stands there can step over an edge; uint64 flat."""
+    """Headings toward which a foot in a cell can step over an edge, as bits; uint64 flat."""
     n_headings, reach = line.shape
     result = np.zeros(len(standable), dtype=np.uint64)
     longest = np.max(np.abs(line))
@@ -279,19 +286,19 @@ def _possible_steps(standable, height, swing, edge, near_edge, line, max_height,
 
 @njit(inline="always")
 def step_fits(before, after, highest, max_height, max_clearance):
-    """Whether a foot can be lifted from height ``before`` over ``highest`` to ``after`` (all m)."""
+    """Whether a foot can step from height ``before`` over ``highest`` to ``after`` (all m)."""
     return abs(after - before) <= max_height and highest - min(before, after) <= max_clearance
 
 
 @njit(inline="always")
 def step_effort(fixed, per_metre, per_height, length, before, after):
-    """What a step costs beside the state costs: ``length`` in cells, from height ``before`` to ``after`` (m)."""
+    """Cost factor for a step: ``length`` in cells, from height ``before`` to ``after`` (m)."""
     return fixed + per_metre * length * _CELL + per_height * abs(after - before)
 
 
 @njit(inline="always")
 def body_is_free(world, heading, p):
-    """Whether the body neither collides at flat cell ``p`` nor has unknown ground under its centre."""
+    """Whether the body is free at flat cell ``p``: no collision, known ground under its centre."""
     known = world.base[heading * len(world.standable) + p]
     if known == 0:
         known = look_at_body(world, heading, p)
@@ -300,7 +307,7 @@ def body_is_free(world, heading, p):
 
 @njit(allocates=False)
 def look_at_body(world, heading, p):
-    """Compute and keep an entry of ``world.base``."""
+    """Computes and keeps an entry in ``world.base``."""
     known = BLOCKED if collides(world, heading, p) else FREE
     world.base[heading * len(world.standable) + p] = known
     return known
@@ -308,7 +315,7 @@ def look_at_body(world, heading, p):
 
 @njit(allocates=False)
 def collides(world, heading, p):
-    """Whether the body hits what rises from the ground at flat cell ``p``, or has no known ground under its centre."""
+    """Whether the body hits the terrain at flat cell ``p``, or the ground under its centre is unknown."""
     tables, height = world.tables, world.height
     if height[p] == -np.inf:
         return True
@@ -324,7 +331,7 @@ def collides(world, heading, p):
 
 @njit(allocates=False)
 def _mean_foot_height(world, heading, p):
-    """Mean height of the known cells under the neutral feet; inf if none is known."""
+    """Mean height over the known cells under the neutral feet; inf without a known cell."""
     t = world.tables
     total, known = np.float32(0), 0
     for foot in range(4):
