@@ -77,8 +77,11 @@ def task_predictor(name: str, config: DictConfig, folders: Folders, model: str =
 def abstract_costs(name: str, config: DictConfig, folders: Folders) -> AbstractCosts:
     """Returns abstraction `name` as costs for whole maps; raises as `task_predictor`."""
     predictor = task_predictor(name, config, folders)
-    if name == "trained" or name.startswith(SHIPPED):
-        from hdsp.learning.learned_costs import LearnedCosts
+    from hdsp.abstract import AbstractCosts
 
-        return LearnedCosts(predictor)
-    return predictor  # type: ignore[return-value]  # these two are both
+    if isinstance(predictor, AbstractCosts):
+        return predictor
+    from hdsp.learning import LearnedAbstraction, LearnedCosts
+
+    assert isinstance(predictor, LearnedAbstraction)
+    return LearnedCosts(predictor)

@@ -112,7 +112,9 @@ def expand_choices(overrides: Sequence[str]) -> list[list[str]]:
     """
     try:
         parsed = OverridesParser.create().parse_overrides(list(overrides))
-        choices = [list(o.sweep_string_iterator()) if o.is_sweep_override() else [o.input_line] for o in parsed]
+        choices: list[list[Any]] = [
+            list(o.sweep_string_iterator()) if o.is_sweep_override() else [o.input_line] for o in parsed
+        ]
     except HydraException as error:
         raise InputError(_one_line(error, overrides)) from error
     for i, override in enumerate(parsed):
@@ -138,7 +140,8 @@ def _one_line(error: Exception, overrides: Sequence[str]) -> str:
 
 
 def _allowed_beside(key: str) -> str:
-    node, path = compose(), []
+    node: Any = compose()
+    path: list[str] = []
     for part in key.split(".")[:-1]:
         if not isinstance(node, DictConfig) or part not in node:
             break

@@ -186,8 +186,8 @@ def _metrics(figures: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str
         for name, set_figures in figures.items() if name != "val"
         for category, values in set_figures["categories"].items() if len(set_figures["categories"]) > 1
     ]  # fmt: skip
-    header = ("set", "category", "maps", "feasibility correct", "cost error")
-    return text + ("\n\n" + markdown(header, categories) if categories else "")
+    columns = ("set", "category", "maps", "feasibility correct", "cost error")
+    return text + ("\n\n" + markdown(columns, categories) if categories else "")
 
 
 def _calibration(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, Any]]) -> str:

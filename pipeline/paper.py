@@ -1,7 +1,9 @@
 """The paper's results (Klamt & Behnke 2019, Tables I and II), as data for comparison with ours."""
 
+from typing import Any
+
 #: Table I, per set: detailed costs, then for each method feasibility accuracy, mean abstract cost, mean cost error.
-ABSTRACTION_QUALITY = {
+ABSTRACTION_QUALITY: dict[str, dict[str, Any]] = {
     "random": {
         "detailed_cost_mean": 0.476,
         "detailed_cost_std": 0.222,

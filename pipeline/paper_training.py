@@ -56,7 +56,8 @@ def paper_training(config: DictConfig, folders: Folders) -> None:
 
 def begin_end() -> tuple[str, str]:
     """Markers around the table on the page."""
-    return tuple(line.replace("pipeline.compare", "pipeline.paper_training") for line in markers("klamt2019"))
+    begin, end = (line.replace("pipeline.compare", "pipeline.paper_training") for line in markers("klamt2019"))
+    return begin, end
 
 
 def read_history(path: Path) -> list[dict[str, Any]]:

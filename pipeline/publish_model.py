@@ -29,6 +29,7 @@ from pipeline.task_sets import read_evaluation_set, read_set
 if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
     from hdsp.learning import LearnedAbstraction
+    from hdsp.learning.abstraction import Precision
 
 #: Weights above this number of bytes are rounded to half floats.
 LARGEST = 4_000_000
@@ -51,7 +52,7 @@ def publish_model(config: DictConfig, folders: Folders, source: str) -> None:
     else:
         trained = LearnedAbstraction.from_pretrained(source, robot, hardware)
     size = sum(value.nbytes for value in trained.network.state_dict().values())
-    precision = "float16" if size > LARGEST else "float32"
+    precision: Precision = "float16" if size > LARGEST else "float32"
     with tempfile.TemporaryDirectory() as folder:
         trained.save_pretrained(Path(folder) / "model", precision)
         abstraction = LearnedAbstraction.from_pretrained(Path(folder) / "model", robot, hardware)

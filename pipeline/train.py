@@ -37,7 +37,9 @@ def train(config: DictConfig, folders: Folders) -> None:
     from hdsp.viz import save_training_curves
 
     chosen = {role: config.trainer.get(role) or [default] for role, default in ROLES.items()}
-    splits = {name: shards_place(config, folders.inputs, name) for names in chosen.values() for name in names}
+    splits: dict[str, Place] = {
+        name: shards_place(config, folders.inputs, name) for names in chosen.values() for name in names
+    }
     watched, known = config.evaluation.watched, config.evaluation.sets
     if unknown := [name for name in watched if name not in known]:
         raise InputError(f"evaluation.watched: unknown set {unknown[0]!r}; evaluation.sets has {', '.join(known)}")
@@ -101,10 +103,12 @@ def notes(config: DictConfig, tasks: TaskSet | list[Place]) -> dict[str, Any]:
     """
     from hdsp.labels.shards import read_shards
 
-    streamed = isinstance(tasks, list)
+    streamed = (
+        [len(shard.tasks) for place in tasks for shard in read_shards(place)] if isinstance(tasks, list) else None
+    )
     return {
         "profile": config.profile,
-        "maps": sum(len(shard.tasks) for place in tasks for shard in read_shards(place)) if streamed else len(tasks),
+        "maps": len(tasks) if streamed is None else sum(streamed),
         "trainer": plain(config.trainer),
         **_notes_of_initial(config.trainer.get("initial")),
         **data_notes(config, config.trainer.get("splits") or ["train"]),

@@ -26,7 +26,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
 from hdsp.base.settings import checked, load_settings, read_json, shown
 from hdsp.learning.calibration import Calibration, calibration_figures, fit_calibration
-from hdsp.learning.hardware import autocast
+from hdsp.learning.hardware import autocast, channels_last
 from hdsp.learning.learning_settings import HardwareSettings, ModelSettings
 from hdsp.learning.metrics import MINIMUM_COST
 from hdsp.learning.networks import TaskNetwork, build_network
@@ -119,7 +119,7 @@ class LearnedAbstraction:
         self._flat: dict[bytes, np.ndarray] = {}
         self.hardware = hardware or HardwareSettings()
         self.device = self.hardware.device()
-        self.network = network.to(self.device, memory_format=torch.channels_last).eval()
+        self.network = channels_last(network.to(self.device)).eval()
 
     def predict(self, patches: np.ndarray, goals: np.ndarray, batch: int = 128) -> tuple[np.ndarray, np.ndarray]:
         """Predicts feasibility and cost of tasks.

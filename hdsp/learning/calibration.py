@@ -39,21 +39,21 @@ class Reliability(NamedTuple):
     """Tasks binned by predicted probability, without empty bins; arrays [bins].
 
     Attributes:
-        count: tasks per bin.
+        tasks: number per bin.
         predicted: mean predicted probability per bin.
         observed: share of feasible tasks per bin.
     """
 
-    count: np.ndarray
+    tasks: np.ndarray
     predicted: np.ndarray
     observed: np.ndarray
 
     @property
     def error(self) -> float:
         """Expected calibration error: mean |observed - predicted| per bin, weighted by tasks; NaN without tasks."""
-        if len(self.count) == 0:
+        if len(self.tasks) == 0:
             return float("nan")
-        return float(np.average(np.abs(self.observed - self.predicted), weights=self.count))
+        return float(np.average(np.abs(self.observed - self.predicted), weights=self.tasks))
 
 
 def reliability(probability: np.ndarray, feasible: np.ndarray, bins: int = BINS, adaptive: bool = False) -> Reliability:

@@ -6,7 +6,7 @@ its callback's state, so both survive a resume from a checkpoint.
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import lightning.pytorch as pl
 import torch
@@ -18,6 +18,15 @@ from hdsp.learning.task_data import ResumableBatches
 
 #: Losses, in the order in which rules treat them.
 LOSSES = ("feasibility", "cost")
+
+
+@runtime_checkable
+class HasLossWeights(Protocol):
+    """A module whose loss weights a rule can change, as `hdsp.learning.module.AbstractionModule`."""
+
+    def epoch_losses(self) -> dict[str, float]: ...
+
+    def scale_loss_weight(self, name: str, factor: float) -> None: ...
 
 
 class LossWeightRule(pl.Callback, ABC):
@@ -32,6 +41,7 @@ class LossWeightRule(pl.Callback, ABC):
         """Returns the names of the losses to cut, given the losses of the epoch that just ended."""
 
     def on_train_epoch_end(self, trainer: pl.Trainer, module: pl.LightningModule) -> None:
+        assert isinstance(module, HasLossWeights)
         for name in self.losses_to_cut(module.epoch_losses()):
             module.scale_loss_weight(name, 1 / self.factor)
 

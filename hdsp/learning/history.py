@@ -10,6 +10,7 @@ from typing import Any
 import lightning.pytorch as pl
 
 from hdsp.base.files import replacing
+from hdsp.learning.module import AbstractionModule
 
 OnEpoch = Callable[[int, dict[str, float]], None]
 
@@ -34,6 +35,7 @@ class EpochHistory(pl.Callback):
         self.started = time.perf_counter()
 
     def on_train_epoch_end(self, trainer: pl.Trainer, module: pl.LightningModule) -> None:
+        assert isinstance(module, AbstractionModule)
         metrics = module.epoch_metrics()
         metrics["score"] = self.score(metrics)
         metrics["learning_rate"] = float(trainer.optimizers[0].param_groups[0]["lr"])
@@ -41,7 +43,7 @@ class EpochHistory(pl.Callback):
         epoch = trainer.current_epoch
         self.rows.append({"epoch": epoch, **metrics})
         self.epochs_seen += 1
-        self.log("score", metrics["score"], logger=False)
+        module.log("score", metrics["score"], logger=False)
         for logger in trainer.loggers:
             logger.log_metrics(metrics, step=epoch)
         write_history(self.folder, self.rows)

@@ -158,7 +158,9 @@ class LearnedCosts:
         whole[first[0] : first[0] + wanted.shape[0], first[1] : first[1] + wanted.shape[1]] = wanted
         states = np.argwhere(np.ones_like(whole))
         cells = rotated.cells(_anchors(states, heading))
-        margin = self._trunk.margin
+        trunk = self._trunk
+        assert trunk is not None
+        margin = trunk.margin
         side = TILE - 1 + lattice.PATCH_CELLS + 2 * margin
         for tile, members in _grouped(cells // TILE):
             asked = whole[states[members, 0], states[members, 1]]
@@ -166,7 +168,7 @@ class LearnedCosts:
                 continue
             window = rotated.window(tile * TILE - lattice.PATCH_CENTER - margin, (side, side))
             corners = cells[members] - tile * TILE
-            feasible, cost = self.abstraction.predict_windows(self._trunk, window, corners, asked, goals)
+            feasible, cost = self.abstraction.predict_windows(trunk, window, corners, asked, goals)
             costs = np.where(feasible, cost, np.float32(np.inf))
             yield states[members[asked]] - first, costs[asked]
 

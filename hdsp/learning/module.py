@@ -25,6 +25,9 @@ class AbstractionModule(pl.LightningModule):
         val_sets: validation set names, in dataloader order.
     """
 
+    loss_weights: Tensor
+    loss_sums: Tensor
+
     def __init__(
         self,
         network: TaskNetwork,

@@ -1,8 +1,8 @@
 """Labelled tasks as tensor batches, from memory by index (`task_loader`) or shard by shard (`TaskStream`)."""
 
+import os
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -171,7 +171,7 @@ class TaskStream(IterableDataset):
         from hdsp.labels.shards import shard_paths
 
         self.paths = []
-        for place in [places] if isinstance(places, str | Path) else places:
+        for place in [places] if isinstance(places, str | os.PathLike) else places:
             found = shard_paths(place)
             if not found:
                 raise InputError(f"folder {place} holds no shard")
@@ -246,7 +246,9 @@ class ResumableBatches:
 
     def __init__(self, batches: "DataLoader | TaskStream"):
         self.batches = batches
-        self.sampler = batches if isinstance(batches, TaskStream) else batches.sampler
+        sampler = batches if isinstance(batches, TaskStream) else batches.sampler
+        assert isinstance(sampler, TaskStream | BatchSampler)  # `task_loader` makes no others
+        self.sampler = sampler
         self.given = self.start = 0
 
     def __len__(self) -> int:
@@ -290,5 +292,5 @@ def _shared(array: np.ndarray, dtype) -> Tensor:
     return torch.from_numpy(array)
 
 
-def _as_is(batch: Batch) -> Batch:
+def _as_is(batch: Any) -> Any:
     return batch

@@ -23,6 +23,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.learning.abstraction import LearnedAbstraction, Provenance
 from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, AveragedWeights, EpochPosition
+from hdsp.learning.hardware import channels_last
 from hdsp.learning.history import EpochHistory, OnEpoch
 from hdsp.learning.learning_settings import BatchSettings, ModelSettings, TrainerSettings, TrainingConfig
 from hdsp.learning.module import AbstractionModule
@@ -161,7 +162,7 @@ def train(
 def _module(config: TrainingConfig, val_sets: tuple[str, ...]) -> AbstractionModule:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.trainer.seed)
-        network = build_network(config.model).to(memory_format=torch.channels_last)
+        network = channels_last(build_network(config.model))
     trainer = config.trainer
     return AbstractionModule(network, trainer.optimizer, trainer.schedule, trainer.losses, val_sets)
 
@@ -187,7 +188,7 @@ def _training_batches(settings: TrainerSettings, tasks: "TaskSet | Sequence[Plac
     """An epoch's batches, and their number of maps."""
     from hdsp.labels.tasks import TaskSet
 
-    order = {"shuffle": True, "mirror": settings.mirror, "seed": settings.seed}
+    order: dict[str, Any] = {"shuffle": True, "mirror": settings.mirror, "seed": settings.seed}
     if isinstance(tasks, TaskSet):
         return task_loader(tasks, settings.batch, **order), len(tasks)
     stream = TaskStream(tasks, settings.batch, **order)

@@ -55,16 +55,16 @@ def test_the_calibration_error_is_that_of_the_textbook(tasks, bins):
     probability, feasible = (np.array(column) for column in zip(*tasks, strict=True))
     found = reliability(probability, feasible, bins)
     assert found.error == pytest.approx(naive_error(tasks, bins), abs=1e-9)
-    assert found.count.sum() == len(tasks)
+    assert found.tasks.sum() == len(tasks)
 
 
 @given(TASKS, st.integers(1, 20))
 def test_adaptive_bins_hold_equally_many_tasks_in_the_order_of_probability(tasks, bins):
     probability, feasible = (np.array(column) for column in zip(*tasks, strict=True))
     found = reliability(probability, feasible, bins, adaptive=True)
-    assert found.count.max() - found.count.min() <= 1
+    assert found.tasks.max() - found.tasks.min() <= 1
     assert (np.diff(found.predicted) >= -1e-12).all()
-    assert found.count @ found.observed == pytest.approx(feasible.sum())
+    assert found.tasks @ found.observed == pytest.approx(feasible.sum())
 
 
 def test_who_always_tells_the_truth_has_no_error_and_who_is_too_sure_has():

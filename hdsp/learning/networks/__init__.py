@@ -20,7 +20,6 @@ def build_network(config: Mapping[str, Any] | ModelSettings) -> TaskNetwork:
     network = network_class(settings.architecture)(settings.encoding, options)  # type: ignore[call-arg]
     if settings.initialisation == "he":
         initialise_he(network)
-    network.settings = settings
     return network
 
 

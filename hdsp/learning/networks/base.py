@@ -22,6 +22,7 @@ class TaskNetwork(nn.Module):
     """
 
     Options: ClassVar[type]
+    heads: nn.Linear
 
     def __init__(self, encoding: HeightEncoding):
         super().__init__()
@@ -77,7 +78,8 @@ class MapGoalLinear(nn.Linear):
         super().__init__(map_features + goal_features, out_features)
         self.map_features = map_features
 
-    def forward(self, map_features: Tensor, goal_features: Tensor) -> Tensor:
+    # A module of this name and kind, with its weights and its initialisation, but with two inputs instead of one.
+    def forward(self, map_features: Tensor, goal_features: Tensor) -> Tensor:  # type: ignore[override]
         """Maps features [B, M] and goals [B, G, K] to [B, G, out]."""
         map_weight, goal_weight = self.weight.split([self.map_features, self.in_features - self.map_features], dim=1)
         of_map = functional.linear(map_features, map_weight, self.bias)

@@ -72,8 +72,8 @@ class DenseTrunk:
                 self.layers.append((layer, dilation * self.step))
             elif isinstance(layer, nn.MaxPool2d) and layer.stride == layer.kernel_size and layer.padding == 0:
                 self.layers.append((layer, self.step))
-                self.cells //= layer.kernel_size
-                self.step *= layer.kernel_size
+                self.cells //= _side(layer)
+                self.step *= _side(layer)
             elif isinstance(layer, nn.ReLU):
                 self.layers.append((layer, self.step))
             elif not isinstance(layer, nn.Flatten):
@@ -95,7 +95,7 @@ class DenseTrunk:
             if isinstance(layer, nn.Conv2d):
                 values = functional.conv2d(values, layer.weight, layer.bias, dilation=dilation)
             elif isinstance(layer, nn.MaxPool2d):
-                values = _greatest(values, layer.kernel_size, dilation)
+                values = _greatest(values, _side(layer), dilation)
             else:
                 values = layer(values)
         return values
@@ -116,6 +116,13 @@ class DenseTrunk:
         # Cells first: the features at one cell are then contiguous and copied in one piece.
         rows = dense[0].permute(1, 2, 0).reshape(-1, dense.shape[1])[index.flatten()]
         return rows.view(len(corners), self.cells**2, -1).transpose(1, 2).flatten(1)
+
+
+def _side(pooling: nn.MaxPool2d) -> int:
+    side = pooling.kernel_size
+    if not isinstance(side, int):
+        raise InputError(f"a trunk with {pooling} cannot be evaluated densely")
+    return side
 
 
 def _greatest(values: Tensor, kernel: int, dilation: int) -> Tensor:

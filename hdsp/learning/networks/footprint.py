@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import reduce
 from typing import Annotated, Self
 
 import torch
@@ -100,6 +101,9 @@ class Footprint(TaskNetwork):
 
     The network uses no padding and only height differences, so it can be evaluated densely and on any floor level.
     """
+
+    taps: Tensor
+    turns: Tensor
 
     Options = FootprintOptions
 
@@ -244,12 +248,12 @@ class Footprint(TaskNetwork):
         mx, my = of_local.shape[-2:]
         x, y = self.margins
         base = ground[:, HEIGHT, None, x : x + mx, y : y + my]
-        seen = [
+        tapped = [
             ground[:, self.tapped, i * spacing : i * spacing + mx, j * spacing : j * spacing + my]
             for i in range(taps[0])
             for j in range(taps[1])
         ]
-        seen = torch.stack(seen, dim=1)
+        seen = torch.stack(tapped, dim=1)
         of_ground = torch.cat([_relative(seen[:, :, :2], base[:, None]), seen[:, :, 2:]], dim=2).flatten(1, 2)
         if required is not None:
             of_ground = torch.cat([of_ground, required], dim=1)
@@ -374,7 +378,7 @@ def _interpolated(maps: Tensor, positions: Tensor) -> Tensor:
     x, y = share.to(maps.dtype).unbind(-1)
     corners = ((0, 0, (1 - x) * (1 - y)), (0, 1, (1 - x) * y), (1, 0, x * (1 - y)), (1, 1, x * y))
     rows = maps.permute(0, 2, 3, 1)
-    return sum(rows[:, i + a, j + b] * weight[..., None] for a, b, weight in corners)
+    return reduce(torch.add, (rows[:, i + a, j + b] * weight[..., None] for a, b, weight in corners))
 
 
 def _interpolated_each(maps: Tensor, positions: Tensor) -> Tensor:
@@ -385,8 +389,10 @@ def _interpolated_each(maps: Tensor, positions: Tensor) -> Tensor:
     x, y = (at - low).unbind(-1)
     first = low[..., 0].long() * cells + low[..., 1].long()
     rows = maps.flatten(1, 2)
-    result = 0
-    for step, weight in ((0, (1 - x) * (1 - y)), (1, (1 - x) * y), (cells, x * (1 - y)), (cells + 1, x * y)):
-        index = (first + step)[..., None].expand(-1, -1, maps.shape[-1])
-        result = result + rows.gather(1, index) * weight[..., None]
+
+    def corner(step: int) -> Tensor:
+        return rows.gather(1, (first + step)[..., None].expand(-1, -1, maps.shape[-1]))
+
+    weights = ((0, (1 - x) * (1 - y)), (1, (1 - x) * y), (cells, x * (1 - y)), (cells + 1, x * y))
+    result = reduce(torch.add, (corner(step) * weight[..., None] for step, weight in weights))
     return result.view(*positions.shape[:-1], maps.shape[-1])

@@ -41,6 +41,8 @@ class GoalMap(TaskNetwork):
     first stage run once per goal, 22 times per patch.
     """
 
+    feet: Tensor
+
     Options = GoalMapOptions
 
     def __init__(self, encoding: HeightEncoding, options: GoalMapOptions):

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from functools import reduce
 
 import torch
 from torch import Tensor, nn
@@ -64,6 +65,9 @@ class PoseRequirements(nn.Module):
         rotations: headings for ``turned``, radians, [turns].
     """
 
+    cells: Tensor
+    turned_cells: Tensor
+
     def __init__(self, options: PoseRequirementOptions, radius: int, rotations: Tensor):
         super().__init__()
         self.options = options
@@ -103,11 +107,8 @@ class PoseRequirements(nn.Module):
         """
         mask = disc_mask(cells(self.options.clearance))
         nx, ny = edges.shape[-2] - 2 * self.radius, edges.shape[-1] - 2 * self.radius
-        result = None
-        for i, j in zip(*mask.nonzero(), strict=True):
-            part = edges[..., i : i + nx, j : j + ny]
-            result = part if result is None else torch.maximum(result, part)
-        return (result / self.options.edge).clamp(0.0, MOST)
+        parts = (edges[..., i : i + nx, j : j + ny] for i, j in zip(*mask.nonzero(), strict=True))
+        return (reduce(torch.maximum, parts) / self.options.edge).clamp(0.0, MOST)
 
     def straight(self, ground: Tensor, first: Sequence[int], size: Sequence[int]) -> Tensor:
         """Returns features [B, REQUIREMENT_FEATURES, *size] for poses with the start heading.

@@ -38,6 +38,8 @@ class Table(TaskNetwork):
     that all start at residue 0, like the paper's, entries for other residues are meaningless.
     """
 
+    actions: Tensor
+
     Options = TableOptions
 
     def __init__(self, encoding: HeightEncoding, options: TableOptions):
