@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -71,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_planning(parser: argparse.ArgumentParser) -> None:
-    pose = {"nargs": 3, "type": float, "required": True, "metavar": ("X", "Y", "DEGREES")}
+    pose: dict[str, Any] = {"nargs": 3, "type": float, "required": True, "metavar": ("X", "Y", "DEGREES")}
     parser.add_argument("map", metavar="MAP", help="a height map with cells of 0.025 m: .npz, .h5")
     parser.add_argument("--start", help="base position in m, heading against the x axis", **pose)
     parser.add_argument("--goal", help="the same", **pose)
