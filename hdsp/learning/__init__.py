@@ -1,5 +1,13 @@
 """Learned abstractions: task data, networks, training, saved models, costs for whole maps.
 
+- `architectures`, `networks`: table of the networks, and the networks; `network_conformance`: a checker for own ones
+- `learning_settings`: settings of models, training and hardware; `hardware`: devices and precision
+- `encoding`: heights as network input; `task_data`, `task_stream`: batches from memory, from shards
+- `training`, `module`, `callbacks`, `history`, `metrics`: a training with Lightning, weights of its losses, its record
+- `abstraction`, `saved_abstraction`, `calibration`: a trained network that judges tasks, its folder, its corrections
+- `learned_costs`, `rotated_maps`: abstract costs of a whole map
+- `loading`, `shipped`: the abstractions that come with the package
+
 Importing this package loads neither torch nor Lightning; the first use of a name loads its module.
 """
 
@@ -7,7 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hdsp.learning.abstraction import LearnedAbstraction, Provenance
+    from hdsp.learning.abstraction import LearnedAbstraction
     from hdsp.learning.architectures import ARCHITECTURES
     from hdsp.learning.callbacks import PlateauLossWeights, PublishedLossWeights
     from hdsp.learning.learned_costs import LearnedCosts
@@ -15,7 +23,9 @@ if TYPE_CHECKING:
     from hdsp.learning.module import AbstractionModule
     from hdsp.learning.network_conformance import check_network
     from hdsp.learning.networks import TaskNetwork, build_network, count_parameters
-    from hdsp.learning.task_data import TaskStream, task_loader
+    from hdsp.learning.saved_abstraction import Provenance
+    from hdsp.learning.task_data import task_loader
+    from hdsp.learning.task_stream import TaskStream
     from hdsp.learning.training import TrainResult, train
 
 __all__ = [
@@ -50,10 +60,10 @@ _MODULES = {
     "LearnedCosts": "learned_costs",
     "ModelSettings": "learning_settings",
     "PlateauLossWeights": "callbacks",
-    "Provenance": "abstraction",
+    "Provenance": "saved_abstraction",
     "PublishedLossWeights": "callbacks",
     "TaskNetwork": "networks",
-    "TaskStream": "task_data",
+    "TaskStream": "task_stream",
     "TrainResult": "training",
     "TrainingConfig": "learning_settings",
     "build_network": "networks",

@@ -1,19 +1,13 @@
-"""Trained abstraction as a folder: ``config.json`` + ``model.safetensors``.
-
-The configuration carries everything in which inference has to agree with training; loading checks it.
-"""
+"""Trained abstraction: a network that judges tasks, with its calibration."""
 
 import hashlib
 import json
 import math
-import os
-import secrets
-import shutil
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import asdict, field
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -23,73 +17,29 @@ from safetensors.torch import save as tensor_bytes
 from scipy.special import expit
 
 from hdsp.base.errors import InputError
-from hdsp.base.files import existing_file
-from hdsp.base.settings import checked, load_settings, read_json, shown
 from hdsp.learning.calibration import Calibration, calibration_figures, fit_calibration
 from hdsp.learning.hardware import autocast, channels_last
 from hdsp.learning.learning_settings import HardwareSettings, ModelSettings
 from hdsp.learning.metrics import MINIMUM_COST
 from hdsp.learning.networks import TaskNetwork, build_network
 from hdsp.learning.networks.dense import DenseEvaluation
+from hdsp.learning.saved_abstraction import (
+    CONFIG,
+    FORMAT_VERSION,
+    WEIGHTS,
+    Precision,
+    Provenance,
+    lattice_contract,
+    read_saved,
+    replace_folder,
+)
 from hdsp.robot import lattice
 from hdsp.robot.robot import Robot
-from hdsp.terrain.cost_maps import COST_MODEL_VERSION
 
 if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
 
-FORMAT_VERSION = 1
 WINDOWS = 24  # patches per goal evaluation in ``predict_windows``
-Precision = Literal["float32", "float16"]
-
-
-@checked
-class Provenance:
-    """Origin of a model's labels.
-
-    Attributes:
-        robot: robot name.
-        robot_hash: ``Robot.hash()`` of the labelled robot; empty = not recorded.
-        cost_model_version: cost model version behind the labels.
-        labels_hash: hash over everything the labels depend on; empty = not recorded.
-        notes: further plain values.
-    """
-
-    robot: str = ""
-    robot_hash: str = ""
-    cost_model_version: int = COST_MODEL_VERSION
-    labels_hash: str = ""
-    notes: dict[str, Any] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, robot: Robot, labels_hash: str = "", **notes: Any) -> "Provenance":
-        """Provenance for labels made now for ``robot``, with the current cost model."""
-        return cls(robot.name, robot.hash(), COST_MODEL_VERSION, labels_hash, notes)
-
-
-@checked
-class SavedAbstraction:
-    """Contents of ``config.json``.
-
-    Attributes:
-        format_version: version of the format, ``FORMAT_VERSION``.
-        model: settings for ``build_network``.
-        lattice: the lattices and actions of training.
-        provenance: source of the labels.
-        metrics: flat metrics at the end of training.
-        weights_sha256: checksum of ``model.safetensors``.
-        calibration: corrections fitted after training.
-        precision: precision of the trained values in the file.
-    """
-
-    format_version: int
-    model: ModelSettings
-    lattice: dict[str, Any]
-    provenance: Provenance
-    metrics: dict[str, float]
-    weights_sha256: str
-    calibration: Calibration = field(default_factory=Calibration)
-    precision: Precision = "float32"
 
 
 class LearnedAbstraction:
@@ -267,14 +217,11 @@ class LearnedAbstraction:
         Raises:
             InputError: the folder cannot be written, or holds something other than an abstraction.
         """
-        folder = Path(folder)
-        if folder.exists() and any(folder.iterdir()) and not (folder / "config.json").is_file():
-            raise InputError(f"{folder}: holds other files than a pretrained abstraction; it is not replaced")
         weights = tensor_bytes(self._tensors(precision))
         config = {
             "format_version": FORMAT_VERSION,
             "model": self.model.to_dict(),
-            "lattice": _lattice_contract(),
+            "lattice": lattice_contract(),
             "provenance": asdict(self.provenance),
             # JSON has no NaN, so undefined metrics are left out.
             "metrics": {key: value for key, value in self.metrics.items() if math.isfinite(value)},
@@ -282,23 +229,9 @@ class LearnedAbstraction:
             "precision": precision,
             "weights_sha256": hashlib.sha256(weights).hexdigest(),
         }
-        files = {"config.json": json.dumps(config, indent=2) + "\n", **(beside or {})}
-        work = folder.with_name(f".{folder.name}.{os.getpid()}-{secrets.token_hex(4)}")
-        try:
-            work.mkdir(parents=True)
-            (work / "model.safetensors").write_bytes(weights)
-            for name, text in files.items():
-                (work / name).write_text(text, encoding="utf-8")
-            if folder.exists():
-                folder.rename(work.with_suffix(".old"))
-            work.rename(folder)
-        except OSError as error:
-            raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
-        finally:
-            shutil.rmtree(work, ignore_errors=True)
-            if folder.exists():
-                shutil.rmtree(work.with_suffix(".old"), ignore_errors=True)
-        return folder
+        text = json.dumps(config, indent=2) + "\n"
+        others = {name: content.encode() for name, content in (beside or {}).items()}
+        return replace_folder(Path(folder), {WEIGHTS: weights, CONFIG: text.encode(), **others})
 
     def _tensors(self, precision: Precision) -> dict[str, torch.Tensor]:
         if precision not in ("float32", "float16"):
@@ -325,51 +258,15 @@ class LearnedAbstraction:
             InputError: a file is missing or damaged; or the lattice, actions, cost model or robot differ from training.
         """
         folder = Path(folder)
-        config_path = folder / "config.json"
-        config = read_json(config_path, "pretrained abstraction")
-        weights_path = existing_file(folder / "model.safetensors", "weights of a pretrained abstraction")
-        if isinstance(config, dict) and isinstance(version := config.get("format_version"), int):
-            _check_agreement(config_path, "format_version", version, FORMAT_VERSION)
-        saved = load_settings(SavedAbstraction, config, source=str(config_path))
-        for key, value in _lattice_contract().items():
-            _check_agreement(config_path, f"lattice.{key}", saved.lattice.get(key), value)
-        provenance = saved.provenance
-        _check_agreement(config_path, "cost_model_version", provenance.cost_model_version, COST_MODEL_VERSION)
-        if robot is not None and provenance.robot_hash not in ("", robot.hash()):
-            raise InputError(
-                f"{config_path}: trained for another robot ({provenance.robot!r}) than {robot.name!r} as it is now"
-            )
-
-        weights = weights_path.read_bytes()
-        if hashlib.sha256(weights).hexdigest() != saved.weights_sha256:
-            raise InputError(
-                f"{weights_path}: damaged or of another abstraction, its checksum is not the one in config.json"
-            )
+        saved, weights = read_saved(folder, robot)
         try:
             network = build_network(saved.model)
         except (InputError, RuntimeError, MemoryError) as error:  # options too large for memory
-            raise InputError(f"{config_path}: {' '.join(str(error).split())}") from None
+            raise InputError(f"{folder / CONFIG}: {' '.join(str(error).split())}") from None
         try:
             network.load_state_dict(load_tensors(weights))
         except (RuntimeError, SafetensorError) as error:
             raise InputError(
-                f"{weights_path}: does not fit {saved.model.architecture}: {str(error).splitlines()[0]}"
+                f"{folder / WEIGHTS}: does not fit {saved.model.architecture}: {str(error).splitlines()[0]}"
             ) from None
-        return cls(network, saved.model, provenance, saved.metrics, hardware, saved.calibration)
-
-
-def _lattice_contract() -> dict[str, Any]:
-    return {
-        "resolution": lattice.RESOLUTION,
-        "patch_cells": lattice.PATCH_CELLS,
-        "patch_center": lattice.PATCH_CENTER,
-        "headings": lattice.HEADINGS,
-        "abstract_resolution": lattice.ABSTRACT_RESOLUTION,
-        "abstract_headings": lattice.ABSTRACT_HEADINGS,
-        "abstract_actions": lattice.ABSTRACT_ACTIONS.tolist(),
-    }
-
-
-def _check_agreement(path: Path, what: str, found: Any, expected: Any) -> None:
-    if found != expected:
-        raise InputError(f"{path}: {what} is {shown(found)}, but this program works with {shown(expected)}")
+        return cls(network, saved.model, saved.provenance, saved.metrics, hardware, saved.calibration)

@@ -14,7 +14,7 @@ from lightning.pytorch.callbacks import WeightAveraging
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from hdsp.learning.learning_settings import LossSettings
-from hdsp.learning.task_data import ResumableBatches
+from hdsp.learning.task_stream import ResumableBatches
 
 #: Losses, in the order in which rules treat them.
 LOSSES = ("feasibility", "cost")

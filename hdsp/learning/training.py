@@ -21,7 +21,7 @@ from lightning.pytorch.loggers import Logger
 
 from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
-from hdsp.learning.abstraction import LearnedAbstraction, Provenance
+from hdsp.learning.abstraction import LearnedAbstraction
 from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, AveragedWeights, EpochPosition
 from hdsp.learning.hardware import channels_last
 from hdsp.learning.history import EpochHistory, OnEpoch
@@ -29,7 +29,9 @@ from hdsp.learning.learning_settings import BatchSettings, ModelSettings, Traine
 from hdsp.learning.module import AbstractionModule
 from hdsp.learning.networks import build_network
 from hdsp.learning.networks.base import TaskNetwork
-from hdsp.learning.task_data import ResumableBatches, TaskStream, task_loader
+from hdsp.learning.saved_abstraction import Provenance
+from hdsp.learning.task_data import task_loader
+from hdsp.learning.task_stream import ResumableBatches, TaskStream
 
 if TYPE_CHECKING:
     from hdsp.base.storage import Place

@@ -1,0 +1,150 @@
+"""Folder of a trained abstraction: ``config.json`` + ``model.safetensors``.
+
+The configuration carries everything in which inference has to agree with training; reading checks it.
+"""
+
+import hashlib
+import os
+import secrets
+import shutil
+from collections.abc import Mapping
+from dataclasses import field
+from pathlib import Path
+from typing import Any, Literal
+
+from hdsp.base.errors import InputError
+from hdsp.base.files import existing_file
+from hdsp.base.settings import checked, load_settings, read_json, shown
+from hdsp.learning.calibration import Calibration
+from hdsp.learning.learning_settings import ModelSettings
+from hdsp.robot import lattice
+from hdsp.robot.robot import Robot
+from hdsp.terrain.cost_maps import COST_MODEL_VERSION
+
+CONFIG, WEIGHTS = "config.json", "model.safetensors"
+FORMAT_VERSION = 1
+Precision = Literal["float32", "float16"]
+
+
+@checked
+class Provenance:
+    """Origin of a model's labels.
+
+    Attributes:
+        robot: robot name.
+        robot_hash: ``Robot.hash()`` of the labelled robot; empty = not recorded.
+        cost_model_version: cost model version behind the labels.
+        labels_hash: hash over everything the labels depend on; empty = not recorded.
+        notes: further plain values.
+    """
+
+    robot: str = ""
+    robot_hash: str = ""
+    cost_model_version: int = COST_MODEL_VERSION
+    labels_hash: str = ""
+    notes: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, robot: Robot, labels_hash: str = "", **notes: Any) -> "Provenance":
+        """Provenance for labels made now for ``robot``, with the current cost model."""
+        return cls(robot.name, robot.hash(), COST_MODEL_VERSION, labels_hash, notes)
+
+
+@checked
+class SavedAbstraction:
+    """Contents of ``config.json``.
+
+    Attributes:
+        format_version: version of the format, ``FORMAT_VERSION``.
+        model: settings for ``build_network``.
+        lattice: the lattices and actions of training.
+        provenance: source of the labels.
+        metrics: flat metrics at the end of training.
+        weights_sha256: checksum of ``model.safetensors``.
+        calibration: corrections fitted after training.
+        precision: precision of the trained values in the file.
+    """
+
+    format_version: int
+    model: ModelSettings
+    lattice: dict[str, Any]
+    provenance: Provenance
+    metrics: dict[str, float]
+    weights_sha256: str
+    calibration: Calibration = field(default_factory=Calibration)
+    precision: Precision = "float32"
+
+
+def replace_folder(folder: Path, files: Mapping[str, bytes]) -> Path:
+    """Writes a folder with these files, by name; an abstraction in it is replaced as a whole.
+
+    Raises:
+        InputError: the folder cannot be written, or holds something other than an abstraction.
+    """
+    if folder.exists() and any(folder.iterdir()) and not (folder / CONFIG).is_file():
+        raise InputError(f"{folder}: holds other files than a pretrained abstraction; it is not replaced")
+    work = folder.with_name(f".{folder.name}.{os.getpid()}-{secrets.token_hex(4)}")
+    try:
+        work.mkdir(parents=True)
+        for name, content in files.items():
+            (work / name).write_bytes(content)
+        if folder.exists():
+            folder.rename(work.with_suffix(".old"))
+        work.rename(folder)
+    except OSError as error:
+        raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+        if folder.exists():
+            shutil.rmtree(work.with_suffix(".old"), ignore_errors=True)
+    return folder
+
+
+def read_saved(folder: Path, robot: Robot | None = None) -> tuple[SavedAbstraction, bytes]:
+    """Reads configuration and weights, and checks that they fit each other and this program.
+
+    Args:
+        folder: with ``config.json`` and ``model.safetensors``.
+        robot: if given, the abstraction has to belong to this robot.
+
+    Raises:
+        InputError: a file is missing or damaged; or the lattice, actions, cost model or robot differ from training.
+    """
+    config_path = folder / CONFIG
+    config = read_json(config_path, "pretrained abstraction")
+    weights_path = existing_file(folder / WEIGHTS, "weights of a pretrained abstraction")
+    if isinstance(config, dict) and isinstance(version := config.get("format_version"), int):
+        _check_agreement(config_path, "format_version", version, FORMAT_VERSION)
+    saved = load_settings(SavedAbstraction, config, source=str(config_path))
+    for key, value in lattice_contract().items():
+        _check_agreement(config_path, f"lattice.{key}", saved.lattice.get(key), value)
+    provenance = saved.provenance
+    _check_agreement(config_path, "cost_model_version", provenance.cost_model_version, COST_MODEL_VERSION)
+    if robot is not None and provenance.robot_hash not in ("", robot.hash()):
+        raise InputError(
+            f"{config_path}: trained for another robot ({provenance.robot!r}) than {robot.name!r} as it is now"
+        )
+    weights = weights_path.read_bytes()
+    if hashlib.sha256(weights).hexdigest() != saved.weights_sha256:
+        raise InputError(
+            f"{weights_path}: damaged or of another abstraction, its checksum is not the one in config.json"
+        )
+    return saved, weights
+
+
+def lattice_contract() -> dict[str, Any]:
+    """Lattices and actions in which inference has to agree with training."""
+    return {
+        "resolution": lattice.RESOLUTION,
+        "patch_cells": lattice.PATCH_CELLS,
+        "patch_center": lattice.PATCH_CENTER,
+        "headings": lattice.HEADINGS,
+        "abstract_resolution": lattice.ABSTRACT_RESOLUTION,
+        "abstract_headings": lattice.ABSTRACT_HEADINGS,
+        "abstract_actions": lattice.ABSTRACT_ACTIONS.tolist(),
+    }
+
+
+def _check_agreement(path: Path, what: str, found: Any, expected: Any) -> None:
+    if found != expected:
+        raise InputError(f"{path}: {what} is {shown(found)}, but this program works with {shown(expected)}")
