@@ -27,7 +27,7 @@ _FLAT = 0.02  # m; footholds with smaller differences in height are level
 def explain_plan(
     terrain: HeightMap, robot: Robot, states: np.ndarray, actions: Sequence[Action], costs: np.ndarray
 ) -> str:
-    """The way, its steps and its costs.
+    """Describes a plan: its way, steps and costs.
 
     Args:
         terrain: the map under the plan.
@@ -41,7 +41,7 @@ def explain_plan(
 
 
 def explain_ending(status: Status, stats: PlanStatistics, problems: Sequence[str], refused: Sequence[str]) -> str:
-    """The reason why a query ended without a plan.
+    """Describes the reason why a query ended without a plan.
 
     Args:
         status: end of the search.

@@ -20,7 +20,7 @@ from hdsp.planning.refinable import RefusedSteps
 
 
 def improving_plans(query: Query, weights: Sequence[float], refinable: bool, prepared: float) -> Iterator[Plan]:
-    """Better and better plans; see ``Planner.improve``.
+    """Yields better and better plans; see ``Planner.improve``.
 
     Args:
         query: the query; its limits cover all rounds together.
@@ -61,7 +61,7 @@ def improving_plans(query: Query, weights: Sequence[float], refinable: bool, pre
 def _rounds(
     query: Query, weights: Sequence[float], refinable: bool, refused: RefusedSteps
 ) -> Generator[tuple[Plan, Status | None]]:
-    """Plans from all rounds and the end of the search.
+    """Yields plans from all rounds, and the end of the search.
 
     After a refused step the rounds start again without it, from the present weight on.
     """

@@ -8,7 +8,7 @@ from hdsp.terrain.height_map import HeightMap
 
 
 def changed_cells(before: HeightMap, after: HeightMap, region: Region | None = None) -> np.ndarray | None:
-    """Cells, bool [nx, ny], in which two height maps differ; None if the maps do not cover the same ground.
+    """Returns the cells, bool [nx, ny], in which two height maps differ; None if they do not cover the same ground.
 
     Args:
         before, after: the maps.

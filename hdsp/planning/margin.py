@@ -9,7 +9,7 @@ from hdsp.robot.robot import Box, Robot
 
 
 def with_margin(robot: Robot, margin: float) -> Robot:
-    """The robot with a base that is wider by a margin (m) on all sides.
+    """Returns the robot with a base wider by a margin (m) on all sides.
 
     The planner tests the body at the centres of cells. An obstacle in a cell lies up to half a diagonal, 18 mm, from
     its centre. With this margin a turned base touches no cell that the map shows as too high. Noise in the map needs

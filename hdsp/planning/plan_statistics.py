@@ -13,17 +13,17 @@ class PlanStatistics(Mapping[str, Any]):
 
     Attributes:
         heuristic: name of the heuristic.
-        weight: W of weighted A*.
+        weight: W in weighted A*.
         expansions: expanded states.
         seen: generated states.
         memory: bytes for states and open lists at the end.
         search_seconds: time in the search.
         lower_bound: no plan costs less; 0 without a proof.
         heuristic_seconds: time to prepare the heuristic for the goal.
-        seconds: time of the whole query.
-        anchor_weight: W2 of multi-heuristic A*; None without an anchor.
-        expansions_by: expansions of the last search for the anchor and for the guide; None without an anchor.
-        ended: end of an anytime search, in the words of ``Status``. None while it goes on, and for ``Planner.plan``.
+        seconds: time for the whole query.
+        anchor_weight: W2 in multi-heuristic A*; None without an anchor.
+        expansions_by: expansions in the last search for the anchor and for the guide; None without an anchor.
+        ended: final ``Status`` of an anytime search in words. None while it goes on, and for ``Planner.plan``.
     """
 
     heuristic: str
@@ -51,11 +51,11 @@ class PlanStatistics(Mapping[str, Any]):
         return len(_NAMES)
 
     def known(self) -> dict[str, Any]:
-        """Values other than None, for files."""
+        """Returns all values except None, for files."""
         return {name: value for name, value in self.items() if value is not None}
 
     def end(self, status: str) -> None:
-        """Enter the end of an anytime search: known only after its last plan was handed out."""
+        """Enters the end of an anytime search, known only after its last plan was yielded."""
         object.__setattr__(self, "ended", status)
 
 

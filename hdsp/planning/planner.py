@@ -85,12 +85,12 @@ class Planner:
         )
 
     def prepare(self) -> Planner:
-        """Compute the map-wide part of the heuristic now instead of at the first query; returns the planner."""
+        """Computes the map-wide part of the heuristic now instead of at the first query; returns the planner."""
         self.heuristic.prepare()
         return self
 
     def update(self, terrain: HeightMap, region: Region | None = None) -> Planner:
-        """Take over a changed terrain; returns the planner. Plans are then those of a new planner.
+        """Takes over a changed terrain; returns the planner. Later plans equal the plans from a new planner.
 
         The update computes only the parts that the changed cells touch: terrain costs, abstract edges, and costs-to-go
         for the last goal. A map with another shape or origin needs everything.
@@ -113,7 +113,7 @@ class Planner:
         return self
 
     def clear(self) -> None:
-        """Forget earlier queries: poses looked at, costs-to-go for the last goal. Map-wide results stay.
+        """Forgets earlier queries: poses looked at, costs-to-go for the last goal. Map-wide results stay.
 
         For measurements: the next query takes as long as a first query.
         """
@@ -142,7 +142,7 @@ class Planner:
         refinable: bool = False,
         progress: Progress | None = None,
     ) -> Plan:
-        """Plan from start to goal.
+        """Plans from start to goal.
 
         Args:
             start: world pose (x, y, theta) in m and rad, or 7 values with the four foot offsets in m. The nearest
@@ -198,7 +198,7 @@ class Planner:
         refinable: bool = False,
         progress: Progress | None = None,
     ) -> Iterator[Plan]:
-        """Plan from start to goal: a plan soon, then better plans, each with a proven ``bound`` (ARA*).
+        """Plans from start to goal: a plan soon, then better plans, each with a proven ``bound`` (ARA*).
 
         Rounds of weighted A* with falling weights share their states. The search ends at a limit, or with a plan that
         costs at most the last weight times the optimum. A heuristic that is not admissible needs one more round with
@@ -235,7 +235,7 @@ class Planner:
         return improving_plans(query, weights, refinable, now() - began)
 
     def _query(self, start, goal, weight: float, limits: Limits, progress: Progress | None) -> Query | Plan:
-        """The query, with the heuristic prepared for its goal; or a plan with the faults of an invalid end."""
+        """Returns the query, with the heuristic prepared for its goal, or a plan with the faults in an invalid end."""
         began, ends = now(), []
         for status, pose, name in ((Status.INVALID_START, start, "start"), (Status.INVALID_GOAL, goal, "goal")):
             state, faults = locate(self.world, self.grid, self._wider, pose, name)

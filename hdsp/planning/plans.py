@@ -64,13 +64,13 @@ class Plan:
         return sum(action.stepping_foot is not None for action in self.actions)
 
     def explain(self) -> str:
-        """The plan, or the reason for its absence, in words for an operator; one line."""
+        """Describes the plan, or the reason for its absence, in one line for an operator."""
         if self.solved:
             return explain_plan(self.terrain, self.robot, self.states, self.actions, self.action_costs)
         return explain_ending(self.status, self.stats, self.problems, self.refused)
 
     def refine(self) -> Motion:
-        """The motion that follows the plan: base and feet in each configuration, all checked.
+        """Returns the motion that follows the plan: base and feet in each configuration, all checked.
 
         Raises:
             InputError: without a plan.
@@ -86,7 +86,7 @@ class Plan:
         return refine(self.terrain, self.robot, self.states, self.actions)
 
     def show(self, path: str | Path | None = None):
-        """Draw the plan on its terrain: a PNG with ``path``, else a matplotlib figure."""
+        """Draws the plan on its terrain: a PNG with ``path``, else a matplotlib figure."""
         from hdsp.viz import planned_path_figure, save_planned_path
 
         if path is None:
@@ -94,7 +94,7 @@ class Plan:
         return save_planned_path(self.terrain, self.states, self.actions, self.robot, path)
 
     def renewed(self, stats: dict[str, Any] | None = None, **changes) -> Plan:
-        """A copy with other statistics and other attributes than states, actions, terrain and robot."""
+        """Returns a copy with other statistics, status, bound, problems or refused steps."""
         copy = replace(self, stats=replace(self.stats, **(stats or {})), **changes)
         if "_motion" in self.__dict__:
             copy.__dict__["_motion"] = self._motion

@@ -26,12 +26,12 @@ from hdsp.robot.lattice import Grid, heading_index
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
-#: Expansions after which a search without a plan waits for a proof; about a tenth of a second.
+#: Expansions before a proof is tried; about a tenth of a second.
 FEW = 50_000
 
 
 def locate(world: World, grid: Grid, robot: Robot, pose, name: str) -> tuple[np.ndarray, list[str]]:
-    """The detailed state at a world pose, int64 [7], and its faults in words.
+    """Returns the detailed state at a world pose, int64 [7], and its faults in words.
 
     Args:
         world: terrain and robot, compiled.
@@ -85,7 +85,7 @@ class Query:
     progress: Progress | None = None
 
     def weighted(self, weight: float) -> Plan:
-        """Weighted A*."""
+        """Searches with weighted A*."""
         # No bound is lost without reopening: the heuristic is consistent, or proves none.
         once = self.heuristic.consistent or not self.heuristic.admissible
         result = solve(
@@ -102,7 +102,7 @@ class Query:
         return self.plan_of(result, PlanStatistics(self.heuristic.name, float(weight)))
 
     def anchored(self, weight: float, anchor_weight: float) -> Plan:
-        """Multi-heuristic A* with the geometric heuristic as the anchor."""
+        """Searches with multi-heuristic A* and the geometric heuristic as the anchor."""
         result = solve_multi(
             self.world,
             self.start,
@@ -124,7 +124,7 @@ class Query:
         return self.plan_of(result, stats)
 
     def plan_of(self, result: SearchResult, stats: PlanStatistics) -> Plan:
-        """The plan that a search found, in world coordinates; ``stats`` holds its settings."""
+        """Returns the plan from a search in world coordinates; ``stats`` holds the search settings."""
         path = result.paths[0]
         spent = replace(
             stats,
@@ -147,16 +147,16 @@ class Query:
         )
 
     def proof(self) -> Unreachable | None:
-        """A proof that no plan exists, or None."""
+        """Returns a proof of infeasibility, or None."""
         return why_unreachable(self.world, self.start, self.goal)
 
     def proved(self, plan: Plan, proof: Unreachable) -> Plan:
-        """The plan with a proof that no plan exists."""
+        """Returns the plan with a proof of infeasibility."""
         words = unreachable_because(proof, self.world, self.grid)
         return plan.renewed({"lower_bound": np.inf}, status=Status.INFEASIBLE, problems=(words,))
 
     def search_or_prove(self, search: Callable[[Query], Plan]) -> Plan:
-        """Search a little; without a plan try to prove that none exists; without a proof search on.
+        """Searches a little; without a plan, tries a proof of infeasibility; without a proof, searches on.
 
         A proof takes longer than most searches and names the obstacle. A search without a plan would take very long.
         """

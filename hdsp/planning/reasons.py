@@ -1,4 +1,4 @@
-"""Reasons in words for a robot operator: why a state is invalid, why a goal is out of reach."""
+"""Reasons in words for a robot operator: an invalid state, a goal out of reach."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from hdsp.robot.robot import FEET, Robot
 
 
 def invalid_because(world: World, grid: Grid, robot: Robot, state: np.ndarray) -> list[str]:
-    """Faults in a detailed state, one phrase each; empty for a valid state.
+    """Returns the faults in a detailed state, one phrase each; empty for a valid state.
 
     Args:
         world: terrain and robot, compiled.
@@ -60,7 +60,7 @@ def _feet_too_close(robot: Robot, state: np.ndarray) -> list[str]:
 
 
 def unreachable_because(proof: Unreachable, world: World, grid: Grid) -> str:
-    """The obstacle between a start and a goal."""
+    """Describes the obstacle between a start and a goal."""
     (x0, y0), (x1, y1) = grid.center(proof.from_start), grid.center(proof.from_goal)
     gap = f"from ({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f}) m"
     if proof.proof == FOOT:
@@ -83,6 +83,6 @@ def unreachable_because(proof: Unreachable, world: World, grid: Grid) -> str:
 
 
 def _hit(world: World, grid: Grid, cells: np.ndarray) -> str:
-    """Height and place of the obstacle in front of the body, the first of ``cells`` [n, 2]."""
+    """Describes the obstacle in front of the body, the first cell in ``cells`` [n, 2]."""
     x, y = grid.center(cells[0])
     return f"what rises to {world.height[cell_index(world, *cells[0])]:.2f} m at ({x:.2f}, {y:.2f}) m"

@@ -25,7 +25,7 @@ class RefusedSteps:
         self._world, self._grid = query.world, query.grid
 
     def refuse_from(self, plan: Plan) -> bool:
-        """Refine a plan; if an action cannot be carried out, refuse its last step. Returns whether a step was refused.
+        """Refines a plan and refuses the last step before an impossible action; returns whether a step was refused.
 
         Raises:
             RefinementError: an action before the first step cannot be carried out.
@@ -43,7 +43,7 @@ class RefusedSteps:
 
 
 def refinable_plan(query: Query, search: Callable[[Query], Plan], plan: Plan) -> Plan:
-    """Search again without the refused steps, until the robot can carry out the plan or no other plan exists.
+    """Searches again without the refused steps, until the robot can carry out the plan or no other plan exists.
 
     Args:
         query: the query; its limits cover all searches together.

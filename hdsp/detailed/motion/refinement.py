@@ -1,9 +1,9 @@
-"""From a plan to a motion: where the base is over the feet, how high feet and base are, how a foot steps.
+"""From a plan to a motion: base over the feet, heights, swing of stepping feet.
 
-The paper refines only the steps of a plan to motions that regard stability and the way of the foot; so does this. While
-all feet roll, the base stays over the planned position unless it would lose its balance there. For a step the base
-shifts, leans and rolls until its centre of mass is inside the triangle of the other feet, the foot is lifted straight
-up, swings over the highest ground on its way, and is lowered straight down.
+As in the paper, refinement concerns the steps of a plan: stability and the way of the foot. While all feet roll, the
+base stays over its planned position, as far as its balance allows. For a step, the base shifts, leans and rolls until
+its centre of mass is inside the triangle between the other feet. The foot rises straight up, swings over the highest
+ground on its way, and sinks straight down.
 """
 
 from __future__ import annotations
@@ -22,47 +22,47 @@ from hdsp.robot.lattice import RESOLUTION, Grid, metres
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.height_map import HeightMap
 
-_STRIDE = RESOLUTION  # m; how far a foot or the base moves from one configuration to the next, at most
-_LEAN = 0.05  # rad; how far the base turns about any axis meanwhile
-_ABOVE = 0.002  # m; a swinging foot keeps this much more than its clearance
+_STRIDE = RESOLUTION  # m; largest movement of a foot or the base between two configurations
+_LEAN = 0.05  # rad; largest rotation of the base meanwhile
+_ABOVE = 0.002  # m; additional clearance for a swinging foot
 
 ROLL, LEAN, LIFT, SWING, LOWER = range(len(PHASES))
 
 
 def refine(terrain: HeightMap, robot: Robot, states: np.ndarray, actions: Sequence[Action]) -> Motion:
-    """The motion that carries out a plan.
+    """Returns the motion that carries out a plan; its check finds no problem.
 
     Args:
-        terrain: the map it was planned on.
-        robot: whose plan it is.
+        terrain: the map under the plan.
+        robot: the robot that follows the plan.
         states: float64 [n, 7], world coordinates.
-        actions: the n - 1 actions between them.
-
-    Returns:
-        a motion without problems.
+        actions: the n - 1 actions between the states.
 
     Raises:
-        RefinementError: names the action that cannot be carried out, and says why.
+        RefinementError: the robot cannot carry out an action; the message names the action and the reason.
     """
     return _Refinement(terrain, robot, np.asarray(states, float), actions).motion()
 
 
 def last_step(actions: Sequence[Action], before: int) -> int | None:
-    """Number of the last step among actions 0 to ``before``, inclusive: what an action that cannot be carried out is
-    put down to. None if there is none."""
+    """Number of the last step among actions 0 to ``before``, inclusive; None without a step.
+
+    This step is to blame for an impossible action.
+    """
     return next((k for k in range(before, -1, -1) if actions[k].kind is ActionKind.STEP), None)
 
 
 def ban(banned: np.ndarray, world: World, grid: Grid, state: np.ndarray, step: Action) -> np.ndarray:
-    """Add a step to those that a search must not use (``World.banned``).
+    """Adds a step to ``World.banned``, the steps closed to a search.
 
-    A step is banned with the feet as they stand. When the same foot fails again at the same place, feet that stand
-    within 1, then 2, 4, ... cells of that are banned with it, so that searches do not go through them one by one.
+    The ban covers the step with the present feet. If the same foot fails again at the same place, the ban covers feet
+    within 1, then 2, 4, ... cells around the present ones. Otherwise, searches would try them one by one.
 
     Args:
-        banned: int64 [n, 7], so far.
-        world, grid: terrain and robot, and where they lie.
-        state: float64 [7], world coordinates, from which the foot steps.
+        banned: int64 [n, 7], steps banned before.
+        world: terrain and robot, compiled.
+        grid: place of the terrain in the world.
+        state: float64 [7], world coordinates, before the step.
         step: the step.
     """
     ix, iy, heading, *offsets = (int(v) for v in grid.to_lattice(state[:3], state[3:]))
@@ -76,7 +76,9 @@ def ban(banned: np.ndarray, world: World, grid: Grid, state: np.ndarray, step: A
 
 
 class _Refinement:
-    def __init__(self, terrain, robot, states, actions):
+    """One plan on its way to a motion; ``parts`` collects its configurations."""
+
+    def __init__(self, terrain: HeightMap, robot: Robot, states: np.ndarray, actions: Sequence[Action]):
         self.terrain, self.robot, self.states, self.actions = terrain, robot, states, actions
         self.limits = limits_of(robot)
         self.ground = Ground(terrain.heights, *terrain.origin, terrain.resolution)
@@ -150,7 +152,7 @@ class _Refinement:
         return Motion(base, feet, carries, action, phase, self.terrain, self.robot)
 
     def _wanted(self) -> tuple[np.ndarray, np.ndarray]:
-        """The most comfortable height and pitch over the feet of each state: parallel to the ground under them."""
+        """Most comfortable height and pitch in each state: parallel to the ground under the feet."""
         z = self.feet[..., 2]
         length = np.linalg.norm(self.feet[:, [0, 3], :2] - self.feet[:, [1, 2], :2], axis=2).mean(axis=1)
         rise = (z[:, [0, 3]] - z[:, [1, 2]]).mean(axis=1)
@@ -158,7 +160,7 @@ class _Refinement:
         return z.mean(axis=1) + self.robot.stance.base_height, np.clip(-np.arctan2(rise, length), -limit, limit)
 
     def _highest_between(self, start: np.ndarray, end: np.ndarray) -> float:
-        """Highest known ground (m) within the clearance of a foot on its way; unknown ground is not stepped over."""
+        """Highest known ground (m) within a foot's clearance around its way; plans never step over unknown ground."""
         reach = self.robot.feet.clearance
         n = int(np.ceil(np.linalg.norm((end - start)[:2]) / metres(0.5))) + 1
         line = start[:2] + np.linspace(0, 1, n)[:, None] * (end - start)[:2]
@@ -169,7 +171,7 @@ class _Refinement:
         return float(np.nanmax(heights))
 
     def _on_ground(self, xy: np.ndarray) -> np.ndarray:
-        """Foot positions [..., 3] that touch the ground at (x, y) [..., 2]."""
+        """Foot positions [..., 3] on the ground at (x, y) [..., 2]."""
         return np.concatenate([xy, self.terrain.height_at(xy[..., 0], xy[..., 1])[..., None].astype(float)], axis=-1)
 
     def _why(self, lacking: int, with_what: str) -> str:
@@ -190,6 +192,6 @@ class _Refinement:
 
 
 def _line(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Points after ``start`` up to ``end``, float64 [n, 3]."""
+    """Points between ``start`` (exclusive) and ``end`` (inclusive), float64 [n, 3]."""
     n = max(1, int(np.ceil(np.linalg.norm(end - start) / _STRIDE - 1e-9)))
     return start + np.linspace(0, 1, n + 1)[1:, None] * (end - start)

@@ -1,10 +1,10 @@
-"""Where the base can be over given feet: balanced, within the limits of the legs, clear of the ground.
+"""Stances: the base over given feet, balanced, within leg limits, clear of the ground.
 
-The base has five degrees of freedom over resting feet: two of shift, roll, pitch and height. ``find_stance`` takes the
-one nearest to a wanted stance for which all of these hold, while one foot may swing along given points.
+The base has five degrees of freedom over resting feet: two shifts, roll, pitch and height. ``find_stance`` returns the
+valid stance nearest to a wanted one, while one foot may swing along given points.
 
-Convention: ``Rz(heading) Ry(pitch) Rx(roll)`` takes the frame of the base to the world; positive roll leans to the
-right, positive pitch lowers the nose. Shifts are along the heading and to the left of it.
+Convention: ``Rz(heading) Ry(pitch) Rx(roll)`` takes the base frame to the world. Positive roll leans to the right,
+positive pitch lowers the nose. Shifts are along the heading and to its left.
 """
 
 import itertools
@@ -16,15 +16,15 @@ import numpy as np
 from hdsp.base.jit import njit
 from hdsp.robot.robot import Robot
 
-#: What find_stance lacked, from the first that fails to all that it needs.
+#: Results of ``find_stance``: the condition that fails, in the order of the checks, or success.
 UNBALANCED, OUT_OF_REACH, TOUCHING, FOUND = range(4)
 
-_SLACK = 0.002  # m; what is found keeps limits by this much, so that what lies between two stances keeps them too
-_LIFT = 0.05  # m; steps in which a base that would touch the ground is raised
+_SLACK = 0.002  # m; reserve to all limits, so that stances in between keep the limits, too
+_LIFT = 0.05  # m; step size when a base in contact with the ground rises
 
 
 class StanceLimits(NamedTuple):
-    """A robot's limits as the kernel reads them, metres and radians."""
+    """Robot limits for the kernel, metres and radians."""
 
     hips: np.ndarray  # float64 [4, 3]
     min_length: float
@@ -33,12 +33,12 @@ class StanceLimits(NamedTuple):
     mass_z: float
     margin: float
     max_pitch: float
-    boxes: np.ndarray  # float64 [n, 4]: x_min, x_max, half width, height of the lower side above the hips
+    boxes: np.ndarray  # float64 [n, 4]: x_min, x_max, half width, lower side above the hips
     candidates: np.ndarray  # float64 [m, 4]: shift x, shift y, roll, change of pitch; the most comfortable first
 
 
 class Ground(NamedTuple):
-    """Heights [nx, ny], NaN = unknown, and where they lie."""
+    """Heights [nx, ny], NaN = unknown, and their place: lower corner x, y and cell size, m."""
 
     heights: np.ndarray
     x: float
@@ -48,7 +48,7 @@ class Ground(NamedTuple):
 
 @lru_cache(maxsize=8)
 def limits_of(robot: Robot) -> StanceLimits:
-    """The limits of a robot for ``find_stance``."""
+    """Robot limits for ``find_stance``."""
     s = robot.stance
     return StanceLimits(
         hips=robot.hips(),
@@ -64,7 +64,7 @@ def limits_of(robot: Robot) -> StanceLimits:
 
 
 def _candidates(stance) -> np.ndarray:
-    """Deviations from the wanted stance, float64 [n, 4], by how much of its limits each uses up."""
+    """Deviations from the wanted stance, float64 [n, 4], sorted by their share of the limits."""
     shares = (
         np.linspace(-1, 1, 17),  # along x
         np.linspace(-1, 1, 9),
@@ -79,20 +79,21 @@ def _candidates(stance) -> np.ndarray:
 
 @njit()
 def find_stance(limits, ground, x, y, heading, feet, lifted, swing, wanted_z, wanted_pitch):
-    """The stance nearest to the wanted one.
+    """Returns the valid stance nearest to the wanted one.
 
     Args:
-        limits: of the robot.
-        ground: what the base must not touch.
-        x, y, heading: planned pose of the base, m and rad.
+        limits: robot limits.
+        ground: ground that the base must not touch.
+        x, y, heading: planned base pose, m and rad.
         feet: float64 [4, 3], world, m.
-        lifted: the foot that does not carry, or -1.
-        swing: float64 [n, 3], where that foot is to come to, from the same stance.
-        wanted_z: of the base, m.
-        wanted_pitch: rad; the wanted roll and shift are 0.
+        lifted: the foot in the air, or -1.
+        swing: float64 [n, 3], points that this foot must reach from the same stance.
+        wanted_z: wanted base height, m.
+        wanted_pitch: rad; wanted roll and shift are 0.
 
     Returns:
-        (what was lacking at best: UNBALANCED, OUT_OF_REACH or TOUCHING, or FOUND; x, y, z, roll, pitch of the base).
+        FOUND, or the failed condition of the best candidate (UNBALANCED, OUT_OF_REACH, TOUCHING); then x, y, z, roll
+        and pitch of the base.
     """
     cos, sin = np.cos(heading), np.sin(heading)
     hips, candidates = limits.hips, limits.candidates
@@ -131,7 +132,7 @@ def find_stance(limits, ground, x, y, heading, feet, lifted, swing, wanted_z, wa
 
 @njit(inline="always")
 def _reach(limits, hx, hy, hz, foot, low, high):
-    """Narrow the heights of the base at which a leg has an allowed length; ``hz`` is its hip above the base."""
+    """Narrows the base heights to those with an allowed leg length; ``hz`` is the hip above the base."""
     across = (hx - foot[0]) ** 2 + (hy - foot[1]) ** 2
     longest, shortest = (limits.max_length - _SLACK) ** 2 - across, (limits.min_length + _SLACK) ** 2 - across
     if longest < 0:
@@ -141,7 +142,7 @@ def _reach(limits, hx, hy, hz, foot, low, high):
 
 @njit()
 def rotation_matrix(cos, sin, roll, pitch):
-    """Rz(heading) Ry(pitch) Rx(roll), float64 [3, 3], given cosine and sine of the heading."""
+    """Rz(heading) Ry(pitch) Rx(roll), float64 [3, 3], for cosine and sine of the heading."""
     cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
     r = np.empty((3, 3))
     r[0, 0], r[0, 1], r[0, 2] = cos * cp, cos * sp * sr - sin * cr, cos * sp * cr + sin * sr
@@ -152,7 +153,7 @@ def rotation_matrix(cos, sin, roll, pitch):
 
 @njit()
 def _inside(feet, lifted, mx, my):
-    """How far (m) a point is inside the polygon of the feet that carry; negative outside."""
+    """Distance (m) from a point inside the support polygon to its edge; negative outside."""
     least = np.inf
     last = 3 if lifted != 3 else 2
     for i in range(4):
@@ -168,13 +169,13 @@ def _inside(feet, lifted, mx, my):
 
 @njit()
 def clear(boxes, ground, x, y, z, r):
-    """Whether no column of ground reaches into a box of the body, which has no upper end.
+    """Whether no ground column reaches into a body box; boxes have no upper end.
 
     Args:
-        boxes: of the body, as in ``StanceLimits``.
+        boxes: body boxes as in ``StanceLimits``.
         ground: heights.
-        x, y, z: position of the base.
-        r: float64 [3, 3], frame of the base to the world.
+        x, y, z: base position.
+        r: float64 [3, 3], base frame to world.
     """
     heights, resolution = ground.heights, ground.resolution
     reach, lowest = 0.0, np.inf
@@ -199,7 +200,7 @@ def clear(boxes, ground, x, y, z, r):
 
 @njit(inline="always")
 def _reaches_into(boxes, dx, dy, top, r):
-    """Whether the column below (dx, dy, top), relative to the base, meets a box."""
+    """Whether the column below (dx, dy, top), relative to the base, reaches into a box."""
     # At height h of the column, the frame of the base sees (ax, ay, az) + h (r20, r21, r22).
     ax, ay, az = r[0, 0] * dx + r[1, 0] * dy, r[0, 1] * dx + r[1, 1] * dy, r[0, 2] * dx + r[1, 2] * dy
     for b in range(len(boxes)):
@@ -213,7 +214,7 @@ def _reaches_into(boxes, dx, dy, top, r):
 
 @njit(inline="always")
 def _between(start, slope, least, most, low, high):
-    """Narrow [low, high] to where ``start + h slope`` is in [least, most]."""
+    """Narrows [low, high] to the h with ``start + h slope`` in [least, most]."""
     if abs(slope) < 1e-12:
         return (low, high) if least <= start <= most else (np.inf, -np.inf)
     one, other = (least - start) / slope, (most - start) / slope
@@ -225,7 +226,7 @@ def resting_stances(limits, ground, poses, feet, wanted_z, wanted_pitch):
     """``find_stance`` on four feet for many states: poses [n, 3], feet [n, 4, 3], wanted height and pitch [n].
 
     Returns:
-        what was lacking, int64 [n], and x, y, z, roll, pitch of the base, float64 [n, 5].
+        Results as in ``find_stance``, int64 [n], and x, y, z, roll, pitch, float64 [n, 5].
     """
     lacking, stances = np.empty(len(poses), np.int64), np.empty((len(poses), 5))
     nowhere = np.empty((0, 3))

@@ -1,7 +1,7 @@
 """Dijkstra over the relaxed problem, forward from a start or back from goals; see ``relaxed_costs``.
 
-A node is ``layer * poses + pose``; layer 0 is on neutral feet, layer 1 on any. The way back goes only where the way
-forward came through.
+A node is ``layer * poses + pose``; layer 0 is on neutral feet, layer 1 on any feet. The backward search visits only
+nodes that the forward search reached.
 """
 
 from typing import NamedTuple
@@ -21,10 +21,10 @@ class Wave(NamedTuple):
     """One run of Dijkstra's algorithm.
 
     Attributes:
-        cost: float32 [2 * poses], inf where unknown; the result.
-        before: float32 [2 * poses]; on the way back, the costs of the way forward.
-        queue: nodes that wait; empty at first.
-        most: highest cost of interest; on the way back, together with the cost from the start.
+        cost: float32 [2 * poses], inf if unknown; the result.
+        before: float32 [2 * poses]; in a backward search, costs from the forward search.
+        queue: waiting nodes; empty at first.
+        most: highest cost of interest; in a backward search, the cost from the start included.
         follow: as in ``Relaxed``.
         backward: costs to the sources instead of from them.
     """
@@ -39,17 +39,17 @@ class Wave(NamedTuple):
 
 @njit(allocates=False)
 def spread(world, rules, poses, wave, sources, initial, wanted, left):
-    """Run a wave to its end; whether ``most`` kept anything out.
+    """Runs a wave to its end; returns whether ``most`` kept a node out.
 
     Args:
         world: terrain and robot.
-        rules: restrictions of the search; with ``drive_only``, the layer of neutral feet alone.
-        poses: edges; filled in on the way forward, read on the way back.
+        rules: restrictions; with ``drive_only``, the search stays on neutral feet.
+        poses: edges; the forward search fills them in, the backward search reads them.
         wave: changed in place.
         sources: int64 [n], nodes.
-        initial: float64 [n], cost at which each source starts.
-        wanted: bool [poses], on neutral feet; cleared as they are settled.
-        left: number of wanted poses, after which to stop; 0 = go on to the end.
+        initial: float64 [n], cost at each source.
+        wanted: bool [poses], on neutral feet; cleared when settled.
+        left: number of wanted poses; the search ends with the last one. 0: the search visits everything.
     """
     nx, ny, size = world.nx, world.ny, len(poses.known)
     cost, heads = wave.cost, wave.queue.heads
@@ -86,7 +86,7 @@ def spread(world, rules, poses, wave, sources, initial, wanted, left):
 
 @njit(inline="always")
 def _offer(wave, node, new, rest):
-    """Have a node wait at cost ``new`` if that is less than before; whether ``most`` keeps it out."""
+    """Queues a node at cost ``new`` if this is cheaper; returns whether ``most`` keeps it out."""
     if new >= wave.cost[node]:
         return False
     if new + rest > wave.most:
@@ -98,7 +98,7 @@ def _offer(wave, node, new, rest):
 
 @njit(inline="always")
 def _was_expanded(poses, wave, pose):
-    """Whether the way forward expanded a pose on neutral feet; others are too far away."""
+    """Whether the forward search expanded a pose on neutral feet; other poses are too far away."""
     return wave.before[pose] < np.inf and poses.known[pose]
 
 
@@ -146,7 +146,7 @@ def _turn(world, rules, poses, wave, pose, slot, x, y, so_far):
 
 @njit(inline="always")
 def _leave_neutral(poses, wave, pose, so_far):
-    """Go over into the layer of any feet; on the way back, come from there."""
+    """Enters the layer of any feet; backward, the edge leads out of it."""
     any_feet = len(poses.known) + pose
     if wave.backward:
         cut = wave.before[any_feet] < np.inf and _offer(wave, any_feet, so_far, wave.before[any_feet])
@@ -181,7 +181,7 @@ def _shift_base(world, poses, wave, pose, slot, x, y, heading, so_far):
 
 @njit(inline="always")
 def _return_to_neutral(world, poses, wave, pose, x, y, heading, so_far):
-    """Go back into the layer of neutral feet; on the way back, come from there."""
+    """Enters the layer of neutral feet; backward, the edge leads out of it."""
     if wave.backward:
         goes, rest = _was_expanded(poses, wave, pose) and poses.stepping[pose], wave.before[pose]
     else:

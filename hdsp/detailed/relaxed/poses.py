@@ -1,4 +1,4 @@
-"""The poses of the relaxed problem: what the robot could at best do at a base pose; see ``relaxed_costs``."""
+"""Base poses in the relaxed problem and the robot's best options there; see ``relaxed_costs``."""
 
 from typing import NamedTuple
 
@@ -14,18 +14,18 @@ from hdsp.robot.lattice import HEADINGS
 
 
 class Poses(NamedTuple):
-    """What the robot can do at each pose of some neighbouring headings, computed when first asked for.
+    """Poses at some neighbouring headings; entries are computed at first use.
 
-    A pose is ``(slot * nx + ix) * ny + iy``; slots are the headings from ``first`` on.
+    A pose is ``(slot * nx + ix) * ny + iy``; slots are headings from ``first`` on.
 
     Attributes:
-        first: heading of slot 0.
-        slots: how many headings.
-        edge: float32 [poses, 22]; costs of driving and turning on neutral feet, turns at their normal cost.
+        first: heading in slot 0.
+        slots: number of headings.
+        edge: float32 [poses, 22]; costs for driving and turning on neutral feet, turns at their normal cost.
         known: bool [poses]; whether ``edge`` and ``stepping`` are filled in.
         stepping: bool [poses]; whether a foot can step while all are neutral.
-        some: float32 [poses]; least state cost over all feet, inf where impossible, 0 where nobody asked.
-        successors: buffers for those of one state.
+        some: float32 [poses]; least state cost over all feet, inf if impossible, 0 before the first use.
+        successors: buffers for the successors of one state.
     """
 
     first: int
@@ -38,7 +38,7 @@ class Poses(NamedTuple):
 
 
 def new_poses(world: World, center: int, window: int) -> Poses:
-    """Poses at all headings at most ``window`` steps from ``center``."""
+    """Poses at all headings within ``window`` steps from ``center``."""
     slots = min(2 * window + 1, HEADINGS)
     n = slots * world.nx * world.ny
     return Poses(
@@ -53,7 +53,7 @@ def new_poses(world: World, center: int, window: int) -> Poses:
 
 
 def nodes_of(world: World, poses: Poses, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Layer (0 on neutral feet, 1 on others) and pose of states int64 [n, 7]."""
+    """Layer (0 on neutral feet, 1 on others) and pose for states int64 [n, 7]."""
     layer = np.any(states[:, 3:] != 0, axis=1)
     slot = (states[:, 2] - poses.first) % HEADINGS
     return layer.astype(np.int64), (slot * world.nx + states[:, 0]) * world.ny + states[:, 1]
@@ -61,7 +61,7 @@ def nodes_of(world: World, poses: Poses, states: np.ndarray) -> tuple[np.ndarray
 
 @njit(inline="always")
 def look_at_pose(world, poses, pose, x, y, heading):
-    """Fill in ``edge`` and ``stepping`` of a pose."""
+    """Fills in ``edge`` and ``stepping`` for a pose."""
     out_key, out_cost, out_action = poses.successors
     zero = -world.tables.lowest
     poses.edge[pose] = np.inf
@@ -74,7 +74,7 @@ def look_at_pose(world, poses, pose, x, y, heading):
 
 @njit(inline="always")
 def look_at_feet(world, poses, pose, x, y, heading):
-    """Fill in ``some`` of a pose; returns it."""
+    """Fills in ``some`` for a pose; returns it."""
     if poses.some[pose] == 0:
         poses.some[pose] = least_pose_cost(world, x, y, heading)
     return poses.some[pose]
@@ -102,7 +102,7 @@ def can_step_from_neutral(world, x, y, heading):
 
 @njit(allocates=False)
 def least_pose_cost(world, x, y, heading):
-    """Least state cost at a pose over all feet; inf where no state is valid."""
+    """Least state cost at a pose over all feet; inf without a valid state."""
     t = world.tables
     uneven, contacts, n_offsets, n_samples = world.uneven, t.contacts, t.n_offsets, t.n_samples
     p = cell_index(world, x, y)

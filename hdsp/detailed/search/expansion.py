@@ -1,7 +1,7 @@
-"""What all searches do with a state: expand it, and take over cheaper ways to its successors.
+"""Expansion and relaxation, shared by all searches.
 
-The functions are inlined into the loops of ``kernel`` and ``multi_kernel``, which differ in the states that they choose
-and in the open lists that they fill.
+The loops in ``kernel`` and ``multi_kernel`` inline these functions. They differ in the choice of the next state and in
+their open lists.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ from hdsp.detailed.states import FEET_MASK
 
 @njit(inline="always")
 def begin_at(store, start):
-    """Put the packed start state into an empty store; returns its node."""
+    """Puts the packed start state into an empty store; returns its node."""
     node = node_of(store, start)
     store.g[node] = 0
     store.action[node] = START
@@ -27,7 +27,7 @@ def begin_at(store, start):
 
 @njit(inline="always")
 def expand(world, rules, store, key):
-    """Write the successors of a packed state into the buffers of the store; returns their number."""
+    """Writes the successors of a packed state into the store's buffers; returns their number."""
     if key & FEET_MASK == store.neutral:
         n = pose_successors(world, rules, key, store.out_key, store.out_cost, store.out_action)
     elif not rules.drive_only:
@@ -39,16 +39,16 @@ def expand(world, rules, store, key):
 
 @njit(inline="always")
 def relax(store, k, g, cost_limit):
-    """Take over the way to successor ``k`` in the buffers of the store if it is cheaper than the known one.
+    """Records the path to successor ``k`` if it is cheaper than the known path.
 
     Args:
-        store: states seen so far; changed in place.
-        k: place of the successor in the buffers.
-        g: float64, cost of the state that was expanded.
-        cost_limit: states that cost more to reach are left out, and ``CUT`` is set.
+        store: states seen so far, with the successors in its buffers; changed in place.
+        k: index in the buffers.
+        g: float64, cost from the start to the expanded state.
+        cost_limit: a successor with a higher cost is left out, and ``CUT`` is set.
 
     Returns:
-        Node of the successor, which waits for its expansion now; -1 if the way was not taken over.
+        Node of the successor, now in wait for expansion; -1 without a cheaper path.
     """
     cost = np.float32(g + store.out_cost[k])
     if cost > cost_limit:
@@ -67,7 +67,7 @@ def relax(store, k, g, cost_limit):
 
 @njit(inline="always")
 def offer(open_list, store, heuristic, weight, key, node):
-    """Put a node into an open list at ``f = g + W h``; returns whether h is finite, else the node stays out."""
+    """Adds a node to an open list with ``f = g + W h``; returns False if h is infinite, then the node stays out."""
     h = estimate(heuristic, key)
     if h == np.inf:
         return False

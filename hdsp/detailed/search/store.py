@@ -1,12 +1,12 @@
-"""Where a search keeps the states it has seen: their costs, how it came to them, and what became of them.
+"""The states seen by a search: cost from the start, last action, flags.
 
-The robot drives and turns on neutral feet only, so nearly all states are poses (ix, iy, heading). These lie in *tiles*
-of 8 x 8 cells at one heading, made when first touched: the neighbours of a pose then share a few cache lines, and
-nothing need be hashed or compared. States with feet off neutral are few; a hash table finds them.
+The robot drives and turns on neutral feet only, so nearly all states are poses (ix, iy, heading). Poses lie in *tiles*,
+8 x 8 cells at one heading, created at the first touch. The neighbours of a pose share a few cache lines, without
+hashing or comparison. A hash table finds the few states with feet off neutral.
 
-Both kinds live in blocks of 64 *nodes*, 6 bytes each (cost 4, action 1, flags 1). A tile adds 4 bytes to its block, and
-4 bytes of a directory over all tiles of the map; a state off neutral adds its packed form (8 bytes) and 4 bytes a slot
-of the hash table. The way back is found by undoing actions.
+Both kinds live in blocks of 64 *nodes*, 6 bytes each (cost 4, action 1, flags 1). A tile adds 4 bytes to its block and
+4 bytes in a directory over all map tiles. A state off neutral adds its packed form (8 bytes) and 4 bytes per slot in
+the hash table. The store keeps no predecessors: a path is traced by undoing actions.
 """
 
 from typing import Any, NamedTuple
@@ -19,55 +19,55 @@ from hdsp.detailed.actions.successors import MAX_SUCCESSORS
 from hdsp.detailed.states import FEET_MASK, pack, unpack
 from hdsp.robot.lattice import HEADINGS
 
-#: Slots of ``Store.counts``.
+#: Slots in ``Store.counts``.
 SEEN, BLOCKS, KEYS, EXPANDED, GOALS_LEFT, CUT = range(6)
 
-#: Bits of ``Store.flags``.
-CLOSED = 1  # expanded since its present cost was found
+#: Bits in ``Store.flags``.
+CLOSED = 1  # expanded at its present cost
 GOAL = 2
-VISITED = 4  # expanded in the present round of an anytime search
+VISITED = 4  # expanded in the present anytime round
 
 BLOCK = 64  # nodes
-TILE = 8  # cells on a side
-#: Most blocks that the successors of one state can need.
+TILE = 8  # cells per side
+#: Upper limit for the blocks that one expansion can need.
 SPARE_BLOCKS = 32
 _GROWTH = 1.25
 
 
 class Store(NamedTuple):
-    """Everything a search has seen; fixed arrays, exchanged for larger ones by ``grown``.
+    """States seen by a search; ``grown`` exchanges the fixed arrays for larger ones.
 
-    Block 0 stays empty: it stands for all tiles that were never touched.
+    Block 0 stays empty and stands for all untouched tiles.
     """
 
-    directory: np.ndarray  # int32 [64 * tiles along x * tiles along y], block of a tile, 0 = none
+    directory: np.ndarray  # int32 [64 * tiles along x * tiles along y], block per tile, 0 = none
     tiles_x: int
     tiles_y: int
-    neutral: int  # the feet bits of a packed state on neutral feet
+    neutral: int  # feet bits for neutral feet
     g: np.ndarray  # float32 [64 * blocks], cost from the start, inf = not seen
-    action: np.ndarray  # uint8 [64 * blocks], the action that led here
+    action: np.ndarray  # uint8 [64 * blocks], last action
     flags: np.ndarray  # uint8 [64 * blocks]
-    origin: np.ndarray  # int32 [blocks], place in ``directory``, or -1 - n for the n-th block of states off neutral
+    origin: np.ndarray  # int32 [blocks], place in ``directory``, or -1 - n for the n-th block off neutral
     key: np.ndarray  # int64 [states off neutral], packed
-    key_block: np.ndarray  # int32 [states off neutral / 64], the block that holds their nodes
+    key_block: np.ndarray  # int32 [states off neutral / 64], block with their nodes
     slot: np.ndarray  # int32 [power of two], hash table: place in ``key``, -1 = free
-    counts: np.ndarray  # int64 [6]; CUT tells whether the cost limit kept a state out
+    counts: np.ndarray  # int64 [6]; CUT: whether the cost limit kept a state out
     out_key: np.ndarray  # buffers for the successors of one state
     out_cost: np.ndarray
     out_action: np.ndarray
 
     def nbytes(self) -> int:
-        """Bytes of all arrays."""
+        """Total size of all arrays in bytes."""
         return sum(array.nbytes for array in self if isinstance(array, np.ndarray))
 
 
 def new_store(shape: tuple[int, int], neutral: int, blocks: int = 128) -> Store:
-    """An empty store.
+    """Returns an empty store.
 
     Args:
-        shape: cells (nx, ny) of the map.
-        neutral: the feet bits of a packed state on neutral feet.
-        blocks: room for so many blocks of 64 states at first.
+        shape: map size (nx, ny) in cells.
+        neutral: feet bits for neutral feet.
+        blocks: initial room in blocks.
     """
     tiles_x, tiles_y = (-(-n // TILE) for n in shape)
     blocks = max(blocks, 2 * SPARE_BLOCKS)
@@ -96,7 +96,7 @@ def new_store(shape: tuple[int, int], neutral: int, blocks: int = 128) -> Store:
 
 
 def grown(store: Store) -> Store:
-    """The same store with more room for states, of whichever kind ran short."""
+    """Returns the store with more room for the kind of states that ran short."""
     changed: dict[str, Any] = {}
     for name, length in _new_lengths(store).items():
         changed[name] = _longer(getattr(store, name), length)
@@ -107,12 +107,12 @@ def grown(store: Store) -> Store:
 
 
 def growth_nbytes(store: Store) -> int:
-    """Bytes that ``grown`` needs besides those of the store."""
+    """Additional bytes during ``grown``."""
     return sum(length * getattr(store, name).itemsize for name, length in _new_lengths(store).items())
 
 
 def _new_lengths(store: Store) -> dict[str, int]:
-    """Arrays that are too short for the successors of one more state, and their new lengths."""
+    """New lengths for arrays too short for the successors of one more state, by name."""
     lengths: dict[str, int] = {}
     if store.counts[BLOCKS] + SPARE_BLOCKS > len(store.origin):
         blocks = int(_GROWTH * len(store.origin)) + SPARE_BLOCKS
@@ -133,7 +133,7 @@ def _longer(array: np.ndarray, length: int) -> np.ndarray:
 
 @njit(inline="always")
 def has_room(store):
-    """Whether the successors of any one state still find room."""
+    """Whether the store has room for the successors of any state."""
     keys = store.counts[KEYS] + MAX_SUCCESSORS
     return (
         store.counts[BLOCKS] + SPARE_BLOCKS <= len(store.origin)
@@ -144,7 +144,7 @@ def has_room(store):
 
 @njit(inline="always")
 def node_of(store, key):
-    """Node of a packed state, which is added if it is new."""
+    """Node for a packed state; adds a new state."""
     if key & FEET_MASK == store.neutral:
         return _pose_node(store, key)
     return _other_node(store, key)
@@ -191,14 +191,14 @@ def _new_block(store, where):
 
 @njit(inline="always")
 def _tile(store, key):
-    """Place of a pose's tile in the directory."""
+    """Tile index in the directory for a pose."""
     ix, iy, heading, _, _, _, _ = unpack(key)
     return (heading * store.tiles_x + ix // TILE) * store.tiles_y + iy // TILE
 
 
 @njit(inline="always")
 def _cell(key):
-    """Place of a pose in its tile."""
+    """Index in its tile for a pose."""
     ix, iy, _, _, _, _, _ = unpack(key)
     return ix % TILE * TILE + iy % TILE
 
@@ -221,7 +221,7 @@ def _fill_slots(slot, keys, n):
 
 @njit(inline="always")
 def key_of(store, node):
-    """Packed state of a node."""
+    """Packed state at a node."""
     block, cell = node // BLOCK, node % BLOCK
     tile = np.int64(store.origin[block])
     if tile < 0:
@@ -233,7 +233,7 @@ def key_of(store, node):
 
 @njit(allocates=False)
 def find(store, key):
-    """Node of a packed state, -1 if the store has none for it."""
+    """Node for a packed state, -1 if the store has none."""
     if key & FEET_MASK == store.neutral:
         block = np.int64(store.directory[_tile(store, key)])
         return BLOCK * block + _cell(key) if block > 0 else np.int64(-1)
@@ -249,13 +249,13 @@ def find(store, key):
 
 @njit(inline="always")
 def waits(store, node):
-    """Whether a node was seen, but not expanded at its present cost."""
+    """Whether a node waits: seen, but not expanded at its present cost."""
     return store.g[node] < np.inf and store.flags[node] & CLOSED == 0
 
 
 @njit(allocates=False)
 def count_waiting(store):
-    """Number of states that still wait for their expansion."""
+    """Number of waiting states."""
     n = 0
     for node in range(BLOCK, BLOCK * store.counts[BLOCKS]):
         n += waits(store, node)
@@ -264,7 +264,7 @@ def count_waiting(store):
 
 @njit()
 def trace(world, store, key):
-    """The way to a state that was seen.
+    """Returns the path to a state that was seen.
 
     Returns:
         Packed states from the start to ``key``, int64 [n], and the actions between them, uint8 [n - 1].

@@ -40,13 +40,13 @@ class Heuristic(ABC):
 
     @abstractmethod
     def estimate_for(self, goal: np.ndarray) -> Estimate:
-        """Estimate for the kernels; goal int64 [7], lattice units."""
+        """Returns the estimate for a goal, int64 [7], lattice units."""
 
     def prepare(self) -> None:  # noqa: B027, a hook that few heuristics need
-        """Compute everything that holds for the whole map, independent of the goal."""
+        """Computes everything that holds for the whole map, independent of the goal."""
 
     def set_goal(self, goal: np.ndarray) -> Estimate:
-        """Prepare for a goal, int64 [7], and return the estimate for the kernels."""
+        """Prepares for a goal, int64 [7]; returns the estimate for the kernels."""
         self._estimate = self.estimate_for(np.asarray(goal, dtype=np.int64))
         return self._estimate
 
@@ -61,11 +61,11 @@ class Heuristic(ABC):
         return _estimates(self._estimate, pack_states(states, self.world.tables.lowest))
 
     def clear(self) -> None:
-        """Forget the last goal; results for the whole map stay."""
+        """Forgets the last goal; results for the whole map stay."""
         self._estimate = None
 
     def update(self, world: World, terrain: HeightMap, region: Region | None = None) -> None:
-        """Take over a changed terrain and forget the goal.
+        """Takes over a changed terrain and forgets the goal.
 
         Args:
             world: the terrain, compiled.
