@@ -1,8 +1,8 @@
-"""Whether a plan keeps clear of the true geometry of an arena: a judge that knows neither height map nor planner.
+"""An independent check of plans: collisions with the true arena, without height map or planner.
 
-The robot is moved along the plan in small increments. At each, its body boxes are tested against the blocks of the
-arena by the separating axes of their outlines, and its feet by their distance to all that rises beside them and by the
-ground around them. While a foot swings it is not tested, where it lands it is.
+The robot moves along the plan in small increments. At each pose, the check tests body boxes against the arena's blocks
+by the separating axes of their outlines. It tests feet by their distance to higher ground and by the ground around
+them. A swinging foot is tested at its landing only.
 
 Convention: world coordinates, m, rad; feet in the order of `hdsp.robot.robot.FEET`.
 """
@@ -29,18 +29,18 @@ if TYPE_CHECKING:
 #: A foot is a disc of this radius, m.
 FOOT_RADIUS = 0.05
 
-#: What a map of cells leaves open about the place of an edge, m: a cell is as high as its centre, so what stands there
-#: may reach half a cell further than the map shows. That body and feet are tested at centres of cells is no excuse:
-#: a planner has a margin for it (``hdsp.planning.margin.with_margin``), and feet their clearance.
+#: Uncertainty of an edge on a map with cells, m: a cell is as high as its centre, so an obstacle may extend half a cell
+#: further than on the map. The tolerance does not cover the planner's own tests at cell centres: its margin
+#: (``hdsp.planning.margin.with_margin``) and the clearance of feet cover them.
 CELL_TOLERANCE = metres(0.5)
 
-_INCREMENT = 0.01  # m between two poses that are tested
-_LONGEST_ACTION = 0.4  # m; longer gaps between states are no motion of a robot
+_INCREMENT = 0.01  # m between two tested poses
+_LONGEST_ACTION = 0.4  # m; a longer gap between two states is no motion
 _RIM = np.linspace(0, 2 * math.pi, 32, endpoint=False)
 
 
 class Collision(NamedTuple):
-    """What is wrong at a pose: number of the state in the plan it follows, part of the robot, why, and how deep (m)."""
+    """A collision: number of the state before it, robot part, reason, and depth (m)."""
 
     state: int
     part: str
@@ -50,13 +50,14 @@ class Collision(NamedTuple):
 
 @dataclass(frozen=True)
 class PlanCheck:
-    """The verdict.
+    """Result of the check.
 
     Attributes:
-        collisions: the deepest of each part with each obstacle.
-        body_clearance: least horizontal distance of the body to what is high enough to be hit, m; negative: it is.
-        foot_clearance: the same of the rims of the feet.
-        poses: how many were tested.
+        collisions: deepest collision for each pair of robot part and obstacle.
+        body_clearance: least horizontal distance between the body and obstacles at its height, m; negative in a
+            collision.
+        foot_clearance: the same for the rims of the feet.
+        poses: number of tested poses.
     """
 
     collisions: list[Collision]
@@ -70,18 +71,18 @@ class PlanCheck:
 
 
 def check_plan(arena: Arena, plan: Plan, robot: Robot, tolerance: float = CELL_TOLERANCE) -> PlanCheck:
-    """Test a plan against the blocks that an arena consists of.
+    """Tests a plan against the blocks in an arena.
 
-    The base is as high as the mean of the ground under its feet.
+    The base is as high as the mean ground under its feet.
 
     Args:
-        arena: the truth.
+        arena: the true arena.
         plan: with `states` [n, 7] in world coordinates and n - 1 `actions`.
-        robot: its boxes, feet, and the height that its wheels pass.
-        tolerance: depth that does not count, m. A planner knows the place of an edge to half a cell at best.
+        robot: its boxes, feet, and the largest edge for its wheels.
+        tolerance: ignored depth, m. A planner knows the place of an edge to half a cell at best.
 
     Raises:
-        InputError: if the plan has no states, or jumps.
+        InputError: the plan has no states, or jumps.
     """
     states = np.asarray(plan.states, float).reshape(-1, 7)
     if len(states) == 0:
@@ -114,7 +115,7 @@ class _Findings:
         self.collisions: list[Collision] = []
 
     def add(self, gaps: np.ndarray, part: str, blocks: list[Block]) -> None:
-        """Take the deepest collision with each block out of gaps [poses, blocks]."""
+        """Adds the deepest collision with each block in gaps [poses, blocks]."""
         for index in np.flatnonzero(gaps.min(axis=0, initial=np.inf) < -self.tolerance - 1e-9):
             pose, block = int(gaps[:, index].argmin()), blocks[index]
             why = f"hits what stands at ({block.x:.2f}, {block.y:.2f}), {block.height:.2f} m high"
@@ -122,7 +123,7 @@ class _Findings:
 
 
 def _poses(states: np.ndarray, actions: Sequence[Action]) -> tuple[np.ndarray, np.ndarray]:
-    """Poses to be tested: number of the state each follows [m], and the poses [m, 7]; of a step, only where it ends."""
+    """Poses to test: number of the state before each pose [m], and the poses [m, 7]; a step adds only its end."""
     change = np.diff(states, axis=0)
     change[:, 2] = np.angle(np.exp(1j * change[:, 2]))
     reach = np.hypot(*change[:, :2].T) + np.abs(change[:, 2]) * 0.5 + np.abs(change[:, 3:]).max(axis=1, initial=0)
@@ -139,7 +140,7 @@ def _poses(states: np.ndarray, actions: Sequence[Action]) -> tuple[np.ndarray, n
 
 
 def _feet(poses: np.ndarray, robot: Robot) -> np.ndarray:
-    """Feet in the world, [m, 4, 2]."""
+    """World positions of the feet, [m, 4, 2]."""
     local = np.broadcast_to(robot.neutral_feet(), (len(poses), 4, 2)).copy()
     local[..., 0] += poses[:, 3:]
     c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
@@ -148,7 +149,7 @@ def _feet(poses: np.ndarray, robot: Robot) -> np.ndarray:
 
 
 def _body_gaps(poses: np.ndarray, ground: np.ndarray, box, blocks: list[Block]) -> np.ndarray:
-    """Between a box of the body and each block, [m, blocks], m; negative: they overlap; inf: the box passes above."""
+    """Gaps between a body box and each block, [m, blocks], m; negative: overlap; inf: the box passes above."""
     half = np.array([(box.x_max - box.x_min) / 2, box.half_width])
     ahead = (box.x_max + box.x_min) / 2
     center = poses[:, :2] + ahead * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=-1)
@@ -161,7 +162,7 @@ def _body_gaps(poses: np.ndarray, ground: np.ndarray, box, blocks: list[Block]) 
 
 
 def _rectangle_gap(center: np.ndarray, yaw: np.ndarray, half: np.ndarray, block: Block) -> np.ndarray:
-    """Largest gap between two rectangles along the axes of both, [m]; negative: how deep they overlap."""
+    """Largest gap between two rectangles along the axes of both, [m]; negative: depth of the overlap."""
     apart = np.array([block.x, block.y]) - center
     other = np.array([block.length / 2, block.width / 2])
     turn = block.yaw - yaw
@@ -176,7 +177,7 @@ def _rectangle_gap(center: np.ndarray, yaw: np.ndarray, half: np.ndarray, block:
 
 
 def _top_under(center: np.ndarray, yaw: np.ndarray, half: np.ndarray, block: Block) -> np.ndarray:
-    """The highest that a block can be under a rectangle, [m]."""
+    """Upper limit of a block's height under a rectangle, [m]."""
     if not isinstance(block, Ramp):
         return np.full(len(center), block.height)
     turn = np.abs(yaw - block.yaw)
@@ -186,7 +187,7 @@ def _top_under(center: np.ndarray, yaw: np.ndarray, half: np.ndarray, block: Blo
 
 
 def _foot_gaps(feet: np.ndarray, ground: np.ndarray, limit: float, blocks: list[Block]) -> np.ndarray:
-    """Between the rim of a foot and each block that its wheel cannot pass, [m, blocks]; inf for those that it can."""
+    """Gaps between a foot's rim and each block too high for its wheel, [m, blocks]; inf for lower blocks."""
     gaps = np.full((len(feet), len(blocks)), np.inf)
     for index, block in enumerate(blocks):
         apart = feet - (block.x, block.y)
@@ -204,7 +205,7 @@ def _foot_gaps(feet: np.ndarray, ground: np.ndarray, limit: float, blocks: list[
 
 
 def _drops(arena: Arena, feet: np.ndarray, ground: np.ndarray, limit: float, tolerance: float) -> np.ndarray:
-    """Whether the ground under the rim of a foot lies too far below it, bool [m]."""
+    """Whether the ground under a foot's rim lies too far below it, bool [m]."""
     radius = max(FOOT_RADIUS - tolerance, 0.0)
     x = feet[:, :1] + radius * np.cos(_RIM)
     y = feet[:, 1:] + radius * np.sin(_RIM)
