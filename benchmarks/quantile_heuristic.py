@@ -137,7 +137,7 @@ def on_task(planners: dict[str, Planner], start, goal, arguments) -> tuple[list[
 
 def run_of(heuristic: str, weight: float, plan: Plan) -> dict:
     return {
-        "heuristic": heuristic, "weight": weight, "solved": plan.solved, "expansions": plan.stats["expansions"],
+        "heuristic": heuristic, "weight": weight, "solved": plan.solved, "expansions": plan.stats.expansions,
         "cost": plan.cost if plan.solved else None,
     }  # fmt: skip
 

@@ -131,7 +131,7 @@ def _plan(chosen: argparse.Namespace) -> int:
     print(plan.explain())
     if not plan.solved:
         return NO_PLAN
-    print(f"{plan.stats['expansions']:,} states expanded in {plan.stats['seconds']:.2f} s")
+    print(f"{plan.stats.expansions:,} states expanded in {plan.stats.seconds:.2f} s")
     if chosen.out:
         with replacing(chosen.out) as temporary:
             _write_states(plan, temporary)
