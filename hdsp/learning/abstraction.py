@@ -18,6 +18,7 @@ from scipy.special import expit
 
 from hdsp.base.errors import InputError
 from hdsp.learning.calibration import Calibration, calibration_figures, fit_calibration
+from hdsp.learning.encoding import encode
 from hdsp.learning.hardware import autocast, channels_last
 from hdsp.learning.learning_settings import HardwareSettings, ModelSettings
 from hdsp.learning.metrics import MINIMUM_COST
@@ -183,7 +184,7 @@ class LearnedAbstraction:
         """
         network = self.network
         with autocast(self.device, self.hardware.uses_bfloat16()):
-            encoded = network.encoding(torch.from_numpy(heights)[None, None].to(self.device))
+            encoded = encode(network.encoding, torch.from_numpy(heights)[None, None].to(self.device))
             # Channels innermost, as the weights are.
             dense = trunk(encoded.contiguous(memory_format=torch.channels_last))
         shared_goals = torch.from_numpy(goals)[None].to(self.device)

@@ -13,7 +13,6 @@ from hdsp.robot.lattice import PATCH_CELLS, Residue
 
 if TYPE_CHECKING:
     import torch
-    from torch import Tensor
 
 #: Input channels, and the distance in cells at which each reads heights (unevenness: in addition to its radius).
 CHANNELS = {"height": 0, "edge": 1, "slope_x": 1, "slope_y": 1, "unknown": 0, "unevenness": 1}
@@ -25,7 +24,7 @@ Width = Annotated[int, Field(ge=1, le=1024)]
 
 @checked
 class HeightEncoding:
-    """Height encoding; a pure function of one patch.
+    """Height encoding; a pure function of one patch (`hdsp.learning.encoding.encode`).
 
     Attributes:
         reference: zero level. ``base``: height of the cell under the base, so that a robot on a platform and a
@@ -70,12 +69,6 @@ class HeightEncoding:
     def radius(self, channel: str) -> int:
         """Returns the distance in cells, along x or y, within which an encoded cell reads heights."""
         return CHANNELS[channel] + (self.unevenness_radius - 1 if channel == "unevenness" else 0)
-
-    def __call__(self, heights: "Tensor") -> "Tensor":
-        """Encodes patches, see `hdsp.learning.encoding.encode`."""
-        from hdsp.learning.encoding import encode
-
-        return encode(self, heights)
 
 
 @checked

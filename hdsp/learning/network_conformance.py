@@ -17,6 +17,7 @@ from torch import Tensor, nn
 
 from hdsp.base.conformance import Contract
 from hdsp.base.errors import InputError
+from hdsp.learning.encoding import encode
 from hdsp.learning.learning_settings import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.robot.lattice import PATCH_CELLS, robot_frame_goals
@@ -132,7 +133,7 @@ def _array(outputs: tuple[Tensor, Tensor]) -> np.ndarray:
 def _check_trunk(
     contract: Contract, network: TaskNetwork, patches: Tensor, goals: Tensor, expected: np.ndarray
 ) -> None:
-    features = network.map_part(network.encoding(patches))
+    features = network.map_part(encode(network.encoding, patches))
     found = f"map_part returns {tuple(features.shape)} for {len(patches)} patches"
     contract.require("trunk", features.ndim == 2 and len(features) == len(patches), found)
     outputs = _array(network.goal_part(features.float(), goals))
@@ -166,8 +167,8 @@ def _check_dense(contract: Contract, network: TaskNetwork, tolerance: float) -> 
     heights[margin + 20, margin + 40] = torch.nan
     inner = heights[margin:, margin:]
     patches = torch.stack([inner[x : x + PATCH_CELLS, y : y + PATCH_CELLS] for x, y in corners.tolist()])[:, None]
-    alone = network.map_part(network.encoding(patches)).float()
-    found = trunk.windows(trunk(network.encoding(heights[None, None])), corners).float()
+    alone = network.map_part(encode(network.encoding, patches)).float()
+    found = trunk.windows(trunk(encode(network.encoding, heights[None, None])), corners).float()
     contract.require_equal("dense", found.numpy(), alone.numpy(), "features of dense evaluation", tolerance)
 
 

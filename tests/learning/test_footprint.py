@@ -9,6 +9,7 @@ import torch
 from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, Provenance
+from hdsp.learning.encoding import encode
 from hdsp.learning.networks import ModelSettings, build_network
 from hdsp.learning.networks.footprint import POSES
 from hdsp.learning.networks.requirements import FEET, REQUIREMENT_FEATURES
@@ -74,7 +75,7 @@ def test_a_turn_to_the_other_side_is_the_mirrored_turn_of_a_mirrored_network(net
             feet.copy_((feet + feet[:, [3, 2, 1, 0]]) / 2)
     mirrored = mirror_heights(patches)
     goals = torch.tensor([[0.0, 0, 1]])
-    features = [symmetric.map_part(symmetric.encoding(h)) for h in (patches, mirrored)]
+    features = [symmetric.map_part(encode(symmetric.encoding, h)) for h in (patches, mirrored)]
     width = symmetric.pose_features
     left, right = (slice((POSES**2 + n) * width, (POSES**2 + n + 4) * width) for n in (0, 4))
     torch.testing.assert_close(features[0][:, left], features[1][:, right], atol=2e-3, rtol=0)

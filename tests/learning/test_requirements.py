@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from hdsp.base.errors import InputError
+from hdsp.learning.encoding import encode
 from hdsp.learning.networks import build_network
 from hdsp.learning.networks.footprint import NEAR_RADIUS, POSES, REACH
 from hdsp.learning.networks.requirements import FEET, MOST, POSE_FEATURES, SHARPNESS
@@ -36,7 +37,7 @@ def patch(request):
 @pytest.fixture(scope="module")
 def straight(network, patch):
     """Features [REQUIREMENT_FEATURES, POSES, POSES] for poses with heading 0."""
-    ground = network._first(network.encoding(torch.from_numpy(patch)[None, None]))[1]
+    ground = network._first(encode(network.encoding, torch.from_numpy(patch)[None, None]))[1]
     return network._required(ground, [FIRST - NEAR_RADIUS] * 2, (POSES, POSES))[0].numpy()
 
 
@@ -99,7 +100,7 @@ def test_the_price_is_what_driving_costs_more_on_uneven_ground(patch, straight):
 
 
 def test_turned_poses_see_the_ground_under_turned_feet(network, patch):
-    ground = network._first(network.encoding(torch.from_numpy(patch)[None, None]))[1]
+    ground = network._first(encode(network.encoding, torch.from_numpy(patch)[None, None]))[1]
     centre = torch.tensor([[PATCH_CENTER - NEAR_RADIUS] * 2])
     turned = network.requirements.turned(ground, centre)[0, 0].numpy()
     for seen, heading in zip(turned, network.turns.tolist(), strict=True):

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from hdsp.learning.encoding import encode
 from hdsp.learning.learning_settings import HeightEncoding
 from hdsp.learning.networks.dense import DenseEvaluation
 
@@ -61,7 +62,7 @@ class TaskNetwork(nn.Module):
         Convention: axis 2 of ``heights`` is x, along the robot's heading, axis 3 is y, to its left; the base stands at
         the centre of cell (36, 36).
         """
-        features = self.map_part(self.encoding(heights)).float()
+        features = self.map_part(encode(self.encoding, heights)).float()
         # The trunk may run in bfloat16. Goal layers are cheap and stay in float32, because costs need its digits.
         with torch.autocast(heights.device.type, enabled=False):
             return self.goal_part(features, goals)
