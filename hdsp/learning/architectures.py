@@ -5,12 +5,9 @@ in ``ARCHITECTURES``, and ``conf/model/NAME.yaml``.
 """
 
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING
+from typing import Any
 
 from hdsp.base.errors import InputError
-
-if TYPE_CHECKING:
-    from hdsp.learning.networks.base import TaskNetwork
 
 #: name -> ``module:class`` of the network
 ARCHITECTURES = {
@@ -35,8 +32,8 @@ def architecture_place(name: str) -> str:
     return ARCHITECTURES[name]
 
 
-def network_class(name: str) -> "type[TaskNetwork]":
-    """Returns an architecture's network class.
+def network_class(name: str) -> type[Any]:
+    """Returns an architecture's network class, a ``TaskNetwork``, made from an encoding and options.
 
     Raises:
         InputError: the architecture is unknown.

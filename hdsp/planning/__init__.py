@@ -2,6 +2,7 @@
 
 - `planner`: `Planner`, the entry point
 - `heuristics`: the contract `Heuristic`; geometric and abstract heuristics
+- `heuristic_conformance`: a check of your own heuristic
 - `query`: one query with its search or its proof
 - `refinable`, `improving`: plans without impossible steps; anytime planning
 - `plans`, `plan_statistics`: `Plan` and its statistics
@@ -11,6 +12,7 @@
 """
 
 from hdsp.planning.collisions import Collision, PlanCheck, check_plan
+from hdsp.planning.heuristic_conformance import check_heuristic
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
 from hdsp.planning.margin import with_margin
 from hdsp.planning.plan_statistics import PlanStatistics
@@ -26,6 +28,7 @@ __all__ = [
     "PlanCheck",
     "PlanStatistics",
     "Planner",
+    "check_heuristic",
     "check_plan",
     "with_margin",
 ]

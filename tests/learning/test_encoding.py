@@ -68,7 +68,7 @@ def test_edges_are_the_greatest_difference_to_the_eight_neighbours():
 def test_the_edge_channel_is_one_half_at_its_scale():
     heights = patch()
     heights[..., 40:, :] = 0.1
-    encoded = HeightEncoding(channels=("height", "edge"), edge_scale=0.1)(heights)
+    encoded = encode(HeightEncoding(channels=("height", "edge"), edge_scale=0.1), heights)
     assert encoded.shape == (1, 2, 72, 72)
     assert encoded[0, 1, 40, 10] == pytest.approx(0.5)
     assert encoded[0, 1, 20, 10] == 0
@@ -78,9 +78,8 @@ def test_unknown_cells_without_a_height_are_edges_and_do_not_count_for_their_nei
     heights = patch(3.0)
     heights[..., 20:, :] = 3.1
     heights[..., 40:, 30:] = math.nan
-    encoded = HeightEncoding(unknown=None, clip=(-100, 100), channels=("edge", "unknown", "slope_x", "slope_y"))(
-        heights
-    )
+    encoding = HeightEncoding(unknown=None, clip=(-100, 100), channels=("edge", "unknown", "slope_x", "slope_y"))
+    encoded = encode(encoding, heights)
     edge, unknown, slope_x, slope_y = encoded[0]
     assert (unknown == heights[0, 0].isnan()).all()
     assert (edge[40:, 30:] == 1).all()

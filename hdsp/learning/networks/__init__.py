@@ -17,7 +17,7 @@ def build_network(config: Mapping[str, Any] | ModelSettings) -> TaskNetwork:
     """
     settings = load_settings(ModelSettings, config, "model")
     options = settings.checked_options()
-    network = network_class(settings.architecture)(settings.encoding, options)  # type: ignore[call-arg]
+    network: TaskNetwork = network_class(settings.architecture)(settings.encoding, options)
     if settings.initialisation == "he":
         initialise_he(network)
     return network
