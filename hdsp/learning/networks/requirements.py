@@ -91,7 +91,7 @@ class PoseRequirements(nn.Module):
         Args:
             travel: distance in cells from the base to the farthest pose with the start heading.
         """
-        straight, turned = (cells.split(self.groups, dim=-2) for cells in (self.cells, self.turned_cells))
+        straight, turned = (points.split(self.groups, dim=-2) for points in (self.cells, self.turned_cells))
         far = [int(max(a.abs().max() + travel, b.abs().max())) for a, b in zip(straight, turned, strict=True)]
         _, feet, contacts, *bodies = far
         return {"height": max(feet, *bodies), "unevenness": contacts, "edge": feet + self.radius}
