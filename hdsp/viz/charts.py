@@ -171,12 +171,12 @@ def save_reliability(sets: Mapping[str, Mapping[str, Any]], path: str | os.PathL
         diagram.plot([0, 1], [0, 1], color=GREY, linewidth=0.8, linestyle="--")
         for method, figures in methods.items():
             bins, color = figures["bins"], METHODS.get(method, PURPLE)
-            count, predicted, observed = (np.array(bins[key]) for key in ("count", "predicted", "observed"))
-            sure = count >= _SURE
+            tasks, predicted, observed = (np.array(bins[key]) for key in ("tasks", "predicted", "observed"))
+            sure = tasks >= _SURE
             label = f"{NAMES.get(method, method)}: ECE {figures['ece']:.3f}"
             line = {"color": color, "marker": "o", "markersize": 3, "linewidth": 1.2}
             diagram.plot(predicted[sure], observed[sure], label=label, **line)
-            histogram.step(predicted, count / count.sum(), where="mid", color=color, linewidth=1.2)
+            histogram.step(predicted, tasks / tasks.sum(), where="mid", color=color, linewidth=1.2)
         diagram.set_title(name)
         diagram.legend(loc="upper left", fontsize=7)
         diagram.set_ylim(-0.03, 1.45)

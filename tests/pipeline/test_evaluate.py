@@ -32,7 +32,7 @@ def test_networks_are_also_judged_by_their_calibration(chain):
     assert list(random["calibration"]) == ["trained"]  # the others state no probabilities
     figures = random["calibration"]["trained"]
     assert 0 <= figures["ece"] <= 1 and 0 <= figures["ece_adaptive"] <= 1
-    assert sum(figures["bins"]["count"]) == random["tasks"]
+    assert sum(figures["bins"]["tasks"]) == random["tasks"]
     assert (chain / "reports/figures/reliability.png").read_bytes().startswith(b"\x89PNG")
 
 
