@@ -172,7 +172,8 @@ class _Refinement:
 
     def _on_ground(self, xy: np.ndarray) -> np.ndarray:
         """Foot positions [..., 3] on the ground at (x, y) [..., 2]."""
-        return np.concatenate([xy, self.terrain.height_at(xy[..., 0], xy[..., 1])[..., None].astype(float)], axis=-1)
+        heights = np.asarray(self.terrain.height_at(xy[..., 0], xy[..., 1]), float)
+        return np.concatenate([xy, heights[..., None]], axis=-1)
 
     def _why(self, lacking: int, with_what: str) -> str:
         stance, legs = self.robot.stance, self.robot.legs
