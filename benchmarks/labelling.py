@@ -32,7 +32,7 @@ from hdsp.detailed.world.world import build_world
 from hdsp.labels.run.split_run import ClusterSettings, label_split
 from hdsp.labels.run.splits import LabelRun
 from hdsp.robot.lattice import ABSTRACT_ACTIONS
-from pipeline.config import compose
+from pipeline.config import configure
 from pipeline.label import label_run
 
 #: Maps in the paper's training set before maps without a valid start are dropped; 249,194 tasks remain.
@@ -74,7 +74,7 @@ def paper_run(seed: int, maps: int) -> LabelRun:
     """A split with the paper's settings and about ``maps`` or more maps with a valid start."""
     per_category = -(-2 * maps // 9)
     split = f"labelling.splits.random={{seed: {seed}, maps_per_category: {per_category}, maps_per_shard: 45}}"
-    return label_run(compose(["profile=paper", split]), "random")
+    return label_run(configure(["profile=paper", split]), "random")
 
 
 def compare(run: LabelRun, maps: int) -> dict:

@@ -5,23 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from omegaconf import DictConfig
-
 from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
-from pipeline.config import plain, settings
+from pipeline.settings import METHODS, SHIPPED, Config
 from pipeline.stage import Folders
 
 if TYPE_CHECKING:
     from hdsp.abstract import AbstractCosts, TaskPredictor
 
-METHODS = ("trained", "shipped", "shipped-NAME", "manual", "flat")
-
-
 #: Output folder of stage `train` for the trained abstraction.
 TRAINED_FOLDER = "models/abstraction"
-#: Prefix of names for shipped abstractions.
-SHIPPED = "shipped"
 
 
 def available(names: Iterable[str], robot: Robot) -> list[str]:
@@ -34,7 +27,7 @@ def available(names: Iterable[str], robot: Robot) -> list[str]:
     return [name for name in names if name not in absent]
 
 
-def task_predictor(name: str, config: DictConfig, folders: Folders, model: str = TRAINED_FOLDER) -> TaskPredictor:
+def task_predictor(name: str, config: Config, folders: Folders, model: str = TRAINED_FOLDER) -> TaskPredictor:
     """Returns abstraction `name` as a predictor for single tasks.
 
     Args:
@@ -47,14 +40,13 @@ def task_predictor(name: str, config: DictConfig, folders: Folders, model: str =
     Raises:
         InputError: no abstraction has this name; or training has not run yet, or was for another robot.
     """
-    robot = Robot.load(plain(config.robot))
+    robot = config.robot
     if name == "trained" or name.startswith(SHIPPED):
-        from hdsp.base.settings import load_settings
         from hdsp.learning.abstraction import LearnedAbstraction
         from hdsp.learning.learning_settings import HardwareSettings
         from hdsp.learning.loading import load_abstraction, presets
 
-        hardware = load_settings(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
+        hardware = config.runtime.hardware
         hardware.apply_threads()
         if name.startswith(SHIPPED):
             model = robot.name + name.removeprefix(SHIPPED)
@@ -64,9 +56,9 @@ def task_predictor(name: str, config: DictConfig, folders: Folders, model: str =
             return load_abstraction(model, robot, hardware)
         return LearnedAbstraction.from_pretrained(folders.read(model), robot, hardware)
     if name == "manual":
-        from hdsp.abstract import ManualCosts, ManualSettings
+        from hdsp.abstract import ManualCosts
 
-        return ManualCosts(robot, settings(ManualSettings, config.abstraction, "abstraction"))
+        return ManualCosts(robot, config.abstraction)
     if name == "flat":
         from hdsp.abstract import FlatCosts
 
@@ -74,7 +66,7 @@ def task_predictor(name: str, config: DictConfig, folders: Folders, model: str =
     raise InputError(f"unknown abstraction {name!r}; allowed are {', '.join(METHODS)}")
 
 
-def abstract_costs(name: str, config: DictConfig, folders: Folders) -> AbstractCosts:
+def abstract_costs(name: str, config: Config, folders: Folders) -> AbstractCosts:
     """Returns abstraction `name` as costs for whole maps; raises as `task_predictor`."""
     predictor = task_predictor(name, config, folders)
     from hdsp.abstract import AbstractCosts

@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 import yaml
-from omegaconf import DictConfig
 
 from hdsp.base.errors import InputError
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, abstract_shape
 from pipeline.config import CONF, compose, flatten, plain
 from pipeline.report import put_between_markers
+from pipeline.settings import Config
 from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.tables import EMPTY, markdown, percent
 
@@ -43,7 +43,7 @@ SAMPLED, HEADING = 500, 2
 SIDE = 400  # cells along a 10 m map
 
 
-def compare(config: DictConfig, folders: Folders) -> None:
+def compare(config: Config, folders: Folders) -> None:
     shown = {}
     for kind, report in REPORTS.items():
         path = folders.write("reports", f"{kind}.json")

@@ -7,10 +7,11 @@ applied, e.g. `python -m pipeline.config profile=paper`.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, is_dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
@@ -18,23 +19,21 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
+from hdsp.base.settings import load_settings, read_yaml, shown, unknown_key
+from pipeline.settings import Config
 
 CONF = Path(__file__).resolve().parent.parent / "conf"
 PARAMS = Path("params.yaml")
-
-Settings = TypeVar("Settings")
-
 
 #: Mappings to which a command line may add entries without Hydra's +.
 OPEN = ("evaluation.sets.",)
 
 
 def compose(overrides: Sequence[str] = ()) -> DictConfig:
-    """Composes conf/ with Hydra overrides; all interpolations are resolved.
+    """Composes conf/ with Hydra overrides; all interpolations are resolved. `configure` also checks the values.
 
     Raises:
         InputError: a key or group choice is unknown, or an override cannot be parsed.
@@ -45,24 +44,39 @@ def compose(overrides: Sequence[str] = ()) -> DictConfig:
         with initialize_config_dir(str(CONF), version_base=None):
             config = hydra_compose("config", overrides=list(overrides))
         OmegaConf.resolve(config)
-    except (HydraException, OmegaConfBaseException) as error:
+    except Exception as error:  # Hydra and OmegaConf raise exceptions of many kinds at unusual overrides
         raise InputError(_one_line(error, overrides)) from error
     return config
 
 
-def read_params(path: Path = PARAMS) -> DictConfig:
-    """Reads the configuration for `dvc repro`.
+def configure(overrides: Sequence[str] = ()) -> Config:
+    """Composes conf/ with Hydra overrides, and checks all values.
 
     Raises:
-        InputError: the file does not exist, or is not a mapping.
+        InputError: as `compose`; or a key is unknown or missing, or a value is wrong.
+    """
+    return typed(compose(overrides))
+
+
+def typed(config: DictConfig) -> Config:
+    """Checks all values of a composed configuration.
+
+    Raises:
+        InputError: a key is unknown or missing, or a value is wrong.
+    """
+    return load_settings(Config, plain(config))
+
+
+def read_params(path: Path = PARAMS) -> Config:
+    """Reads the configuration for `dvc repro`, and checks all values.
+
+    Raises:
+        InputError: the file does not exist or is no YAML mapping; a key is unknown or missing, or a value is wrong.
     """
     if not path.is_file():
         raise InputError(f"{path} not found: run stages in the project's root, or compose it with `make params`")
-    config = OmegaConf.load(path)
-    if not isinstance(config, DictConfig):
-        raise InputError(f"{path} is not a mapping: compose it anew with `make params`")
-    OmegaConf.set_struct(config, True)
-    return config
+    document = read_yaml(path, "params file")
+    return load_settings(Config, document.values, source=document)
 
 
 def write_params(path: Path = PARAMS, overrides: Sequence[str] = ()) -> None:
@@ -73,28 +87,20 @@ def write_params(path: Path = PARAMS, overrides: Sequence[str] = ()) -> None:
 
 
 def plain(section: Any) -> Any:
-    """Converts a section to plain dicts, lists and numbers."""
-    return OmegaConf.to_container(section, resolve=True) if OmegaConf.is_config(section) else section
-
-
-def settings(kind: type[Settings], section: Any, where: str) -> Settings:
-    """Builds a settings dataclass from a configuration section; lists become tuples.
-
-    Raises:
-        InputError: a key is unknown; the message names it and the allowed keys.
-    """
-    values = plain(section)
-    allowed = sorted(f.name for f in fields(kind))  # type: ignore[arg-type]
-    if unknown := sorted(set(values) - set(allowed)):
-        raise InputError(f"unknown config key {where}.{unknown[0]}; allowed are {', '.join(allowed)}")
-    return kind(**{name: _frozen(value) for name, value in values.items()})
+    """Converts settings to plain dicts, lists and numbers."""
+    if OmegaConf.is_config(section):
+        return OmegaConf.to_container(section, resolve=True)
+    if is_dataclass(section) and not isinstance(section, type):
+        section = asdict(section)
+    if isinstance(section, Mapping):
+        return {name: plain(value) for name, value in section.items()}
+    return [plain(value) for value in section] if isinstance(section, list | tuple) else section
 
 
 def flatten(section: Any, prefix: str = "") -> dict[str, Any]:
     """Flattens nested mappings to one level with dotted names, for MLflow parameters."""
     flat: dict[str, Any] = {}
     for name, value in plain(section).items():
-        value = plain(value)
         if isinstance(value, dict):
             flat |= flatten(value, f"{prefix}{name}.")
         else:
@@ -125,29 +131,31 @@ def expand_choices(overrides: Sequence[str]) -> list[list[str]]:
     return [first, *variants]
 
 
-def _frozen(value: Any) -> Any:
-    return tuple(_frozen(item) for item in value) if isinstance(value, list) else value
-
-
 def _one_line(error: Exception, overrides: Sequence[str]) -> str:
-    """Shortens Hydra's message to one line with the key and the allowed keys beside it."""
+    """Shortens Hydra's message of many lines to the key and the allowed alternatives."""
     text = " ".join(str(error).split())
     for override in overrides:
         key = override.split("=")[0].lstrip("+~")
         if f"Could not override '{key}'" in text or f"Key '{key.split('.')[-1]}' is not in struct" in text:
-            return f"unknown config key {key!r}; {_allowed_beside(key)}"
-    return text.split(" Config search path:")[0].split(" See https:")[0]
+            return _unknown(key)
+    return text.split(" Config search path:")[0].split(" See https:")[0] or f"override: {type(error).__name__}"
 
 
-def _allowed_beside(key: str) -> str:
-    node: Any = compose()
-    path: list[str] = []
-    for part in key.split(".")[:-1]:
-        if not isinstance(node, DictConfig) or part not in node:
-            break
-        node, path = node[part], [*path, part]
-    keys = ", ".join(sorted(str(k) for k in node)) if isinstance(node, DictConfig) else "none: it is a value"
-    return f"allowed under {'.'.join(path) or 'the root'}: {keys}"
+@cache
+def _without_overrides() -> DictConfig:
+    return compose()
+
+
+def _unknown(key: str) -> str:
+    """Names the part of a key that does not exist."""
+    node, path = _without_overrides(), ""
+    for part in key.split("."):
+        if not isinstance(node, DictConfig):
+            return f"{path} is {shown(plain(node))}, a value without keys; {part!r} is unknown"
+        if part not in node:
+            return (f"{path}: " if path else "") + unknown_key(part, map(str, node))
+        node, path = node[part], f"{path}.{part}" if path else part
+    return f"{path}: it cannot be overridden so"
 
 
 if __name__ == "__main__":

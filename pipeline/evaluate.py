@@ -6,13 +6,10 @@ import csv
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig
-
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
-from hdsp.robot.robot import Robot
 from pipeline.abstractions import available, task_predictor
-from pipeline.config import plain
+from pipeline.settings import Config
 from pipeline.stage import Folders, run_stage, write_json
 from pipeline.task_sets import read_evaluation_set
 
@@ -20,18 +17,21 @@ if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
 
 
-def evaluate(config: DictConfig, folders: Folders) -> None:
+def evaluate(config: Config, folders: Folders) -> None:
     from hdsp.labels.evaluation import COLUMNS, evaluate_set, predict, rows
     from hdsp.viz import save_example_patches, save_quality_bars, save_reliability
 
     model = config.evaluation.model
-    methods = available(config.evaluation.methods, Robot.load(plain(config.robot)))
+    methods = available(config.evaluation.methods, config.robot)
+    if not methods:
+        wanted = ", ".join(config.evaluation.methods)
+        raise InputError(f"evaluation.methods: none of {wanted} exists for {config.robot.name}")
     predictors = {name: task_predictor(name, config, folders, model) for name in methods}
     sets: dict[str, Any] = {}
     example = None
-    for name, entry in plain(config.evaluation.sets).items():
+    for name, entry in config.evaluation.sets.items():
         tasks, reason = read_evaluation_set(name, entry, config, folders)
-        paper = entry.get("paper")
+        paper = entry.paper
         if tasks is None:
             print(f"{name}: skipped, {reason}")
             sets[name] = {"available": False, "paper": paper, "reason": reason}
@@ -54,7 +54,7 @@ def evaluate(config: DictConfig, folders: Folders) -> None:
     save_reliability(sets, folders.write("reports", "figures", "reliability.png"))
     judged = predict(next(iter(predictors.values())), example)
     picture = folders.write("reports", "figures", "example_patches.png")
-    save_example_patches(example, judged, picture, config.evaluation.examples, Robot.load(plain(config.robot)))
+    save_example_patches(example, judged, picture, config.evaluation.examples, config.robot)
 
 
 def calibration(predictors: Mapping[str, Any], tasks: TaskSet) -> dict[str, Any]:

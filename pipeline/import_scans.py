@@ -5,24 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from omegaconf import DictConfig
 
-from pipeline.config import plain, settings
+from pipeline.settings import Config
 from pipeline.stage import Folders, run_stage, write_json
 from pipeline.task_sets import ABSENT
 
 
-def import_scans(config: DictConfig, folders: Folders) -> None:
-    from hdsp.labels.rules import LabelSettings
-    from hdsp.labels.scan_patches import ScanPatchSettings, draw_starts, label_scan
-    from hdsp.robot.robot import Robot
-    from hdsp.terrain.scans import Scan, build_map, find_files
+def import_scans(config: Config, folders: Folders) -> None:
+    from hdsp.labels.scan_patches import draw_starts, label_scan
+    from hdsp.terrain.scans import build_map, find_files
     from hdsp.viz import ScanPicture, save_scan_sheet
 
-    robot = Robot.load(plain(config.robot))
-    rules = settings(LabelSettings, config.labelling.settings, "labelling.settings")
-    patches = settings(ScanPatchSettings, config.scans.patches, "scans.patches")
-    scans = [Scan.from_dict(name, values) for name, values in plain(config.scans.sources).items()]
+    robot = config.robot
+    rules, patches, scans = config.labelling.settings, config.scans.patches, list(config.scans.sources.values())
 
     folder = folders.write("data", "real")
     folder.mkdir(exist_ok=True)

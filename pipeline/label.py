@@ -6,22 +6,20 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from omegaconf import DictConfig
-
 from hdsp.base.errors import InputError
-from pipeline.config import plain, settings
+from pipeline.settings import Config
 from pipeline.stage import Folders, run_stage, write_json
 
 if TYPE_CHECKING:
     from hdsp.labels.run.splits import LabelRun
 
 
-def label(config: DictConfig, folders: Folders, split: str) -> None:
+def label(config: Config, folders: Folders, split: str) -> None:
     from hdsp.base.workers import ClusterSettings
     from hdsp.labels.run.split_run import label_split
 
     runtime, own = config.runtime, config.labelling
-    cluster = ClusterSettings(runtime.workers, own.scheduler, plain(own.slurm), runtime.dashboard, runtime.memory)
+    cluster = ClusterSettings(runtime.workers, own.scheduler, own.slurm, runtime.dashboard, runtime.memory)
     place = shards_place(config, folders.outputs, split)
     result = label_split(label_run(config, split), place, cluster, progress=runtime.progress)
     write_json(folders.write("reports", "labels", f"{split}.json"), result.summary)
@@ -30,7 +28,7 @@ def label(config: DictConfig, folders: Folders, split: str) -> None:
             file.write(json.dumps(result.record) + "\n")
 
 
-def shards_place(config: DictConfig, folder: Path, split: str) -> str | Path:
+def shards_place(config: Config, folder: Path, split: str) -> str | Path:
     """Returns the folder or URL with a split's shards.
 
     `folder` contains data/, which always holds splits from scanned courses.
@@ -39,28 +37,19 @@ def shards_place(config: DictConfig, folder: Path, split: str) -> str | Path:
     return f"{destination.rstrip('/')}/{split}" if destination else folder / "data" / "labels" / split
 
 
-def label_run(config: DictConfig, split: str) -> LabelRun:
+def label_run(config: Config, split: str) -> LabelRun:
     """Returns the `LabelRun` for a split in the configuration.
 
     Raises:
         InputError: the split does not exist, or a setting is wrong.
     """
-    from hdsp.labels.rules import LabelSettings
-    from hdsp.labels.run.splits import LabelRun, SplitSettings
-    from hdsp.robot.robot import Robot
-    from hdsp.terrain.scenes import TerrainSettings
-    from hdsp.terrain.sensor_model import SensingSettings
+    from hdsp.labels.run.splits import LabelRun
 
-    splits = config.labelling.splits
+    own = config.labelling
+    splits = own.splits
     if split not in splits:
         raise InputError(f"unknown split {split!r}; labelling.splits has {', '.join(splits)}")
-    return LabelRun(
-        settings(SplitSettings, splits[split], f"labelling.splits.{split}"),
-        Robot.load(plain(config.robot)),
-        settings(TerrainSettings, config.terrain, "terrain"),
-        settings(LabelSettings, config.labelling.settings, "labelling.settings"),
-        settings(SensingSettings, config.labelling.sensing, "labelling.sensing"),
-    )
+    return LabelRun(splits[split], config.robot, config.terrain, own.settings, own.sensing)
 
 
 if __name__ == "__main__":

@@ -11,20 +11,19 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from omegaconf import DictConfig
-
 from hdsp.base.files import replacing
 from pipeline.label import label_run, shards_place
 from pipeline.paper import LABELS
+from pipeline.settings import Config
 from pipeline.stage import Folders, run_stage, write_json
 
 
-def label_report(config: DictConfig, folders: Folders) -> None:
+def label_report(config: Config, folders: Folders) -> None:
     from hdsp.labels.run.label_summary import describe_labels
 
     splits: dict[str, Any] = {}
     for split, chosen in config.labelling.splits.items():
-        if chosen.get("sensing") or not chosen.get("standable", True):
+        if chosen.sensing or not chosen.standable:
             continue  # the paper has no splits of this kind
         place = shards_place(config, folders.inputs, split)
         ours = describe_labels(label_run(config, split), place)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig
-
 from hdsp.robot import lattice
 from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import COST_MODEL_VERSION
 from hdsp.terrain.scenes import CATEGORIES
 from pipeline.config import flatten, plain
 from pipeline.paper import ABSTRACTION_QUALITY
+from pipeline.settings import Config
 from pipeline.tables import markdown, percent
 from pipeline.train import data_notes
 
@@ -26,7 +25,7 @@ def model_card(
     precision: str,
     figures: Mapping[str, Mapping[str, Any]],
     missing: Mapping[str, str],
-    config: DictConfig,
+    config: Config,
     name: str,
 ) -> str:
     """Returns the card as Markdown.
@@ -91,7 +90,7 @@ def _model(abstraction: LearnedAbstraction, precision: str) -> str:
     return "## Model\n\n" + markdown(("property", "value"), rows)
 
 
-def _data(abstraction: LearnedAbstraction, robot: Robot, config: DictConfig) -> str:
+def _data(abstraction: LearnedAbstraction, robot: Robot, config: Config) -> str:
     provenance = abstraction.provenance
     notes = provenance.notes
     rows: list[tuple[str, str]] = [
@@ -118,7 +117,7 @@ def _data(abstraction: LearnedAbstraction, robot: Robot, config: DictConfig) -> 
     )
 
 
-def _data_notes(abstraction: LearnedAbstraction, config: DictConfig) -> dict[str, Any]:
+def _data_notes(abstraction: LearnedAbstraction, config: Config) -> dict[str, Any]:
     """Like `pipeline.train.data_notes`; the current configuration if the model holds no notes."""
     notes = abstraction.provenance.notes
     if "splits" in notes:
@@ -137,11 +136,11 @@ def _scanned(data: Mapping[str, Any]) -> list[str]:
     return [name for name, split in data["splits"].items() if "courses" in split]
 
 
-def _recipe(abstraction: LearnedAbstraction, config: DictConfig) -> str:
+def _recipe(abstraction: LearnedAbstraction, config: Config) -> str:
     notes = abstraction.provenance.notes
     recorded = notes.get("trainer")
     source = "as recorded with the model" if recorded else "as configured at publication"
-    rows = _settings(recorded or config.trainer)
+    rows = _settings(recorded or plain(config.trainer))
     if "profile" in notes:
         rows.insert(0, ("`profile`", str(notes["profile"])))
     if "epoch" in notes:
@@ -210,7 +209,7 @@ def _calibration(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[
     )
 
 
-def _limits(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, Any]], config: DictConfig) -> str:
+def _limits(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, Any]], config: Config) -> str:
     levels = list(next(iter(figures.values()))["cost_errors"])
     rows = [(name, *(_cost(values["cost_errors"].get(level)) for level in levels)) for name, values in figures.items()]
     header = ("set", *("largest cost error" if level == 1 else f"{level:.0%} of cost errors up to" for level in levels))
@@ -245,7 +244,7 @@ def _limits(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, 
     return "## Limits\n\n" + markdown(header, rows) + "\n\n" + "\n".join(lines)
 
 
-def _again(abstraction: LearnedAbstraction, config: DictConfig) -> str:
+def _again(abstraction: LearnedAbstraction, config: Config) -> str:
     notes = abstraction.provenance.notes
     chosen = f"profile={notes.get('profile', config.profile)}"
     variant = f" runtime.variant={config.runtime.variant}" if config.runtime.variant else ""

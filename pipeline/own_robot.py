@@ -13,17 +13,15 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig
-
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 from hdsp.robot.robot import Robot
-from pipeline.config import plain
 from pipeline.evaluate import evaluate
 from pipeline.label import label
 from pipeline.plan import plan
 from pipeline.report import put_between_markers
 from pipeline.scan_courses import scan_courses
+from pipeline.settings import Config
 from pipeline.stage import Folders, read_json, run_stage
 from pipeline.tables import markdown, percent
 from pipeline.train import train
@@ -31,9 +29,10 @@ from pipeline.train import train
 PAGE = Path("docs/own-robot.md")
 
 
-def own_robot(config: DictConfig, folders: Folders) -> None:
-    robot = Robot.load(plain(config.robot))
+def own_robot(config: Config, folders: Folders) -> None:
+    robot = config.robot
     check_name(robot)
+    config.model.checked_options()  # before labels are made
     folders = Folders(folders.outputs, folders.outputs)  # each stage reads the outputs of earlier stages
     for split in (*config.trainer.splits, *config.trainer.val_splits, "random"):
         (scan_courses if split in config.simulation.splits else label)(config, folders, split)
@@ -72,9 +71,9 @@ def write_page(page: Path, robot: str, text: str, picture: Path) -> None:
         put_between_markers(page, f"{text}\n![A path of {robot}](figures/{shown.name})\n", *markers(robot))
 
 
-def place(config: DictConfig) -> str:
+def place(config: Config) -> str:
     """Returns this robot's folder, in which a second call finds earlier results."""
-    return f"outputs/robots/{Robot.load(plain(config.robot)).name}"
+    return f"outputs/robots/{config.robot.name}"
 
 
 def read_reports(folders: Folders) -> dict[str, Any]:

@@ -13,12 +13,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig
-
 from hdsp.base.errors import InputError
 from pipeline.compare import PAGE, markers
 from pipeline.config import compose
 from pipeline.report import put_between_markers
+from pipeline.settings import Config
 from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.tables import markdown, percent
 
@@ -30,7 +29,7 @@ PUBLISHED = Path(__file__).with_name("paper_training.csv")
 METRICS = ("feasibility_accuracy", "cost_error")
 
 
-def paper_training(config: DictConfig, folders: Folders) -> None:
+def paper_training(config: Config, folders: Folders) -> None:
     from hdsp.viz import save_training_beside
 
     report = folders.write("reports", "klamt2019.json")

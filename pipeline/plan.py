@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
+from dataclasses import asdict
 from statistics import median
 from typing import TYPE_CHECKING, Any, NamedTuple
-
-from omegaconf import DictConfig
 
 from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
 from pipeline.abstractions import abstract_costs, available
-from pipeline.config import plain, settings
+from pipeline.config import plain
+from pipeline.settings import Config, PlannerSettings
 from pipeline.speedup import best_known, summarise
 from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.task_sets import ABSENT
@@ -19,12 +20,12 @@ from pipeline.task_sets import ABSENT
 if TYPE_CHECKING:
     from hdsp.planning.planner import Planner
     from hdsp.planning.plans import Plan
-    from hdsp.terrain.arenas import Arena
+    from hdsp.terrain.arenas import Arena, ArenaDescription, ArenaTask
     from hdsp.terrain.height_map import HeightMap
+    from hdsp.terrain.random_arenas import RandomArena
 
 Pose = tuple[float, float, float]
 Tasks = dict[str, tuple[Pose, Pose]]
-SOURCES = ("scanned", "random")
 
 
 class ArenaMap(NamedTuple):
@@ -47,10 +48,10 @@ def blocked(robot: Robot) -> Plan:
     return Planner(HeightMap(heights), robot).plan((1.0, 1.0, 0.0), (3.0, 1.0, 0.0))
 
 
-def plan(config: DictConfig, folders: Folders) -> None:
+def plan(config: Config, folders: Folders) -> None:
     from hdsp.viz import DrawnPath, save_planned_path, save_planned_paths, save_planning_bars
 
-    robot = Robot.load(plain(config.robot))
+    robot = config.robot
     ground = read_ground(config.arena, folders)
     print(f"{ground.about}, {config.arena.size:g} x {config.arena.size:g} m", flush=True)
     planners, edges_seconds = prepare(ground.terrain, robot, config, folders)
@@ -101,29 +102,26 @@ def plan(config: DictConfig, folders: Folders) -> None:
     )
 
 
-def read_ground(arena: DictConfig, folders: Folders) -> ArenaMap:
+def read_ground(arena: ArenaDescription | RandomArena, folders: Folders) -> ArenaMap:
     """Returns the map named by `arena.source`; an arena without scan gives its own heights.
 
     Raises:
-        InputError: the source is unknown, or the arena cannot be made.
+        InputError: the arena cannot be made.
     """
     from hdsp.terrain.arenas import read_arena
     from hdsp.terrain.height_map import HeightMap
-    from hdsp.terrain.random_arenas import ArenaSettings, random_arena
+    from hdsp.terrain.random_arenas import random_arena
 
     if arena.source == "random":
-        contents = settings(ArenaSettings, arena.contents, "arena.contents")
-        return ArenaMap(random_arena(arena.seed, arena.size, contents), "a generated arena", None)
-    if arena.source != "scanned":
-        raise InputError(f"arena.source {arena.source!r}: allowed are {', '.join(SOURCES)}")
-    truth, absent = read_arena(plain(arena)), folders.read("data", "arena", ABSENT)
+        return ArenaMap(random_arena(arena.seed, arena.size, arena.contents), "a generated arena", None)
+    truth, absent = read_arena(arena), folders.read("data", "arena", ABSENT)
     if absent.is_file():
         return ArenaMap(truth.height_map(), f"the arena as it is, not scanned ({read_json(absent)['reason']})", truth)
     return ArenaMap(HeightMap.load(folders.read("data", "arena", "scanned.npz")), "the scanned arena", truth)
 
 
 def prepare(
-    terrain: HeightMap, robot: Robot, config: DictConfig, folders: Folders
+    terrain: HeightMap, robot: Robot, config: Config, folders: Folders
 ) -> tuple[dict[str, Planner], dict[str, float]]:
     """Returns a planner for each heuristic, and the seconds for all abstract action costs."""
     from hdsp.planning.planner import Planner
@@ -137,10 +135,12 @@ def prepare(
         if name != "geometric":
             edges_seconds[name] = time.perf_counter() - began
             print(f"costs of all abstract actions, {name}: {edges_seconds[name]:.1f} s", flush=True)
+    if not planners:
+        raise InputError(f"planner.heuristics: none of {', '.join(config.planner.heuristics)} exists for {robot.name}")
     return planners, edges_seconds
 
 
-def timed(planner: Planner, start: Pose, goal: Pose, weight: float, section: DictConfig) -> tuple[Plan, float]:
+def timed(planner: Planner, start: Pose, goal: Pose, weight: float, section: PlannerSettings) -> tuple[Plan, float]:
     """Returns a plan and its query time in seconds, the median of several runs for short queries.
 
     Each run equals the first query on a new map: earlier results are forgotten, so the time includes the Dijkstra
@@ -150,28 +150,24 @@ def timed(planner: Planner, start: Pose, goal: Pose, weight: float, section: Dic
     while True:
         planner.clear()
         began = time.perf_counter()
-        result = planner.plan(start, goal, weight=weight, **plain(section.limits))
+        result = planner.plan(start, goal, weight=weight, **asdict(section.limits))
         times.append(time.perf_counter() - began)
         if len(times) >= section.repeats or sum(times) > section.repeat_below:
             return result, median(times)
 
 
-def read_tasks(planner: Planner, tasks: DictConfig) -> Tasks:
+def read_tasks(planner: Planner, tasks: Iterable[ArenaTask]) -> Tasks:
     """Returns each task's start and goal by name.
 
     Raises:
-        InputError: two tasks have the same name, or the robot cannot stand at a pose.
+        InputError: the robot cannot stand at a pose.
     """
     found: Tasks = {}
-    for task in plain(tasks):
-        for end in ("start", "goal"):
-            if not planner.valid(task[end]):
-                raise InputError(
-                    f"arena.tasks: the robot cannot stand at the {end} {task[end]} of task {task['name']!r}"
-                )
-        if task["name"] in found:
-            raise InputError(f"arena.tasks: two tasks have the name {task['name']!r}")
-        found[task["name"]] = tuple(task["start"]), tuple(task["goal"])
+    for task in tasks:
+        for end, pose in (("start", task.start), ("goal", task.goal)):
+            if not planner.valid(pose):
+                raise InputError(f"arena.tasks: the robot cannot stand at the {end} {list(pose)} of task {task.name!r}")
+        found[task.name] = task.start, task.goal
     return found
 
 

@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from omegaconf import DictConfig
 
 from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
 from pipeline.config import plain
 from pipeline.label import shards_place
 from pipeline.model_card import model_card
+from pipeline.settings import Config
 from pipeline.stage import Folders, run_stage
 from pipeline.task_sets import read_evaluation_set, read_set
 
@@ -39,13 +39,11 @@ CHECKPOINT = "checkpoints/best.ckpt"
 ERROR_LEVELS = (0.5, 0.9, 0.99, 1.0)
 
 
-def publish_model(config: DictConfig, folders: Folders, source: str) -> None:
-    from hdsp.base.settings import load_settings
+def publish_model(config: Config, folders: Folders, source: str) -> None:
     from hdsp.learning.abstraction import LearnedAbstraction
-    from hdsp.learning.learning_settings import HardwareSettings
 
-    robot = Robot.load(plain(config.robot))
-    hardware = load_settings(HardwareSettings, plain(config.runtime.hardware), "runtime.hardware")
+    robot = config.robot
+    hardware = config.runtime.hardware
     hardware.apply_threads()
     if (Path(source) / CHECKPOINT).is_file():
         trained = in_progress(Path(source), robot, config, folders)
@@ -61,12 +59,12 @@ def publish_model(config: DictConfig, folders: Folders, source: str) -> None:
     abstraction = abstraction.calibrated(val)
     figures = {"val": figures_of(abstraction, val)}
     missing = {}
-    for name, entry in plain(config.evaluation.sets).items():
+    for name, entry in config.evaluation.sets.items():
         tasks, reason = read_evaluation_set(name, entry, config, folders)
         if tasks is None:
             missing[name] = reason
             continue
-        figures[name] = figures_of(abstraction, tasks) | {"paper": entry.get("paper")}
+        figures[name] = figures_of(abstraction, tasks) | {"paper": entry.paper}
     abstraction.metrics = {
         f"{metric}/{name}": values[metric]
         for name, values in figures.items()
@@ -85,17 +83,16 @@ def publish_model(config: DictConfig, folders: Folders, source: str) -> None:
         print(f"{name}: {100 * values['feasibility_accuracy']:.2f} %, cost error {error}, ECE {values['ece']:.4f}")
 
 
-def in_progress(source: Path, robot: Robot, config: DictConfig, folders: Folders) -> LearnedAbstraction:
+def in_progress(source: Path, robot: Robot, config: Config, folders: Folders) -> LearnedAbstraction:
     """Loads the best epoch so far from an unfinished training of `config.model`."""
     import torch
 
-    from hdsp.base.settings import load_settings
     from hdsp.learning import LearnedAbstraction, Provenance
     from hdsp.learning.learning_settings import ModelSettings
     from hdsp.learning.networks import build_network
     from pipeline.train import folder_hash
 
-    model = load_settings(ModelSettings, plain(config.model), "model")
+    model = config.model
     network = build_network(model)
     state = torch.load(source / CHECKPOINT, map_location="cpu", weights_only=False)
     prefix = "network."
@@ -107,7 +104,7 @@ def in_progress(source: Path, robot: Robot, config: DictConfig, folders: Folders
     )
 
 
-def _validation(trainer: Mapping[str, Any], config: DictConfig, folders: Folders) -> TaskSet:
+def _validation(trainer: Mapping[str, Any], config: Config, folders: Folders) -> TaskSet:
     """Validation maps, which selected the training's epoch."""
     from hdsp.labels.tasks import TaskSet
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import shutil
 
-from omegaconf import DictConfig
-
+from pipeline.settings import Config
 from pipeline.stage import Folders, run_stage, write_json
 from pipeline.task_sets import ABSENT
 
 
-def published(config: DictConfig, folders: Folders) -> None:
+def published(config: Config, folders: Folders) -> None:
     from hdsp.labels.published_tasks import find_published, import_tasks
 
     folder = folders.write("data", "published")

@@ -5,17 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig
-
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
+from pipeline.settings import Config
 from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.tables import abstraction_quality_table, heuristic_table
 
 BEGIN, END = "<!-- tables: written by `python -m pipeline.report` -->", "<!-- end of tables -->"
 
 
-def report(config: DictConfig, folders: Folders) -> None:
+def report(config: Config, folders: Folders) -> None:
     quality = read_json(folders.read("reports", "abstraction_quality.json"))
     planning = read_json(folders.read("reports", "planning.json"))
     training = read_json(folders.read("reports", "training.json"))

@@ -6,11 +6,10 @@ import shutil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from omegaconf import DictConfig
 
 from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
-from pipeline.config import plain, settings
+from pipeline.settings import Config
 from pipeline.stage import Folders, run_stage, write_json
 from pipeline.task_sets import ABSENT
 
@@ -22,8 +21,7 @@ FIGURES = "reports", "figures"
 PICTURES = "arena.png", "simulated_courses.png"
 
 
-def scan_arena(config: DictConfig, folders: Folders) -> None:
-    from hdsp.terrain.simulation.lidar import Lidar
+def scan_arena(config: Config, folders: Folders) -> None:
     from hdsp.terrain.simulation.mujoco_world import is_available
     from hdsp.viz import save_note
 
@@ -39,8 +37,8 @@ def scan_arena(config: DictConfig, folders: Folders) -> None:
         for picture in PICTURES:
             save_note(f"not simulated: {reason}", folders.write(*FIGURES, picture))
         return
-    robot = Robot.load(plain(config.robot))
-    lidar = settings(Lidar, config.simulation.lidar, "simulation.lidar")
+    robot = config.robot
+    lidar = config.simulation.lidar
     report = {
         "available": True,
         "arena": scan_paper_arena(config, folders, robot, lidar),
@@ -49,7 +47,7 @@ def scan_arena(config: DictConfig, folders: Folders) -> None:
     write_json(folders.write("reports", "arena.json"), report)
 
 
-def scan_paper_arena(config: DictConfig, folders: Folders, robot: Robot, lidar) -> dict[str, Any]:
+def scan_paper_arena(config: Config, folders: Folders, robot: Robot, lidar) -> dict[str, Any]:
     """Writes the arena's true and scanned maps and its picture; returns the scan accuracy and the valid task ends."""
     from hdsp.detailed.world.world import build_world
     from hdsp.robot.lattice import Grid
@@ -58,8 +56,8 @@ def scan_paper_arena(config: DictConfig, folders: Folders, robot: Robot, lidar) 
     from hdsp.viz import save_arena
 
     section = config.simulation.arena
-    arena = read_arena(plain(section))
-    tasks = {task["name"]: (tuple(task["start"]), tuple(task["goal"])) for task in plain(section.tasks)}
+    arena = read_arena(section)
+    tasks = {task.name: (task.start, task.goal) for task in section.tasks}
     start = next(iter(tasks.values()))[0]
     scanned, true = scanned_map(arena, start, lidar, config.simulation.seed), arena.height_map()
     scanned.save(folders.write("data", "arena", "scanned.npz"))
@@ -80,22 +78,20 @@ def stands(world: World, grid: Grid, pose: tuple[float, float, float]) -> bool:
     return feet_at(world, (x, y, heading)) is not None
 
 
-def scan_courses(config: DictConfig, folders: Folders, robot: Robot, lidar) -> dict[str, Any]:
+def scan_courses(config: Config, folders: Folders, robot: Robot, lidar) -> dict[str, Any]:
     """Writes the simulated patch set and its picture; returns the number of patches per kind."""
     from hdsp.base.workers import ClusterSettings
-    from hdsp.labels.course_patches import CoursePatchSettings, PatchRun, simulated_courses, task_set
-    from hdsp.labels.rules import LabelSettings
+    from hdsp.labels.course_patches import PatchRun, simulated_courses, task_set
     from hdsp.labels.shards import write_shard
     from hdsp.robot.lattice import heading_angle
-    from hdsp.terrain.simulation.courses import CourseSettings
     from hdsp.viz import save_courses
 
     run = PatchRun(
-        settings(CoursePatchSettings, config.simulation.patches, "simulation.patches"),
-        settings(CourseSettings, config.simulation.courses, "simulation.courses"),
+        config.simulation.patches,
+        config.simulation.courses,
         lidar,
         robot,
-        settings(LabelSettings, config.labelling.settings, "labelling.settings"),
+        config.labelling.settings,
     )
     courses = []
     cluster = ClusterSettings(config.runtime.workers, dashboard=config.runtime.dashboard, memory=config.runtime.memory)

@@ -8,33 +8,27 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from omegaconf import DictConfig
-
 from hdsp.base.errors import InputError
-from pipeline.config import plain, settings
+from pipeline.settings import Config
 from pipeline.stage import Folders, run_stage
 
 
-def scan_courses(config: DictConfig, folders: Folders, split: str) -> None:
+def scan_courses(config: Config, folders: Folders, split: str) -> None:
     from tqdm import tqdm
 
     from hdsp.base.workers import ClusterSettings
-    from hdsp.labels.course_patches import CoursePatchSettings, PatchRun, simulated_courses, task_set
-    from hdsp.labels.rules import LabelSettings
+    from hdsp.labels.course_patches import PatchRun, simulated_courses, task_set
     from hdsp.labels.shards import SUFFIX, write_shard
-    from hdsp.robot.robot import Robot
-    from hdsp.terrain.simulation.courses import CourseSettings
-    from hdsp.terrain.simulation.lidar import Lidar
 
     splits = config.simulation.splits
     if split not in splits:
         raise InputError(f"unknown split {split!r}; simulation.splits has {', '.join(splits) or 'none'}")
     run = PatchRun(
-        settings(CoursePatchSettings, splits[split], f"simulation.splits.{split}"),
-        settings(CourseSettings, config.simulation.courses, "simulation.courses"),
-        settings(Lidar, config.simulation.lidar, "simulation.lidar"),
-        Robot.load(plain(config.robot)),
-        settings(LabelSettings, config.labelling.settings, "labelling.settings"),
+        splits[split],
+        config.simulation.courses,
+        config.simulation.lidar,
+        config.robot,
+        config.labelling.settings,
     )
     digest = run.course_hash()
     paths = {

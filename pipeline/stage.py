@@ -17,7 +17,8 @@ from omegaconf import DictConfig
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file, replacing
-from pipeline.config import compose, expand_choices, read_params
+from pipeline.config import configure, expand_choices, read_params, typed
+from pipeline.settings import Config
 
 SWEEP_FLAGS = ("-m", "--multirun")
 
@@ -47,7 +48,7 @@ def run_stage(
     name: str,
     positional: Sequence[str] = (),
     sweep_context: Callable[[Sequence[str]], contextlib.AbstractContextManager] | None = None,
-    place: Callable[[DictConfig], str] | None = None,
+    place: Callable[[Config], str] | None = None,
 ) -> None:
     """Runs `stage(config, folders, *positional)` with the configuration from the command line.
 
@@ -62,11 +63,11 @@ def run_stage(
         if sweep:
             assert sweep_context is not None  # _parse refuses -m without
             for variant in expand_choices(overrides):
-                compose(variant)  # any wrong value is reported before the first run
+                configure(variant)  # any wrong value is reported before the first run
             with sweep_context(overrides):
                 _sweep(stage, name, arguments, overrides)
         else:
-            config = compose(overrides) if overrides else read_params()
+            config = configure(overrides) if overrides else read_params()
             stage(config, _folders(config, name, bool(overrides), place), *arguments)
     except InputError as error:
         sys.exit(f"error: {error}")
@@ -118,9 +119,7 @@ def _parse(argv: Sequence[str], name: str, positional: Sequence[str], sweepable:
     return arguments, overrides, sweep
 
 
-def _folders(
-    config: DictConfig, name: str, has_overrides: bool, place: Callable[[DictConfig], str] | None = None
-) -> Folders:
+def _folders(config: Config, name: str, has_overrides: bool, place: Callable[[Config], str] | None = None) -> Folders:
     outputs = config.runtime.outputs
     if outputs is None and place is not None:
         outputs = place(config)
@@ -143,9 +142,9 @@ def _sweep(stage: Stage, name: str, arguments: Sequence[str], overrides: Sequenc
     def job(config: DictConfig) -> None:
         here = HydraConfig.get()
         print(f"run {here.job.num}: {' '.join(here.overrides.task)}", file=sys.stderr)
-        folders = Folders(Path(config.runtime.inputs), Path(here.runtime.output_dir))
         try:
-            stage(config, folders, *arguments)
+            checked = typed(config)
+            stage(checked, Folders(Path(checked.runtime.inputs), Path(here.runtime.output_dir)), *arguments)
         except InputError as error:  # the sweep's other runs continue
             failed.append(f"run {here.job.num} ({' '.join(here.overrides.task)}): {error}")
 

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from omegaconf import DictConfig
-
-from hdsp.base.errors import InputError
 from hdsp.base.storage import Place, is_folder, is_url
-from hdsp.robot.robot import Robot
-from pipeline.config import plain, settings
+from pipeline.settings import Config, EvaluationSet
 from pipeline.stage import Folders
 
 if TYPE_CHECKING:
@@ -37,14 +32,13 @@ def read_set(folder: Place) -> tuple[TaskSet | None, str]:
     return read_tasks(folder), ""
 
 
-def set_place(entry: Mapping[str, Any], folders: Folders) -> Place:
+def set_place(entry: EvaluationSet, folders: Folders) -> Place:
     """Returns the place of the shards or scans for an entry in `evaluation.sets`."""
-    place = entry.get("tasks") or entry["scans"]
-    return place if is_url(place) else folders.read(place)
+    return entry.place if is_url(entry.place) else folders.read(entry.place)
 
 
 def read_evaluation_set(
-    name: str, entry: Mapping[str, Any], config: DictConfig, folders: Folders
+    name: str, entry: EvaluationSet, config: Config, folders: Folders
 ) -> tuple[TaskSet | None, str]:
     """Like `read_set`, for an entry in `evaluation.sets`.
 
@@ -52,26 +46,19 @@ def read_evaluation_set(
     labelled first (`hdsp.labels.scan_sets`). `robot` marks labels made elsewhere; they exist for this robot alone.
 
     Raises:
-        InputError: also if a key is unknown, or not exactly one of `tasks` and `scans` is given.
+        InputError: a shard is damaged, or the folder of scans gives no tasks.
     """
-    allowed = ("tasks", "scans", "paper", "robot")
-    if unknown := sorted(set(entry) - set(allowed)):
-        raise InputError(f"evaluation.sets.{name}: unknown key {unknown[0]!r}; allowed are {', '.join(allowed)}")
-    if ("tasks" in entry) == ("scans" in entry):
-        raise InputError(f"evaluation.sets.{name}: need either tasks (a folder of shards) or scans (a folder of scans)")
-    if (robot := entry.get("robot")) not in (None, config.robot.name):
+    if (robot := entry.robot) not in (None, config.robot.name):
         return None, f"its labels are of robot {robot}"
-    if "tasks" in entry:
+    if entry.tasks is not None:
         return read_set(set_place(entry, folders))
-    from hdsp.labels.rules import LabelSettings
-    from hdsp.labels.scan_patches import ScanPatchSettings
     from hdsp.labels.scan_sets import read_scan_folder
 
     found = read_scan_folder(
-        entry["scans"],
-        Robot.load(plain(config.robot)),
-        settings(ScanPatchSettings, config.scans.patches, "scans.patches"),
-        settings(LabelSettings, config.labelling.settings, "labelling.settings"),
+        entry.place,
+        config.robot,
+        config.scans.patches,
+        config.labelling.settings,
         folders.write("data", "scans", name),
         config.runtime.data_dir,
     )

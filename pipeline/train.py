@@ -6,11 +6,9 @@ import csv
 import hashlib
 import math
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from omegaconf import DictConfig
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
@@ -18,54 +16,49 @@ from hdsp.base.storage import Place, is_url, open_folder
 from pipeline import served_model, tracking
 from pipeline.config import flatten, plain
 from pipeline.label import shards_place
+from pipeline.settings import Config
 from pipeline.stage import Folders, run_stage, write_json
 from pipeline.task_sets import read_evaluation_set, read_set, set_place
 
 if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
+    from hdsp.learning.settings import TrainerSettings
 
 #: Configuration sections that training depends on.
 SECTIONS = ("robot", "terrain", "labelling", "model", "trainer")
-#: Trainer keys for splits, with their default splits.
-ROLES = {"splits": "train", "val_splits": "val"}
 
 
-def train(config: DictConfig, folders: Folders) -> None:
-    from hdsp.learning import LearnedAbstraction, Provenance, count_parameters
+def train(config: Config, folders: Folders) -> None:
+    from hdsp.learning import LearnedAbstraction, Provenance, TrainingConfig, count_parameters
     from hdsp.learning import train as train_network
-    from hdsp.robot.robot import Robot
     from hdsp.viz import save_training_curves
 
-    chosen = {role: config.trainer.get(role) or [default] for role, default in ROLES.items()}
-    splits: dict[str, Place] = {
-        name: shards_place(config, folders.inputs, name) for names in chosen.values() for name in names
-    }
-    watched, known = config.evaluation.watched, config.evaluation.sets
-    if unknown := [name for name in watched if name not in known]:
-        raise InputError(f"evaluation.watched: unknown set {unknown[0]!r}; evaluation.sets has {', '.join(known)}")
-    learnt, deciding = ([splits[name] for name in names] for names in chosen.values())
-    train_tasks = learnt if config.trainer.get("stream") else part_of(learnt, config.trainer)
+    config.model.checked_options()  # before the tasks are read
+    trainer = config.trainer
+    names = (*trainer.splits, *trainer.val_splits)
+    splits: dict[str, Place] = {name: shards_place(config, folders.inputs, name) for name in names}
+    learnt, deciding = ([splits[name] for name in names] for names in (trainer.splits, trainer.val_splits))
+    train_tasks = learnt if trainer.stream else part_of(learnt, trainer)
     val_tasks = _required(deciding)
     sets = {"val": val_tasks}
-    for name in watched:
-        entry = plain(known[name])
+    for name in config.evaluation.watched:
+        entry = config.evaluation.sets[name]
         tasks, _ = read_evaluation_set(name, entry, config, folders)
         if tasks is not None:
             sets[name], splits[name] = tasks, set_place(entry, folders)
 
     hashes = {f"data.{name}": folder_hash(path) for name, path in splits.items()}
-    data_hash = _hash_of([hashes[f"data.{name}"] for name in chosen["splits"]])
-    parameters = flatten({name: config[name] for name in SECTIONS} | {"profile": config.profile})
+    data_hash = _hash_of([hashes[f"data.{name}"] for name in trainer.splits])
+    parameters = flatten({name: getattr(config, name) for name in SECTIONS} | {"profile": config.profile})
     with tracking.run(f"{config.model.architecture} {config.profile}", parameters, hashes) as mlflow:
         work = folders.write("models", "training")
-        parts = {"model": config.model, "trainer": config.trainer, "hardware": config.runtime.hardware}
         result = train_network(
-            {name: plain(section) for name, section in parts.items()},
+            TrainingConfig(config.model, trainer, config.runtime.hardware),
             train_tasks,
             sets,
             work,
             on_epoch=lambda epoch, metrics: mlflow.log_metrics(metrics, step=epoch),
-            provenance=Provenance.of(Robot.load(plain(config.robot)), data_hash, **notes(config, train_tasks)),
+            provenance=Provenance.of(config.robot, data_hash, **notes(config, train_tasks)),
             quiet=not config.runtime.progress,
         )
         abstraction_dir = folders.write("models", "abstraction")
@@ -96,7 +89,7 @@ def train(config: DictConfig, folders: Folders) -> None:
     shutil.rmtree(work / "checkpoints", ignore_errors=True)
 
 
-def notes(config: DictConfig, tasks: TaskSet | list[Place]) -> dict[str, Any]:
+def notes(config: Config, tasks: TaskSet | list[Place]) -> dict[str, Any]:
     """Returns data and recipe notes for the model card, saved with the model.
 
     `tasks` are the training tasks, or the folders that hold them.
@@ -110,8 +103,8 @@ def notes(config: DictConfig, tasks: TaskSet | list[Place]) -> dict[str, Any]:
         "profile": config.profile,
         "maps": len(tasks) if streamed is None else sum(streamed),
         "trainer": plain(config.trainer),
-        **_notes_of_initial(config.trainer.get("initial")),
-        **data_notes(config, config.trainer.get("splits") or ["train"]),
+        **_notes_of_initial(config.trainer.initial),
+        **data_notes(config, config.trainer.splits),
     }
 
 
@@ -122,7 +115,7 @@ def _notes_of_initial(folder: str | None) -> dict[str, Any]:
     return {} if folder is None else {"initial": LearnedAbstraction.from_pretrained(folder).provenance.notes}
 
 
-def data_notes(config: DictConfig, splits: Sequence[str]) -> dict[str, Any]:
+def data_notes(config: Config, splits: Sequence[str]) -> dict[str, Any]:
     """Returns the contents of the training maps."""
     known = {**config.labelling.splits, **config.simulation.splits}
     return {
@@ -132,7 +125,7 @@ def data_notes(config: DictConfig, splits: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def part_of(folders: Sequence[Place], trainer: Mapping[str, Any]) -> TaskSet:
+def part_of(folders: Sequence[Place], trainer: TrainerSettings) -> TaskSet:
     """Returns the maps that `trainer.share` and `trainer.residues` select; depends on both and the labels alone.
 
     Only as many shards are read as this share needs; each shard is a sample from its split.
@@ -146,7 +139,7 @@ def part_of(folders: Sequence[Place], trainer: Mapping[str, Any]) -> TaskSet:
     from hdsp.labels.tasks import TaskSet
     from hdsp.robot.lattice import HEADINGS, HEADINGS_PER_ABSTRACT
 
-    share = trainer.get("share", 1.0)
+    share = trainer.share
     if share == 1:
         tasks = _required(folders)
     else:
@@ -160,7 +153,7 @@ def part_of(folders: Sequence[Place], trainer: Mapping[str, Any]) -> TaskSet:
             parts.append(found[np.sort(random.permutation(len(found))[:left])])
         tasks = TaskSet.concatenate(parts)
     kept = np.ones(len(tasks), bool)
-    if (residues := trainer.get("residues")) is not None:
+    if (residues := trainer.residues) is not None:
         kept &= np.isin(tasks.heading % (HEADINGS // 4), HEADINGS_PER_ABSTRACT * np.array(residues, int))
     if not kept.any():
         raise InputError(f"cannot train: no map is left of {len(tasks)} by trainer.share and trainer.residues")

@@ -21,7 +21,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar, dataclass_transform
 
 import numpy as np
 import yaml
-from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, TypeAdapter, ValidationError, model_validator
 from pydantic_core import ArgsKwargs, ErrorDetails, PydanticCustomError
 
 from hdsp.base.errors import InputError
@@ -60,6 +60,20 @@ def one_of(names: Sequence[str]) -> AfterValidator:
         return value
 
     return AfterValidator(known)
+
+
+def chosen_by(key: str, kinds: Mapping[str, type]) -> PlainValidator:
+    """Annotation for a union of settings classes: the value of ``key`` names the class."""
+
+    def chosen(values: Any) -> Any:
+        if isinstance(values, tuple(kinds.values())):
+            return values
+        name = values.get(key, next(iter(kinds))) if isinstance(values, Mapping) else next(iter(kinds))
+        if not isinstance(name, str) or name not in kinds:
+            raise fault(key, name, f"one of {', '.join(kinds)}")
+        return _adapter(kinds[name]).validate_python(values)
+
+    return PlainValidator(chosen)
 
 
 def fault(key: str, value: Any, need: str) -> PydanticCustomError:

@@ -12,9 +12,9 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import AfterValidator, model_validator
+from pydantic import AfterValidator
 
 from hdsp.base.errors import InputError
 from hdsp.base.settings import Count, checked, fault
@@ -35,6 +35,25 @@ def _size(text: str) -> str:
     return text
 
 
+def _scheduler(text: str) -> str:
+    if text != "slurm" and not text.startswith(SCHEMES):
+        raise fault("", text, "null (this machine), slurm, or an address like tcp://host:8786")
+    return text
+
+
+def _slurm(options: dict[str, Any]) -> dict[str, Any]:
+    for name in ("jobs", "cores", "processes"):
+        value = options.get(name)
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
+            raise fault(name, value, "a whole number of at least 1")
+    return options
+
+
+MemorySize = Annotated[str, AfterValidator(_size)]
+Scheduler = Annotated[str, AfterValidator(_scheduler)]
+SlurmOptions = Annotated[dict[str, Any], AfterValidator(_slurm)]
+
+
 @checked
 class ClusterSettings:
     """Worker processes; no result depends on these settings.
@@ -52,20 +71,10 @@ class ClusterSettings:
     """
 
     workers: Count | None = None
-    scheduler: str | None = None
-    slurm: dict[str, Any] = field(default_factory=dict)
+    scheduler: Scheduler | None = None
+    slurm: SlurmOptions = field(default_factory=dict)
     dashboard: str | None = "127.0.0.1:8787"
-    memory: Annotated[str, AfterValidator(_size)] | None = None
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.scheduler not in (None, "slurm") and not str(self.scheduler).startswith(SCHEMES):
-            raise fault("scheduler", self.scheduler, "null (this machine), slurm, or an address like tcp://host:8786")
-        for name in ("jobs", "cores", "processes"):
-            value = self.slurm.get(name)
-            if value is not None and not (isinstance(value, int) and value >= 1):
-                raise fault(f"slurm.{name}", value, "a whole number of at least 1")
-        return self
+    memory: MemorySize | None = None
 
     def processes(self, jobs: int) -> int:
         """Returns the number of local worker processes for a number of jobs; 1 = this process only."""

@@ -81,6 +81,17 @@ class ArenaTask:
     goal: Pose
 
 
+def _unique(tasks: tuple[ArenaTask, ...]) -> tuple[ArenaTask, ...]:
+    names = [task.name for task in tasks]
+    for place, name in enumerate(names):
+        if name in names[:place]:
+            raise fault(f"[{place}].name", name, "a name that no other task has")
+    return tasks
+
+
+ArenaTasks = Annotated[tuple[ArenaTask, ...], AfterValidator(_unique)]
+
+
 @checked
 class BlockDescription:
     """A block or a ramp in an arena, with the attributes of `hdsp.terrain.obstacles.Block`."""
@@ -127,7 +138,7 @@ class ArenaDescription:
     blocks: tuple[BlockDescription, ...] = ()
     ramps: tuple[BlockDescription, ...] = ()
     staircases: tuple[StaircaseDescription, ...] = ()
-    tasks: tuple[ArenaTask, ...] = ()
+    tasks: ArenaTasks = ()
     source: Literal["scanned"] = "scanned"
 
 

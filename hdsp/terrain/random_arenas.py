@@ -14,7 +14,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.settings import Count, Natural, Positive, Range, Share, checked
 from hdsp.robot import lattice
 from hdsp.robot.lattice import Grid
-from hdsp.terrain.arenas import Arena, ArenaSize, ArenaTask
+from hdsp.terrain.arenas import Arena, ArenaSize, ArenaTasks
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.obstacles import Block, Obstacle, Scene, Staircase
 
@@ -69,7 +69,7 @@ class RandomArena:
     size: ArenaSize
     seed: Natural
     contents: ArenaSettings = field(default_factory=ArenaSettings)
-    tasks: tuple[ArenaTask, ...] = ()
+    tasks: ArenaTasks = ()
     source: Literal["random"] = "random"
 
 

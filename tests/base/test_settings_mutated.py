@@ -1,7 +1,11 @@
 """Damaged settings, by the seed: each gives settings, or one line; never a traceback."""
 
 import json
+import os
 import shutil
+import subprocess
+import sys
+import time
 from collections import Counter
 
 import numpy as np
@@ -11,8 +15,11 @@ import yaml
 from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.robot.robot import Robot
+from pipeline.config import configure, read_params
+from pipeline.settings import Config
+from pipeline.stage import run_stage
 from tests import ROOT
-from tests.base.mutations import edited, mutated_file
+from tests.base.mutations import PIECES, WRONG, edited, mutated_file, places
 from tests.learning.synthetic import TINY_MODEL, synthetic_tasks
 
 
@@ -87,3 +94,75 @@ def test_faults_of_a_model_name_file_and_key(saved, tmp_path, key, value, says):
     path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
     found = outcome(LearnedAbstraction.from_pretrained, path.parent)
     assert found.startswith(f"{path}: {says}")
+
+
+def end_of(stage, monkeypatch, *overrides):
+    """How a stage ends that is called with overrides: 0, or what `sys.exit` gets."""
+    monkeypatch.setattr(sys, "argv", ["stage", *overrides])
+    try:
+        run_stage(stage, "stage")
+    except SystemExit as error:
+        return error.code
+    return 0
+
+
+def test_params_files(tmp_path, monkeypatch):
+    text = (ROOT / "params.yaml").read_bytes()
+    values = yaml.safe_load(text)
+    monkeypatch.chdir(tmp_path)
+    began, ends = [], Counter()
+    for seed in range(60):
+        (tmp_path / "params.yaml").write_bytes(mutated_file(values, text, np.random.default_rng(seed)))
+        end = end_of(lambda config, folders: began.append(config), monkeypatch)
+        ends[end == 0] += 1
+        assert end == 0 or (end.startswith("error: params.yaml") and len(end.splitlines()) == 1), end
+    assert all(isinstance(config, Config) for config in began) and len(began) == ends[True]
+    assert ends[False] > 40
+
+
+def overrides(values, random):
+    """An override as somebody might type it: a value of another kind, a key that does not exist, a broken text."""
+    paths = [path for path in places(values) if path and all(isinstance(part, str) for part in path)]
+    path = paths[random.integers(len(paths))]
+    key, value = ".".join(path), WRONG[random.integers(len(WRONG))]
+    text = "null" if value is None else json.dumps(value).replace('"', "")
+    piece = PIECES[random.integers(len(PIECES))].decode("latin-1").strip() or "x"
+    forms = [
+        f"{key}={text}", f"{key}={text}", f"{key}='{text}'", f"{key}.x={text}", f"{key[:-1]}={text}", f"+{key}x=1",
+        f"~{key}", f"{key}={piece}", f"{key}{piece}=1", f"{path[0]}={text}", f"{path[0]}@{key}={text}",
+        f"++{key}={{a: {text}}}", f"{key}=${{{key}}}", f"{key}=${{oc.env:NOTHING}}", f"hydra.{key}={text}",
+    ]  # fmt: skip
+    return forms[random.integers(len(forms))].replace("\n", " ")
+
+
+def test_overrides(monkeypatch, tmp_path):
+    values = yaml.safe_load((ROOT / "params.yaml").read_text())
+    monkeypatch.chdir(tmp_path)
+    began, ends = [], Counter()
+    for seed in range(60):
+        override = overrides(values, np.random.default_rng(seed))
+        end = end_of(lambda config, folders: began.append(config), monkeypatch, override)
+        ends[end == 0] += 1
+        assert end == 0 or (end.startswith("error: ") and len(end.splitlines()) == 1), (override, end)
+    assert all(isinstance(config, Config) for config in began) and len(began) == ends[True]
+    assert ends[False] > 25
+
+
+def test_a_stage_ends_with_one_line_and_status_1(tmp_path):
+    (tmp_path / "params.yaml").write_text("trainer: [")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    for arguments, says in [
+        ([], "error: params.yaml, line 1: not YAML: "),
+        (["labelling.settings.cost_limit=abc"], "error: labelling.settings.cost_limit is 'abc'; need a finite number"),
+    ]:
+        command = [sys.executable, "-m", "pipeline.report", *arguments]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
+        assert done.stderr.startswith(says)
+
+
+def test_the_whole_configuration_takes_no_longer_than_a_moment():
+    configure()  # validators are built
+    began = time.process_time()
+    read_params(ROOT / "params.yaml")
+    assert time.process_time() - began < 1.0

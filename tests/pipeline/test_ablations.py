@@ -7,11 +7,10 @@ import pytest
 import yaml
 
 from hdsp.base.errors import InputError
-from hdsp.base.settings import load_settings
 from hdsp.labels.shards import write_shard
-from hdsp.learning.learning_settings import TrainingConfig
+from hdsp.learning.learning_settings import TrainerSettings
 from pipeline.compare import SECTIONS, differences
-from pipeline.config import CONF, compose, flatten, plain
+from pipeline.config import CONF, compose, flatten, typed
 from pipeline.train import part_of
 from tests.labels.task_sets import random_tasks
 
@@ -32,7 +31,7 @@ def test_an_ablation_differs_from_the_base_in_what_its_file_says(name, base):
     config = compose([f"experiment=ablation/{name}"])
     assert Path(config.runtime.outputs) == Path("outputs/ablations") / name
     assert config.profile == "beyond" and config.runtime.inputs == "outputs/beyond"
-    load_settings(TrainingConfig, {"model": plain(config.model), "trainer": plain(config.trainer)}, "config")
+    typed(config).model.checked_options()
     assert set(differences(base, flat(config))) == (set() if name == "base" else told(name))
 
 
@@ -50,16 +49,17 @@ def test_a_part_of_the_maps_is_the_same_every_time_and_as_large_as_said(tmp_path
     for number, shard in enumerate([tasks[:10], tasks[10:20], tasks[20:30], tasks[30:40]]):
         write_shard(folders[0] / f"{number}.h5", shard, {"labels_hash": "0" * 64, "maps": 10})
     write_shard(folders[1] / "0.h5", tasks[40:], {"labels_hash": "0" * 64, "maps": 10})
-    half = part_of(folders, {"share": 0.5})
+    half = part_of(folders, TrainerSettings(share=0.5))
     assert len(half) == 25
     seen = {heights.tobytes() for heights in half.heights}
     assert len(seen) == 25 and seen < {heights.tobytes() for heights in tasks.heights}, "each once"
-    np.testing.assert_array_equal(half.heights, part_of(folders, {"share": 0.5}).heights)
-    assert len(part_of(folders, {"share": 0.3})) == 12 + 3
-    np.testing.assert_array_equal(part_of(folders, {}).heights, tasks.heights)
-    straight = part_of(folders, {"residues": [0]})
+    np.testing.assert_array_equal(half.heights, part_of(folders, TrainerSettings(share=0.5)).heights)
+    assert len(part_of(folders, TrainerSettings(share=0.3))) == 12 + 3
+    np.testing.assert_array_equal(part_of(folders, TrainerSettings()).heights, tasks.heights)
+    straight = part_of(folders, TrainerSettings(residues=(0,)))
     assert len(straight) == (tasks.heading % 16 == 0).sum()
-    with pytest.raises(InputError, match="no map is left of 50"):
-        part_of(folders, {"residues": []})
+    write_shard(tmp_path / "straight" / "0.h5", straight, {"labels_hash": "0" * 64, "maps": 10})
+    with pytest.raises(InputError, match=f"no map is left of {len(straight)}"):
+        part_of([tmp_path / "straight"], TrainerSettings(residues=(1,)))
     with pytest.raises(InputError, match="nowhere is not there yet"):
-        part_of([folders[0], tmp_path / "nowhere"], {"share": 0.5})
+        part_of([folders[0], tmp_path / "nowhere"], TrainerSettings(share=0.5))

@@ -11,7 +11,7 @@ from hdsp.base.errors import InputError
 from hdsp.labels.rules import LabelSettings
 from hdsp.terrain.random_arenas import ArenaSettings
 from hdsp.terrain.scenes import TerrainSettings
-from pipeline.config import CONF, compose, expand_choices, flatten, plain, settings, write_params
+from pipeline.config import CONF, compose, configure, expand_choices, flatten, plain, read_params, typed, write_params
 from tests import ROOT
 
 
@@ -34,6 +34,7 @@ def test_each_profile_composes_with_each_model(profile, model):
     config = compose([f"profile={profile}", f"model={model}"])
     assert config.profile == profile
     assert config.model == compose([f"model={model}"]).model
+    assert typed(config).profile == profile
 
 
 def test_profile_paper_has_the_counts_and_recipe_of_the_paper():
@@ -50,15 +51,16 @@ def test_profile_paper_has_the_counts_and_recipe_of_the_paper():
 def test_sets_may_be_added_without_a_plus_and_sections_of_others_not():
     sets = compose(["evaluation.sets.mine.scans=somewhere"]).evaluation.sets
     assert sets.mine == {"scans": "somewhere"} and "random" in sets
-    with pytest.raises(InputError, match=r"unknown config key 'evaluation\.mine'"):
+    with pytest.raises(InputError, match=r"^evaluation: unknown key 'mine'; allowed are examples, "):
         compose(["evaluation.mine=1"])
 
 
 @pytest.mark.parametrize(
     ("override", "says"),
     [
-        ("modle=compact", "unknown config key 'modle'"),
-        ("trainer.epoch=3", "unknown config key 'trainer.epoch'; allowed under trainer: "),
+        ("modle=compact", "unknown key 'modle'; did you mean 'model'? allowed are abstraction, arena, "),
+        ("trainer.epoch=3", "trainer: unknown key 'epoch'; did you mean 'epochs'? allowed are batch, "),
+        ("trainer.optimizer.lr.x=3", "trainer.optimizer.lr is 0.002, a value without keys; 'x' is unknown"),
         ("model=nonsense", "Available options in 'model': compact dilated"),
         ("experiment=klamt2091", "Available options in 'experiment': finish klamt2019"),
         ("model=[", "no viable alternative"),
@@ -71,11 +73,68 @@ def test_wrong_overrides_are_named_in_one_line(override, says):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ("labelling.settings.cost_limit=abc", "labelling.settings.cost_limit is 'abc'; need a finite number"),
+        ("labelling.settings=null", "labelling.settings is None; need a mapping"),
+        ("labelling.used=[train,tests]", "labelling.used[1] is 'tests'; need one of labelling.splits: train, val, "),
+        (
+            "labelling.scheduler=cluster",
+            "labelling.scheduler is 'cluster'; need null (this machine), slurm, or",
+        ),
+        ("labelling.slurm.jobs=0", "labelling.slurm.jobs is 0; need a whole number of at least 1"),
+        ("labelling.splits.val.seed=1.5", "labelling.splits.val.seed is 1.5; need a whole number"),
+        ("planner.margin=x", "planner.margin is 'x'; need a finite number"),
+        ("planner.weights=[0.5]", "planner.weights[0] is 0.5; need at least 1"),
+        ("planner.heuristics=[best]", "planner.heuristics[0] is 'best'; need one of trained, shipped"),
+        ("trainer.epochs='3'", "trainer.epochs is '3'; need a whole number"),
+        (
+            "trainer.splits=[nix]",
+            "trainer.splits[0] is 'nix'; need one of labelling.splits, simulation.splits: ",
+        ),
+        ("model.architecture=compat", "model.architecture is 'compat'; need one of klamt2019, compact, "),
+        ("model.encoding.clip=[1,0]", "model.encoding.clip is [1.0, 0.0]; need the smaller number first"),
+        ("evaluation.examples=many", "evaluation.examples is 'many'; need a whole number"),
+        ("abstraction.margin=-1", "abstraction.margin is -1; need at least 0"),
+        ("arena.size=3.01", "arena.size is 3.01; need a positive multiple of 0.025"),
+        ("arena.tasks=[]", "arena.tasks is []; need at least one task"),
+        ("simulation.lidar.beams=2.5", "simulation.lidar.beams is 2.5; need a whole number"),
+        ("scans.patches.known=2", "scans.patches.known is 2; need at most 1"),
+        ("terrain.area=true", "terrain.area is True; need a finite number"),
+        ("robot.step.max_length=1", "robot.step.max_length is 1; need at most 0.375"),
+        ("runtime.workers=0", "runtime.workers is 0; need at least 1"),
+        ("runtime.memory=much", "runtime.memory is 'much'; need a number of bytes, such as 2GB"),
+        ("runtime.hardware.precision=16", "runtime.hardware.precision is 16; need 'auto', '32' or 'bf16'"),
+        ("+trainer.epoch=3", "trainer: unknown key 'epoch'; did you mean 'epochs'?"),
+        ("~planner.margin", "planner: key 'margin' is missing"),
+    ],
+)
+def test_wrong_values_are_named_before_a_stage_begins(override, says):
+    with pytest.raises(InputError) as caught:
+        configure([override])
+    assert str(caught.value).startswith(says)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_fault_in_params_is_named_with_its_line(tmp_path):
+    lines = (ROOT / "params.yaml").read_text().splitlines()
+    place = next(number for number, line in enumerate(lines) if line.startswith("  epochs:"))
+    lines[place] = "  epochs: many"
+    (tmp_path / "params.yaml").write_text("\n".join(lines))
+    with pytest.raises(InputError, match=rf"params\.yaml, line {place + 1}: trainer\.epochs is 'many'; need a whole"):
+        read_params(tmp_path / "params.yaml")
+
+
+def test_params_are_what_is_composed():
+    assert read_params(ROOT / "params.yaml") == configure()
+
+
 def test_the_command_line_prints_that_line_alone():
     command = [sys.executable, "-m", "pipeline.report", "trainer.epoch=3"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 1
-    assert done.stderr.startswith("error: unknown config key 'trainer.epoch'")
+    assert done.stderr.startswith("error: trainer: unknown key 'epoch'")
     assert done.stderr.count("\n") == 1
 
 
@@ -108,22 +167,17 @@ def test_each_robot_file_exists_once():
 
 
 def test_the_configured_terrain_is_that_of_the_authors_generator():
-    assert settings(TerrainSettings, compose().terrain, "terrain") == TerrainSettings()
+    assert configure().terrain == TerrainSettings()
 
 
 def test_the_configured_label_rule_is_that_of_the_published_labels():
-    configured = settings(LabelSettings, compose().labelling.settings, "labelling.settings")
+    configured = configure().labelling.settings
     fitted = ("heading_window", "turn_cost_factor")
     assert [getattr(configured, name) for name in fitted] == [getattr(LabelSettings(), name) for name in fitted]
 
 
 def test_the_configured_arena_is_the_default_of_the_library():
-    assert settings(ArenaSettings, compose(["arena=small"]).arena.contents, "arena.contents") == ArenaSettings()
-
-
-def test_an_unknown_key_of_a_settings_group_is_named():
-    with pytest.raises(InputError, match=r"unknown config key terrain.cuboid_sides; allowed are area, clutter_height"):
-        settings(TerrainSettings, {"cuboid_sides": [1, 2]}, "terrain")
+    assert configure(["arena=small"]).arena.contents == ArenaSettings()
 
 
 @pytest.mark.parametrize("profile", sorted(path.stem for path in (CONF / "profile").glob("*.yaml")))

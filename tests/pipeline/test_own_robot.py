@@ -9,7 +9,7 @@ import pytest
 from hdsp import HeightMap, InputError, Planner, Robot
 from hdsp.labels.rules import LabelSettings, label_map
 from pipeline import own_robot
-from pipeline.config import compose
+from pipeline.config import configure
 from pipeline.own_robot import PAGE, check_name, markers, place, section, write_page
 from pipeline.stage import Folders, run_stage
 from tests.pipeline.conftest import ROOT
@@ -55,7 +55,7 @@ def test_splits_of_scanned_courses_are_scanned_and_the_others_labelled(monkeypat
     for stage in ("label", "scan_courses"):
         monkeypatch.setattr(own_robot, stage, lambda _, __, split, stage=stage: made.append((stage, split)))
     monkeypatch.setattr(own_robot, "train", lambda *_: 1 / 0)
-    config = compose(["profile=beyond", "robot=anymal_wheels"])
+    config = configure(["profile=beyond", "robot=anymal_wheels"])
     with pytest.raises(ZeroDivisionError):
         own_robot.own_robot(config, Folders(tmp_path, tmp_path))
     assert [split for stage, split in made if stage == "scan_courses"] == ["courses"]

@@ -12,7 +12,7 @@ from hdsp.planning.planner import Planner
 from hdsp.robot.robot import Robot
 from hdsp.terrain.arenas import read_arena
 from hdsp.terrain.height_map import HeightMap
-from pipeline.config import compose, plain
+from pipeline.config import configure
 from pipeline.plan import checked, collisions, describe, in_words, read_ground, read_tasks, series_to_show, timed
 from pipeline.stage import Folders
 
@@ -21,7 +21,7 @@ ROBOT = Robot.load("momaro")
 
 @pytest.fixture(scope="module")
 def config():
-    return compose(["planner.repeats=3"])
+    return configure(["planner.repeats=3"])
 
 
 def test_the_scan_is_planned_on_and_the_description_is_the_truth(config, tmp_path):
@@ -31,7 +31,7 @@ def test_the_scan_is_planned_on_and_the_description_is_the_truth(config, tmp_pat
     ground = read_ground(config.arena, Folders(tmp_path, tmp_path))
     np.testing.assert_array_equal(ground.terrain.heights, scan.heights)
     assert ground.about == "the scanned arena"
-    assert ground.truth == read_arena(plain(config.arena))
+    assert ground.truth == read_arena(config.arena)
 
 
 def test_without_a_scan_the_arena_itself_is_planned_on(config, tmp_path):
@@ -45,12 +45,12 @@ def test_without_a_scan_the_arena_itself_is_planned_on(config, tmp_path):
 def test_before_the_scan_and_with_another_source_there_is_no_ground(config, tmp_path):
     with pytest.raises(InputError, match=r"scanned\.npz"):
         read_ground(config.arena, Folders(tmp_path, tmp_path))
-    with pytest.raises(InputError, match="'elsewhere': allowed are scanned, random"):
-        read_ground(compose(["arena.source=elsewhere"]).arena, Folders(tmp_path, tmp_path))
+    with pytest.raises(InputError, match=r"arena\.source is 'elsewhere'; need one of scanned, random"):
+        configure(["arena.source=elsewhere"])
 
 
 def test_a_path_of_the_arena_is_checked_against_its_blocks(config):
-    arena = read_arena(plain(config.arena))
+    arena = read_arena(config.arena)
     planner = Planner(arena.height_map(), ROBOT, margin=config.planner.margin)
     tasks = read_tasks(planner, config.arena.tasks)
     assert list(tasks) == ["I", "II", "III", "IV", "V", "VI", "VII"]

@@ -10,7 +10,7 @@ import pytest
 from hdsp.base.errors import InputError
 from hdsp.labels.shards import read_shard
 from hdsp.terrain.height_map import HeightMap
-from pipeline.config import compose
+from pipeline.config import configure
 from pipeline.scan_arena import PICTURES, scan_arena
 from pipeline.scan_courses import scan_courses
 from pipeline.stage import Folders
@@ -61,12 +61,12 @@ def test_courses_to_learn_from_are_shards_that_stay_where_they_hold(tmp_path):
 
 def test_an_unknown_split_of_courses_is_named(tmp_path):
     with pytest.raises(InputError, match="unknown split 'lawn'"):
-        scan_courses(compose(["profile=tiny"]), Folders(tmp_path, tmp_path), "lawn")
+        scan_courses(configure(["profile=tiny"]), Folders(tmp_path, tmp_path), "lawn")
 
 
 def test_without_mujoco_the_stage_says_so_and_later_stages_go_without(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    scan_arena(compose(["profile=tiny"]), Folders(tmp_path, tmp_path))
+    scan_arena(configure(["profile=tiny"]), Folders(tmp_path, tmp_path))
     tasks, reason = read_set(tmp_path / "data/simulated")
     assert tasks is None and "pip install 'hdsp[simulation]'" in reason
     assert not json.loads((tmp_path / "reports/arena.json").read_text())["available"]

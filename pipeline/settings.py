@@ -1,0 +1,268 @@
+"""Types of the whole configuration, a class for each group of conf/.
+
+`pipeline.config` composes or reads the values. This module checks all of them before a stage begins, whatever the stage
+needs of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Annotated, Any, Self
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from hdsp.abstract.manual import ManualSettings
+from hdsp.abstract.oracle import LabelSettings
+from hdsp.base.settings import Count, Name, Natural, NotNegative, Positive, checked, chosen_by, fault
+from hdsp.base.workers import MemorySize, Scheduler, SlurmOptions
+from hdsp.labels.course_patches import CoursePatchSettings
+from hdsp.labels.run.splits import Category, SplitSettings
+from hdsp.labels.scan_patches import ScanPatchSettings
+from hdsp.learning.settings import HardwareSettings, ModelSettings, TrainerSettings
+from hdsp.robot.robot import Robot
+from hdsp.terrain.arenas import ArenaDescription
+from hdsp.terrain.random_arenas import RandomArena
+from hdsp.terrain.scans import Scan
+from hdsp.terrain.scenes import TerrainSettings
+from hdsp.terrain.sensor_model import SensingSettings
+from hdsp.terrain.simulation.courses import CourseSettings
+from hdsp.terrain.simulation.lidar import Lidar
+
+#: Prefix of names for shipped abstractions.
+SHIPPED = "shipped"
+METHODS = ("trained", SHIPPED, f"{SHIPPED}-NAME", "manual", "flat")
+
+
+def _method(name: str) -> str:
+    if name not in METHODS and not name.startswith(f"{SHIPPED}-"):
+        raise fault("", name, f"one of {', '.join(METHODS)}")
+    return name
+
+
+def _heuristic(name: str) -> str:
+    return name if name == "geometric" else _method(name)
+
+
+def _named(sources: Any) -> Any:
+    """Descriptions of scans with their names, which are the keys in the configuration."""
+    if not isinstance(sources, Mapping):
+        return sources
+    return {
+        name: {"name": name, **values} if isinstance(values, Mapping) else values for name, values in sources.items()
+    }
+
+
+def _known(key: str, chosen: Collection[str], names: Collection[str], where: str) -> None:
+    for place, name in enumerate(chosen):
+        if name not in names:
+            raise fault(f"{key}[{place}]", name, f"one of {where}: {', '.join(names) or 'none'}")
+
+
+Method = Annotated[str, AfterValidator(_method)]
+Heuristic = Annotated[str, AfterValidator(_heuristic)]
+Weight = Annotated[float, Field(ge=1)]
+
+
+@checked
+class Labelling:
+    """Group `labelling`: labelling rules, splits, and where the work is done.
+
+    Attributes:
+        settings: labelling rules.
+        used: splits that `dvc repro` labels.
+        splits: random maps by split.
+        rich: terrain categories that splits refer to.
+        sensing: degradation of maps in splits with `sensing`.
+        scheduler, slurm: see `hdsp.base.workers.ClusterSettings`.
+        destination: folder or URL for shards; None = data/labels.
+    """
+
+    settings: LabelSettings
+    used: tuple[Name, ...]
+    splits: dict[str, SplitSettings]
+    rich: tuple[Category, ...]
+    sensing: SensingSettings
+    scheduler: Scheduler | None
+    slurm: SlurmOptions
+    destination: Name | None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _known("used", self.used, self.splits, "labelling.splits")
+        return self
+
+
+@checked
+class Scans:
+    """Group `scans`: scans of real places by name, and the patches drawn from each map."""
+
+    sources: Annotated[dict[str, Scan], BeforeValidator(_named)]
+    patches: ScanPatchSettings
+
+
+@checked
+class EvaluationSet:
+    """A set of labelled tasks.
+
+    Attributes:
+        tasks: folder of shards among the inputs, or a URL.
+        scans: folder of scans, which are labelled first (`hdsp.labels.scan_sets`).
+        paper: the paper's set for comparison.
+        robot: robot of labels that were not made here; other robots leave the set out.
+    """
+
+    tasks: Name | None = None
+    scans: Name | None = None
+    paper: Name | None = None
+    robot: Name | None = None
+
+    @property
+    def place(self) -> str:
+        """Folder or URL."""
+        return self.tasks or self.scans or ""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.tasks is None) == (self.scans is None):
+            given = {"tasks": self.tasks, "scans": self.scans}
+            raise fault("", given, "either tasks (a folder of shards) or scans (a folder of scans)")
+        return self
+
+
+@checked
+class Evaluation:
+    """Group `evaluation`: sets of labelled tasks, and the abstractions to judge.
+
+    Attributes:
+        model: source of `trained`: a folder, or the name of a shipped abstraction.
+        sets: sets by name.
+        watched: sets evaluated after every training epoch.
+        methods: abstractions, see `pipeline.abstractions`.
+        examples: patches in the figure of labels and predictions.
+    """
+
+    model: Name
+    sets: Annotated[dict[str, EvaluationSet], Field(min_length=1)]
+    watched: tuple[Name, ...]
+    methods: Annotated[tuple[Method, ...], Field(min_length=1)]
+    examples: Count
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _known("watched", self.watched, self.sets, "evaluation.sets")
+        return self
+
+
+@checked
+class Simulation:
+    """Group `simulation`: the lidar, the arena that it scans, and courses.
+
+    Attributes:
+        arena: arena of the planning experiment.
+        lidar: the sensor.
+        seed: seed for the noise in the arena's scan.
+        patches: patches of the set `simulated`.
+        used: splits of courses that `dvc repro` makes.
+        splits: patches of courses to train on, by split.
+        courses: contents of courses.
+    """
+
+    arena: ArenaDescription
+    lidar: Lidar
+    seed: Natural
+    patches: CoursePatchSettings
+    used: tuple[Name, ...]
+    splits: dict[str, CoursePatchSettings]
+    courses: CourseSettings
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _known("used", self.used, self.splits, "simulation.splits")
+        if not self.arena.tasks:
+            raise fault("arena.tasks", (), "at least one task")
+        return self
+
+
+@checked
+class PlanLimits:
+    """Limits of a search in the planning experiment: states, bytes, s."""
+
+    expansions: Count
+    memory: Count
+    time: Positive
+
+
+@checked
+class PlannerSettings:
+    """Group `planner`: the planning experiment.
+
+    Attributes:
+        heuristics: `geometric`, or the name of an abstraction.
+        weights: of weighted A*.
+        margin: distance between the body and obstacles, m.
+        limits: a search ends at its first limit.
+        repeats: largest number of repetitions of a search; the median time is reported.
+        repeat_below: s; no repetitions beyond this total time.
+    """
+
+    heuristics: Annotated[tuple[Heuristic, ...], Field(min_length=1)]
+    weights: Annotated[tuple[Weight, ...], Field(min_length=1)]
+    margin: NotNegative
+    limits: PlanLimits
+    repeats: Count
+    repeat_below: NotNegative
+
+
+@checked
+class Runtime:
+    """Group `runtime`: workers, folders, hardware. Results depend on it by rounding only.
+
+    Attributes:
+        workers, memory, dashboard: see `hdsp.base.workers.ClusterSettings`.
+        progress: whether stages report their progress.
+        inputs: folder with data/, models/ and reports/ of earlier stages.
+        outputs: folder for the results of this stage; None = see `pipeline.stage.run_stage`.
+        data_dir: folder with published data sets and scans; None = HDSP_DATA_DIR, or fetched.
+        variant: name of a shipped abstraction beside the robot's default one.
+        hardware: device, precision and threads.
+    """
+
+    workers: Count | None
+    memory: MemorySize | None
+    dashboard: Name | None
+    progress: bool
+    inputs: Name
+    outputs: Name | None
+    data_dir: Name | None
+    variant: Name | None
+    hardware: HardwareSettings
+
+
+@checked
+class Config:
+    """The whole configuration: groups of conf/ by name, and the name of the profile."""
+
+    robot: Robot
+    terrain: TerrainSettings
+    labelling: Labelling
+    scans: Scans
+    model: ModelSettings
+    trainer: TrainerSettings
+    evaluation: Evaluation
+    abstraction: ManualSettings
+    arena: Annotated[
+        ArenaDescription | RandomArena, chosen_by("source", {"scanned": ArenaDescription, "random": RandomArena})
+    ]
+    simulation: Simulation
+    planner: PlannerSettings
+    runtime: Runtime
+    profile: Name
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        splits = {**self.labelling.splits, **self.simulation.splits}
+        for role in ("splits", "val_splits"):
+            _known(f"trainer.{role}", getattr(self.trainer, role), splits, "labelling.splits, simulation.splits")
+        if not self.arena.tasks:
+            raise fault("arena.tasks", (), "at least one task")
+        return self
