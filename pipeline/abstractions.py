@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
-from pipeline.settings import METHODS, SHIPPED, Config
+from pipeline.config_types import METHODS, SHIPPED, Config
 from pipeline.stage import Folders
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from omegaconf import DictConfig, OmegaConf
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 from hdsp.base.settings import load_settings, read_yaml, shown, unknown_key
-from pipeline.settings import Config
+from pipeline.config_types import Config
 
 CONF = Path(__file__).resolve().parent.parent / "conf"
 PARAMS = Path("params.yaml")

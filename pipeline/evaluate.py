@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 from pipeline.abstractions import available, task_predictor
-from pipeline.settings import Config
+from pipeline.config_types import Config
 from pipeline.stage import Folders, run_stage, write_json
 from pipeline.task_sets import read_evaluation_set
 

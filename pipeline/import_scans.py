@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.settings import Config
+from pipeline.config_types import Config
 from pipeline.stage import Folders, run_stage, write_json
 from pipeline.task_sets import ABSENT
 

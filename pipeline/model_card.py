@@ -11,7 +11,7 @@ from hdsp.terrain.cost_maps import COST_MODEL_VERSION
 from hdsp.terrain.scenes import CATEGORIES
 from pipeline.config import flatten, plain
 from pipeline.paper import ABSTRACTION_QUALITY
-from pipeline.settings import Config
+from pipeline.config_types import Config
 from pipeline.tables import markdown, percent
 from pipeline.train import data_notes
 

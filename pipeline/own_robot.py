@@ -21,7 +21,7 @@ from pipeline.label import label
 from pipeline.plan import plan
 from pipeline.report import put_between_markers
 from pipeline.scan_courses import scan_courses
-from pipeline.settings import Config
+from pipeline.config_types import Config
 from pipeline.stage import Folders, read_json, run_stage
 from pipeline.tables import markdown, percent
 from pipeline.train import train

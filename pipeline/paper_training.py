@@ -17,7 +17,7 @@ from hdsp.base.errors import InputError
 from pipeline.compare import PAGE, markers
 from pipeline.config import compose
 from pipeline.report import put_between_markers
-from pipeline.settings import Config
+from pipeline.config_types import Config
 from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.tables import markdown, percent
 

@@ -12,7 +12,7 @@ from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
 from pipeline.abstractions import abstract_costs, available
 from pipeline.config import plain
-from pipeline.settings import Config, PlannerSettings
+from pipeline.config_types import Config, PlannerSettings
 from pipeline.speedup import best_known, summarise
 from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.task_sets import ABSENT

@@ -22,7 +22,7 @@ from hdsp.robot.robot import Robot
 from pipeline.config import plain
 from pipeline.label import shards_place
 from pipeline.model_card import model_card
-from pipeline.settings import Config
+from pipeline.config_types import Config
 from pipeline.stage import Folders, run_stage
 from pipeline.task_sets import read_evaluation_set, read_set
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 
-from pipeline.settings import Config
+from pipeline.config_types import Config
 from pipeline.stage import Folders, run_stage, write_json
 from pipeline.task_sets import ABSENT
 

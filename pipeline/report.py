@@ -7,7 +7,7 @@ from typing import Any
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
-from pipeline.settings import Config
+from pipeline.config_types import Config
 from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.tables import abstraction_quality_table, heuristic_table
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
-from pipeline.settings import Config
+from pipeline.config_types import Config
 from pipeline.stage import Folders, run_stage, write_json
 from pipeline.task_sets import ABSENT
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hdsp.base.errors import InputError
-from pipeline.settings import Config
+from pipeline.config_types import Config
 from pipeline.stage import Folders, run_stage
 
 

@@ -18,7 +18,7 @@ from omegaconf import DictConfig
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file, replacing
 from pipeline.config import configure, expand_choices, read_params, typed
-from pipeline.settings import Config
+from pipeline.config_types import Config
 
 SWEEP_FLAGS = ("-m", "--multirun")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hdsp.base.storage import Place, is_folder, is_url
-from pipeline.settings import Config, EvaluationSet
+from pipeline.config_types import Config, EvaluationSet
 from pipeline.stage import Folders
 
 if TYPE_CHECKING:

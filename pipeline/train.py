@@ -16,7 +16,7 @@ from hdsp.base.storage import Place, is_url, open_folder
 from pipeline import served_model, tracking
 from pipeline.config import flatten, plain
 from pipeline.label import shards_place
-from pipeline.settings import Config
+from pipeline.config_types import Config
 from pipeline.stage import Folders, run_stage, write_json
 from pipeline.task_sets import read_evaluation_set, read_set, set_place
 

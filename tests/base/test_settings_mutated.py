@@ -16,7 +16,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.robot.robot import Robot
 from pipeline.config import configure, read_params
-from pipeline.settings import Config
+from pipeline.config_types import Config
 from pipeline.stage import run_stage
 from tests import ROOT
 from tests.base.mutations import PIECES, WRONG, edited, mutated_file, places
