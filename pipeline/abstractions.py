@@ -43,7 +43,6 @@ def task_predictor(name: str, config: Config, folders: Folders, model: str = TRA
     robot = config.robot
     if name == "trained" or name.startswith(SHIPPED):
         from hdsp.learning.abstraction import LearnedAbstraction
-        from hdsp.learning.learning_settings import HardwareSettings
         from hdsp.learning.loading import load_abstraction, presets
 
         hardware = config.runtime.hardware

@@ -22,8 +22,8 @@ import yaml
 from hdsp.base.errors import InputError
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, abstract_shape
 from pipeline.config import CONF, compose, flatten, plain
-from pipeline.report import put_between_markers
 from pipeline.config_types import Config
+from pipeline.report import put_between_markers
 from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.tables import EMPTY, markdown, percent
 

@@ -18,7 +18,7 @@ from hdsp.base.workers import MemorySize, Scheduler, SlurmOptions
 from hdsp.labels.course_patches import CoursePatchSettings
 from hdsp.labels.run.splits import Category, SplitSettings
 from hdsp.labels.scan_patches import ScanPatchSettings
-from hdsp.learning.settings import HardwareSettings, ModelSettings, TrainerSettings
+from hdsp.learning.learning_settings import HardwareSettings, ModelSettings, TrainerSettings
 from hdsp.robot.robot import Robot
 from hdsp.terrain.arenas import ArenaDescription
 from hdsp.terrain.random_arenas import RandomArena

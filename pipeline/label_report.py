@@ -12,9 +12,9 @@ import json
 from typing import Any
 
 from hdsp.base.files import replacing
+from pipeline.config_types import Config
 from pipeline.label import label_run, shards_place
 from pipeline.paper import LABELS
-from pipeline.config_types import Config
 from pipeline.stage import Folders, run_stage, write_json
 
 

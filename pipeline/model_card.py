@@ -10,8 +10,8 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import COST_MODEL_VERSION
 from hdsp.terrain.scenes import CATEGORIES
 from pipeline.config import flatten, plain
-from pipeline.paper import ABSTRACTION_QUALITY
 from pipeline.config_types import Config
+from pipeline.paper import ABSTRACTION_QUALITY
 from pipeline.tables import markdown, percent
 from pipeline.train import data_notes
 

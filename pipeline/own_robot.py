@@ -16,12 +16,12 @@ from typing import Any
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 from hdsp.robot.robot import Robot
+from pipeline.config_types import Config
 from pipeline.evaluate import evaluate
 from pipeline.label import label
 from pipeline.plan import plan
 from pipeline.report import put_between_markers
 from pipeline.scan_courses import scan_courses
-from pipeline.config_types import Config
 from pipeline.stage import Folders, read_json, run_stage
 from pipeline.tables import markdown, percent
 from pipeline.train import train

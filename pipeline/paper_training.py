@@ -16,8 +16,8 @@ from typing import Any
 from hdsp.base.errors import InputError
 from pipeline.compare import PAGE, markers
 from pipeline.config import compose
-from pipeline.report import put_between_markers
 from pipeline.config_types import Config
+from pipeline.report import put_between_markers
 from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.tables import markdown, percent
 

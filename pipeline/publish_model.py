@@ -20,9 +20,9 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
 from pipeline.config import plain
+from pipeline.config_types import Config
 from pipeline.label import shards_place
 from pipeline.model_card import model_card
-from pipeline.config_types import Config
 from pipeline.stage import Folders, run_stage
 from pipeline.task_sets import read_evaluation_set, read_set
 
@@ -88,7 +88,6 @@ def in_progress(source: Path, robot: Robot, config: Config, folders: Folders) ->
     import torch
 
     from hdsp.learning import LearnedAbstraction, Provenance
-    from hdsp.learning.learning_settings import ModelSettings
     from hdsp.learning.networks import build_network
     from pipeline.train import folder_hash
 

@@ -15,14 +15,14 @@ from hdsp.base.files import replacing
 from hdsp.base.storage import Place, is_url, open_folder
 from pipeline import served_model, tracking
 from pipeline.config import flatten, plain
-from pipeline.label import shards_place
 from pipeline.config_types import Config
+from pipeline.label import shards_place
 from pipeline.stage import Folders, run_stage, write_json
 from pipeline.task_sets import read_evaluation_set, read_set, set_place
 
 if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
-    from hdsp.learning.settings import TrainerSettings
+    from hdsp.learning.learning_settings import TrainerSettings
 
 #: Configuration sections that training depends on.
 SECTIONS = ("robot", "terrain", "labelling", "model", "trainer")

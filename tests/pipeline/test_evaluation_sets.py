@@ -7,10 +7,10 @@ import pytest
 
 from hdsp.base.errors import InputError
 from hdsp.labels.shards import write_shard
-from hdsp.learning.settings import TrainerSettings
+from hdsp.learning.learning_settings import TrainerSettings
 from pipeline.config import configure
-from pipeline.label import shards_place
 from pipeline.config_types import EvaluationSet
+from pipeline.label import shards_place
 from pipeline.stage import Folders
 from pipeline.task_sets import read_evaluation_set, read_set
 from pipeline.train import folder_hash, part_of
