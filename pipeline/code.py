@@ -10,18 +10,17 @@ import json
 import shutil
 from pathlib import Path
 
-from omegaconf import DictConfig
-
 from hdsp.base.provenance import ROOT, code_fingerprint, reached_code
 from hdsp.learning.architectures import architecture_place, network_class
 from hdsp.learning.loading import load_abstraction, presets, shipped
+from pipeline.config_types import Config
 from pipeline.stage import Folders, run_stage
 
 #: Modules of the other stages; each has a function of its own name.
 STAGES = ("label", "published", "import_scans", "scan_arena", "scan_courses", "train", "evaluate", "plan", "report")
 
 
-def code(config: DictConfig, folders: Folders) -> None:
+def code(config: Config, folders: Folders) -> None:
     folder = folders.write("data", "code")
     before = {path.name: path.read_text() for path in folder.glob("*")}
     shutil.rmtree(folder, ignore_errors=True)

@@ -37,6 +37,8 @@ EXEMPT = {
     "hdsp.labels.run.progress": "shows progress",
     "hdsp.terrain.map_files": "formats of height maps; a map has the same heights in each",
     "hdsp.viz": "draws results",
+    "pipeline.config": "composes settings; their values are parameters of each stage",
+    "pipeline.config_types": "checks settings; their values are parameters of each stage",
     "pipeline.served_model": "records results in MLflow",
     "pipeline.tracking": "records results in MLflow",
 }
