@@ -35,10 +35,12 @@ test-checked: export NUMBA_CACHE_DIR := $(CURDIR)/$(VENV)/numba-checked
 test-checked: $(STAMP)  ## the tests of the kernels, with every index checked
 	python -m pytest --numprocesses 2 --dist loadgroup $(KERNEL_TESTS) $(TEST_ARGS)
 
-lint: $(STAMP)  ## style, layers of imports
+lint: $(STAMP)  ## style, types, layers of imports, words of docstrings
 	ruff check .
 	ruff format --check --diff .
+	mypy
 	lint-imports
+	python tools/docstring_words.py
 
 format: $(STAMP)
 	ruff check --fix .

@@ -1,11 +1,19 @@
 """``njit`` for this project: compiled once, kept on disk, compiled again when a kernel or a value inside it changes."""
 
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
+
 import numba
 
 from hdsp.base.kernel_cache import key_by_content
 
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
 
-def njit(allocates: bool = True, **options):
+
+def njit(
+    allocates: bool = True, **options: Any
+) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
     """Decorator: ``numba.njit(cache=True, error_model="numpy", **options)`` with keys from `hdsp.base.kernel_cache`.
 
     Args:
@@ -17,7 +25,7 @@ def njit(allocates: bool = True, **options):
     if not allocates:
         options["_nrt"] = False  # numba's option for code without run-time memory management
 
-    def decorate(function):
+    def decorate(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
         kernel = numba.njit(cache=True, error_model="numpy", **options)(function)
         key_by_content(kernel)
         return kernel

@@ -31,7 +31,8 @@ class RotatedMap:
         corners = self.cells(np.array([(0, 0), (nx - 1, 0), (0, ny - 1), (nx - 1, ny - 1)]))
         self.first = corners.min(axis=0) - 1
         self.heights = np.empty(corners.max(axis=0) + 2 - self.first, np.float32)
-        _rotate(np.ascontiguousarray(heights, np.float32), *self.first, self.rotation, TIE, self.heights)
+        u, v = self.first
+        _rotate(np.ascontiguousarray(heights, np.float32), u, v, self.rotation, TIE, self.heights)
 
     def cells(self, bases: np.ndarray) -> np.ndarray:
         """Returns the grid cells, int64 [..., 2], that hold the centres of map cells ``bases`` [..., 2]."""

@@ -9,6 +9,7 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 
@@ -126,7 +127,13 @@ class HeightMap:
         """World position of the map's middle in metres."""
         return self.origin[0] + self.size[0] / 2, self.origin[1] + self.size[1] / 2
 
-    def height_at(self, x, y) -> np.ndarray | float:
+    @overload
+    def height_at(self, x: float, y: float) -> float: ...
+
+    @overload
+    def height_at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray: ...
+
+    def height_at(self, x, y):
         """Height at world position(s) (x, y) in metres; NaN outside the map and where unknown."""
         ix, iy = (
             np.floor((np.asarray(value, float) - low) / self.resolution + TIE)

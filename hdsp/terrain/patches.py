@@ -44,7 +44,8 @@ def crop_patches(
     patches = np.empty(shape, np.float32) if out is None else out
     if patches.shape != shape or patches.dtype != np.float32 or not patches.flags.c_contiguous:
         raise InputError(f"crop_patches: out is {patches.dtype} {patches.shape}; need contiguous float32 {shape}")
-    _crop_kernel(*map(_read_only, (heights, bases, headings.copy(), _offsets_of_headings(cells))), patches)
+    offsets = _read_only(_offsets_of_headings(cells))
+    _crop_kernel(_read_only(heights), _read_only(bases), _read_only(headings.copy()), offsets, patches)
     return patches
 
 

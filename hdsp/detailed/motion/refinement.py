@@ -113,9 +113,8 @@ class _Refinement:
         ways = [_line(feet[foot], raised), _line(raised, over), _line(over, landed[foot])]
         pitch = 0.5 * (self.wanted_pitch[k] + self.wanted_pitch[k + 1])
         height = 0.5 * (self.wanted_z[k] + self.wanted_z[k + 1])
-        found = find_stance(
-            self.limits, self.ground, *self.states[k, :3], feet, foot, np.concatenate(ways), height, pitch
-        )
+        x, y, heading = self.states[k, :3]
+        found = find_stance(self.limits, self.ground, x, y, heading, feet, foot, np.concatenate(ways), height, pitch)
         if found[0] != FOUND:
             raise self._refusal(k, self._why(found[0], f"the {FEET[foot]} foot in the air"))
         stance = np.array([*found[1:], before[5]])
