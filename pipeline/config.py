@@ -137,8 +137,11 @@ def _one_line(error: Exception, overrides: Sequence[str]) -> str:
     for override in overrides:
         key = override.split("=")[0].lstrip("+~")
         if f"Could not override '{key}'" in text or f"Key '{key.split('.')[-1]}' is not in struct" in text:
-            return _unknown(key)
-    return text.split(" Config search path:")[0].split(" See https:")[0] or f"override: {type(error).__name__}"
+            if words := _unknown(key):
+                return words
+    text = text.split(" Config search path:")[0].split(" See https:")[0] or type(error).__name__
+    named = any(override.split("=")[0].lstrip("+~") in text for override in overrides)
+    return text if named else f"cannot apply {' '.join(overrides) or 'the defaults'}: {text}"
 
 
 @cache
@@ -147,7 +150,7 @@ def _without_overrides() -> DictConfig:
 
 
 def _unknown(key: str) -> str:
-    """Names the part of a key that does not exist."""
+    """Names the part of a key that does not exist; empty if all do."""
     node, path = _without_overrides(), ""
     for part in key.split("."):
         if not isinstance(node, DictConfig):
@@ -155,7 +158,7 @@ def _unknown(key: str) -> str:
         if part not in node:
             return (f"{path}: " if path else "") + unknown_key(part, map(str, node))
         node, path = node[part], f"{path}.{part}" if path else part
-    return f"{path}: it cannot be overridden so"
+    return ""
 
 
 if __name__ == "__main__":

@@ -16,7 +16,8 @@ from typing import Any
 from omegaconf import DictConfig
 
 from hdsp.base.errors import InputError
-from hdsp.base.files import existing_file, replacing
+from hdsp.base.files import replacing
+from hdsp.base.settings import read_json as read_json_file
 from pipeline.config import configure, expand_choices, read_params, typed
 from pipeline.config_types import Config
 
@@ -90,11 +91,7 @@ def read_json(path: Path) -> Any:
     Raises:
         InputError: the file does not exist, or is not JSON.
     """
-    text = existing_file(path, "report").read_text(encoding="utf-8")
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"report {path} is damaged: {error}") from error
+    return read_json_file(path, "report")
 
 
 def _finite(values: Any) -> Any:

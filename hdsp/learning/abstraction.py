@@ -262,7 +262,7 @@ class LearnedAbstraction:
         saved, weights = read_saved(folder, robot)
         try:
             network = build_network(saved.model)
-        except (InputError, RuntimeError, MemoryError) as error:  # options too large for memory
+        except (ValueError, RuntimeError, MemoryError) as error:  # options too large for memory
             raise InputError(f"{folder / CONFIG}: {' '.join(str(error).split())}") from None
         try:
             network.load_state_dict(load_tensors(weights))

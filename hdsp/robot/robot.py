@@ -23,12 +23,13 @@ _PRESETS = resources.files("hdsp.robot") / "presets"
 #: Foot order in every array with a foot axis.
 FEET = ("front_left", "rear_left", "rear_right", "front_right")
 
+_LARGEST = 10.0  # m; a larger length is in another unit
 _LONGEST_STEP = 15  # cells; the largest step length in an action code (hdsp.detailed.actions.action)
 _OFFSETS = 32  # lattice steps; the number of foot offsets in a state code
 
-Metres = Annotated[float, unit("m")]
-PositiveMetres = Annotated[Positive, unit("m")]
-NotNegativeMetres = Annotated[NotNegative, unit("m")]
+Metres = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST), unit("m")]
+PositiveMetres = Annotated[Positive, Field(le=_LARGEST), unit("m")]
+NotNegativeMetres = Annotated[NotNegative, Field(le=_LARGEST), unit("m")]
 NotNegativeRadians = Annotated[NotNegative, unit("rad")]
 #: Angle between heading and direction.
 Deviation = Annotated[float, Field(gt=0, le=math.pi), unit("rad")]

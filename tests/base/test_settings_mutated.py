@@ -13,8 +13,10 @@ import pytest
 import yaml
 
 from hdsp.base.errors import InputError
-from hdsp.base.settings import load_settings
+from hdsp.base.settings import load_settings, read_yaml
 from hdsp.robot.robot import Robot
+from hdsp.terrain.arenas import read_arena
+from hdsp.terrain.scans import Scan
 from pipeline.config import configure, read_params
 from pipeline.config_types import Config
 from pipeline.stage import run_stage
@@ -44,6 +46,30 @@ def test_robot_files(preset, tmp_path):
     assert all(found.startswith(str(path)) for found in refused)
     assert all(len(robot.hash()) == 64 for robot in outcomes if isinstance(robot, Robot))
     assert 100 < len(refused) < 200  # damage is noticed, and comments may be
+
+
+@pytest.mark.parametrize("name", ["rsl_real_stairs", "tum_fr2_pioneer_slam2"])
+def test_descriptions_of_scans(name, tmp_path):
+    text = (ROOT / f"conf/scans/{name}.yaml").read_bytes()
+    values, path = yaml.safe_load(text), tmp_path / "scan.yaml"
+
+    def load():
+        document = read_yaml(path, "description of a scan")
+        return Scan.from_dict(name, document.values, document)
+
+    outcomes = []
+    for seed in range(60):
+        path.write_bytes(mutated_file(values, text, np.random.default_rng(seed)))
+        outcomes.append(outcome(load))
+    refused = [found for found in outcomes if isinstance(found, str)]
+    assert all(found.startswith(str(path)) for found in refused) and 25 < len(refused) < 60
+
+
+def test_descriptions_of_arenas():
+    values = yaml.safe_load((ROOT / "conf/arena/paper.yaml").read_bytes())
+    outcomes = [outcome(read_arena, edited(values, np.random.default_rng(seed))) for seed in range(200)]
+    refused = [found for found in outcomes if isinstance(found, str)]
+    assert all(found.startswith("arena") for found in refused) and 100 < len(refused) < 200
 
 
 @pytest.fixture(scope="module")
