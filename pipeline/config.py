@@ -136,9 +136,9 @@ def _one_line(error: Exception, overrides: Sequence[str]) -> str:
     text = " ".join(str(error).split())
     for override in overrides:
         key = override.split("=")[0].lstrip("+~")
-        if f"Could not override '{key}'" in text or f"Key '{key.split('.')[-1]}' is not in struct" in text:
-            if words := _unknown(key):
-                return words
+        missing = f"Could not override '{key}'" in text or f"Key '{key.split('.')[-1]}' is not in struct" in text
+        if missing and (words := _unknown(key)):
+            return words
     text = text.split(" Config search path:")[0].split(" See https:")[0] or type(error).__name__
     named = any(override.split("=")[0].lstrip("+~") in text for override in overrides)
     return text if named else f"cannot apply {' '.join(overrides) or 'the defaults'}: {text}"
