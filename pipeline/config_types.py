@@ -71,7 +71,7 @@ class Labelling:
         settings: labelling rules.
         used: splits that `dvc repro` labels.
         splits: random maps by split.
-        rich: terrain categories that splits refer to.
+        rich, sloped: terrain categories that splits refer to.
         sensing: degradation of maps in splits with `sensing`.
         scheduler, slurm: see `hdsp.base.workers.ClusterSettings`.
         destination: folder or URL for shards; None = data/labels.
@@ -81,6 +81,7 @@ class Labelling:
     used: tuple[Name, ...]
     splits: dict[str, SplitSettings]
     rich: tuple[Category, ...]
+    sloped: tuple[Category, ...]
     sensing: SensingSettings
     scheduler: Scheduler | None
     slurm: SlurmOptions

@@ -2,7 +2,7 @@
 
 - `height_map`, `patches`, `map_files`: height maps, squares of them in the robot frame, their files
 - `cost_maps`: edges, unevenness, and cells on which a foot can stand
-- `obstacles`, `scenes`: obstacles on flat ground, random scenes by category
+- `obstacles`, `scenes`: obstacles on level or tilted ground, random scenes by category
 - `arenas`, `random_arenas`: walled squares with obstacles, from a description or a seed
 - `sensor_model`, `filling`: random maps degraded to the quality of scans; filled holes, averaged noise
 - `scans`: descriptions of scanned real places
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hdsp.terrain.arenas import Arena, ArenaDescription, read_arena
     from hdsp.terrain.cost_maps import COST_MODEL_VERSION, CostMaps
     from hdsp.terrain.height_map import HeightMap
-    from hdsp.terrain.obstacles import Block, Obstacle, Ramp, Scene, Staircase, Tiles
+    from hdsp.terrain.obstacles import Bank, Block, Obstacle, Ramp, Scene, Staircase, Tiles, Tilted, TiltedGround
     from hdsp.terrain.patches import crop_patches
     from hdsp.terrain.random_arenas import ArenaSettings, RandomArena, random_arena
     from hdsp.terrain.scans import Scan, ScanFile, build_map, find_files
@@ -32,6 +32,7 @@ __all__ = [
     "Arena",
     "ArenaDescription",
     "ArenaSettings",
+    "Bank",
     "Block",
     "CostMaps",
     "HeightMap",
@@ -45,6 +46,8 @@ __all__ = [
     "Staircase",
     "TerrainSettings",
     "Tiles",
+    "Tilted",
+    "TiltedGround",
     "build_map",
     "crop_patches",
     "find_files",
@@ -63,6 +66,7 @@ _MODULES = {
     "Arena": "arenas",
     "ArenaDescription": "arenas",
     "ArenaSettings": "random_arenas",
+    "Bank": "obstacles",
     "Block": "obstacles",
     "CostMaps": "cost_maps",
     "HeightMap": "height_map",
@@ -76,6 +80,8 @@ _MODULES = {
     "Staircase": "obstacles",
     "TerrainSettings": "scenes",
     "Tiles": "obstacles",
+    "Tilted": "obstacles",
+    "TiltedGround": "obstacles",
     "build_map": "scans",
     "crop_patches": "patches",
     "find_files": "scans",

@@ -1,4 +1,4 @@
-"""Obstacles on flat ground: blocks, ramps, tiles and staircases, and the height map of a scene of them.
+"""Obstacles on level or tilted ground: blocks, ramps, banks, tiles, staircases, and the height map of a scene of them.
 
 Convention: x forward, y left, m; yaw counter-clockwise, rad.
 """
@@ -54,6 +54,41 @@ class Ramp(Block):
     def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         along = math.cos(self.yaw) * (x - self.x) + math.sin(self.yaw) * (y - self.y)
         return self.height * np.clip(0.5 + along / self.length, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Bank(Block):
+    """A block with an inclined end: its upper side rises along ``yaw`` over ``run``, then is level at ``height``.
+
+    A run of 0 is a sharp edge.
+
+    Attributes:
+        run: horizontal length of the incline, m; at most ``length``.
+    """
+
+    run: float
+
+    def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        along = math.cos(self.yaw) * (x - self.x) + math.sin(self.yaw) * (y - self.y) + self.length / 2
+        return self.height * np.clip(along / max(self.run, _ON_SIDE), 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Tilted(Block):
+    """A block with a plane upper side; ``height`` is the height of its middle, and may be less than half its rise.
+
+    Attributes:
+        slope_along, slope_across: rise over run along the length and to its left.
+    """
+
+    slope_along: float
+    slope_across: float
+
+    def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        turn = lattice.rotation(-self.yaw)
+        along = turn[0, 0] * (x - self.x) + turn[0, 1] * (y - self.y)
+        across = turn[1, 0] * (x - self.x) + turn[1, 1] * (y - self.y)
+        return np.maximum(self.height + self.slope_along * along + self.slope_across * across, 0.0)
 
 
 @dataclass(frozen=True)
@@ -113,14 +148,36 @@ class Staircase:
         return Block(x, y, self.yaw, self.depth, self.width, self.rise * (number + 1))
 
 
+@dataclass(frozen=True)
+class TiltedGround:
+    """Tilted ground through the scene's origin.
+
+    Attributes:
+        slope_x, slope_y: rise over run along x and along y.
+    """
+
+    slope_x: float
+    slope_y: float
+
+    def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Heights at points (x, y), m."""
+        return self.slope_x * x + self.slope_y * y
+
+
 Obstacle = Block | Staircase
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Obstacles on flat ground at height 0."""
+    """Obstacles on the ground.
+
+    Attributes:
+        obstacles: blocks and staircases; their heights count from the ground below each point.
+        ground: tilted ground; None: level ground at height 0.
+    """
 
     obstacles: tuple[Obstacle, ...]
+    ground: TiltedGround | None = None
 
     def rasterise(self, shape: tuple[int, int], center_cell: tuple[int, int], angle: float = 0.0) -> HeightMap:
         """Makes a height map with the heights at the cell centres. Where obstacles overlap, the highest one counts.
@@ -148,4 +205,6 @@ class Scene:
             for block in obstacle.blocks():
                 top = np.asarray(block.top(x, y), np.float32)
                 np.maximum(heights, top, out=heights, where=block.covers(x, y))
+        if self.ground is not None:
+            heights += self.ground.height(x, y)
         return heights

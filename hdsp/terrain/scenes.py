@@ -15,7 +15,7 @@ from hdsp.base.settings import CountRange, Positive, Range, checked
 from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS
 from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.obstacles import Block, Obstacle, Ramp, Scene, Staircase, Tiles
+from hdsp.terrain.obstacles import Bank, Block, Obstacle, Ramp, Scene, Staircase, Tiles, Tilted, TiltedGround
 
 #: Contents of each category, in order. A category's position in this table is part of the seed for its maps.
 _CONTENTS = {
@@ -34,10 +34,18 @@ _CONTENTS = {
     "ramp_mixed": ("ramp", "any"),
     "tiles_mixed": ("tiles", "any"),
     "clutter": ("clutter",) * 6,
+    "plane": ("plane",),
+    "plane_mixed": ("plane", "any"),
+    "plane_clutter": ("plane",) + ("clutter",) * 3,
+    "long_ramp": ("long_ramp",),
+    "long_ramp_mixed": ("long_ramp", "any"),
+    "tilted_2": ("tilted",) * 2,
+    "kerb": ("kerb",),
+    "kerb_smeared": ("kerb_smeared",),
 }
 #: The paper's categories.
 CATEGORIES = tuple(_CONTENTS)[:9]
-#: The paper's categories, and richer ones that are closer to real places.
+#: The paper's categories, and richer ones that are closer to real places; the last eight contain slopes and kerbs.
 ALL_CATEGORIES = tuple(_CONTENTS)
 
 
@@ -58,6 +66,14 @@ class TerrainSettings:
         tiles_extent, tile_side: side lengths of a tile field and of one tile, m.
         tile_height, tile_slope: height at a tile's middle, m; its largest slope along either side.
         clutter_side, clutter_height: clutter dimensions (small free-standing blocks), m.
+        plane_slope: angle of tilted ground, rad; its direction is any.
+        long_ramp_slope, long_ramp_run, long_ramp_width: angle (rad), horizontal length and width (m) of a ramp between
+            two landings.
+        landing: length of the level ground behind a long ramp or a kerb, m.
+        tilted_side, tilted_height, tilted_slope: side lengths of a tilted block and height of its middle, m; angle of
+            its upper side, rad.
+        kerb_height, kerb_length: m.
+        kerb_smear: horizontal length over which a coarse map shows a kerb's edge, m.
 
     Raises:
         InputError: if a range is empty or not positive.
@@ -85,6 +101,17 @@ class TerrainSettings:
     tile_slope: Positive = 0.25
     clutter_side: Range = (0.05, 0.4)
     clutter_height: Range = (0.05, 1.2)
+    plane_slope: Range = (0.03, 0.35)
+    long_ramp_slope: Range = (0.05, 0.35)
+    long_ramp_run: Range = (1.0, 4.0)
+    long_ramp_width: Range = (1.2, 4.0)
+    landing: Positive = 2.0
+    tilted_side: Range = (0.4, 2.0)
+    tilted_height: Range = (0.02, 0.3)
+    tilted_slope: Range = (0.05, 0.4)
+    kerb_height: Range = (0.05, 0.2)
+    kerb_length: Range = (1.0, 4.0)
+    kerb_smear: Range = (0.05, 0.15)
 
 
 def random_scene(seed: int, category: str, index: int, settings: TerrainSettings | None = None) -> Scene:
@@ -99,7 +126,9 @@ def random_scene(seed: int, category: str, index: int, settings: TerrainSettings
         raise InputError(f"terrain seed {seed}, index {index}; need numbers of at least 0")
     settings = settings or TerrainSettings()
     random = np.random.default_rng(np.random.SeedSequence([seed, ALL_CATEGORIES.index(category), index]))
-    return Scene(tuple(_DRAW[kind](random, settings) for kind in _CONTENTS[category]))
+    drawn = [_DRAW[kind](random, settings) for kind in _CONTENTS[category]]
+    ground = next((part for part in drawn if isinstance(part, TiltedGround)), None)
+    return Scene(tuple(part for part in drawn if not isinstance(part, TiltedGround)), ground)
 
 
 def random_map(
@@ -194,12 +223,58 @@ def _clutter(random: np.random.Generator, settings: TerrainSettings) -> Block:
     )
 
 
+def _plane(random: np.random.Generator, settings: TerrainSettings) -> TiltedGround:
+    return TiltedGround(*_slopes(random, settings.plane_slope))
+
+
+def _slopes(random: np.random.Generator, angle: Range) -> tuple[float, float]:
+    """Rise over run along x and along y, for an angle in the range and any direction."""
+    steepest, uphill = math.tan(random.uniform(*angle)), _any_yaw(random)
+    return steepest * math.cos(uphill), steepest * math.sin(uphill)
+
+
+def _long_ramp(random: np.random.Generator, settings: TerrainSettings) -> Bank:
+    run, width = random.uniform(*settings.long_ramp_run), random.uniform(*settings.long_ramp_width)
+    height = run * math.tan(random.uniform(*settings.long_ramp_slope))
+    from_top = bool(random.integers(2))  # the foot or the top of the ramp is near the robot
+    return _bank(random, settings, height, width, run, from_top)
+
+
+def _kerb(random: np.random.Generator, settings: TerrainSettings) -> Bank:
+    return _bank(random, settings, random.uniform(*settings.kerb_height), random.uniform(*settings.kerb_length), 0.0)
+
+
+def _kerb_smeared(random: np.random.Generator, settings: TerrainSettings) -> Bank:
+    height, length = random.uniform(*settings.kerb_height), random.uniform(*settings.kerb_length)
+    return _bank(random, settings, height, length, random.uniform(*settings.kerb_smear))
+
+
+def _bank(
+    random: np.random.Generator,
+    settings: TerrainSettings,
+    height: float,
+    width: float,
+    run: float,
+    from_top: bool = False,
+) -> Bank:
+    """Bank with the foot or the top of its incline at a random position."""
+    (x, y), yaw, length = _position(random, settings), _any_yaw(random), run + settings.landing
+    ahead = length / 2 - (run if from_top else 0.0)
+    return Bank(x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), yaw, length, width, height, run)
+
+
+def _tilted(random: np.random.Generator, settings: TerrainSettings) -> Tilted:
+    length, width = random.uniform(*settings.tilted_side, size=2).tolist()
+    block = *_position(random, settings), _any_yaw(random), length, width, random.uniform(*settings.tilted_height)
+    return Tilted(*block, *_slopes(random, settings.tilted_slope))
+
+
 def _any(random: np.random.Generator, settings: TerrainSettings) -> Obstacle:
-    return _DRAW[_ANY[int(random.integers(len(_ANY)))]](random, settings)
+    return _DRAW_OBSTACLE[_ANY[int(random.integers(len(_ANY)))]](random, settings)
 
 
 _ANY = ("cuboid", "wall", "staircase", "ramp", "tiles")
-_DRAW: dict[str, Callable[[np.random.Generator, TerrainSettings], Obstacle]] = {
+_DRAW_OBSTACLE: dict[str, Callable[[np.random.Generator, TerrainSettings], Obstacle]] = {
     "cuboid": _cuboid,
     "wall": _wall,
     "staircase": _staircase,
@@ -208,4 +283,12 @@ _DRAW: dict[str, Callable[[np.random.Generator, TerrainSettings], Obstacle]] = {
     "tiles": _tiles,
     "clutter": _clutter,
     "any": _any,
+    "long_ramp": _long_ramp,
+    "tilted": _tilted,
+    "kerb": _kerb,
+    "kerb_smeared": _kerb_smeared,
+}
+_DRAW: dict[str, Callable[[np.random.Generator, TerrainSettings], Obstacle | TiltedGround]] = {
+    **_DRAW_OBSTACLE,
+    "plane": _plane,
 }

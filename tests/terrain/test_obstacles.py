@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hdsp.terrain.obstacles import Block, Scene, Staircase
+from hdsp.terrain.obstacles import Bank, Block, Scene, Staircase, Tilted, TiltedGround
 from tests import naive_terrain
 
 CELL = 0.025
@@ -40,3 +40,30 @@ def test_where_obstacles_overlap_the_highest_counts():
     one, other = (Scene(obstacles).rasterise((60, 60), (20, 20)).heights for obstacles in ((low, high), (high, low)))
     np.testing.assert_array_equal(one, other)
     assert one[28, 20] == np.float32(0.8) and one[20, 20] == np.float32(0.1) and one[59, 59] == 0
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-0.9, 0.9), st.floats(-0.9, 0.9), st.floats(-3.1, 3.1), st.floats(0.05, 1.5), st.floats(0.05, 1))
+def test_a_bank_rises_over_its_run_and_is_level_behind(x, y, yaw, run, height):
+    def heights(run, along):
+        at = np.array(along) - (run + 1.0) / 2
+        bank = Bank(x, y, yaw, run + 1.0, 2.0, height, run)
+        return Scene((bank,)).heights_at(x + at * np.cos(yaw), y + at * np.sin(yaw))
+
+    slope = heights(run, [-0.01, run / 4, run / 2, run + 0.01, run + 0.99, run + 1.01])
+    np.testing.assert_allclose(slope, [0.0, height / 4, height / 2, height, height, 0.0], atol=1e-6)
+    np.testing.assert_allclose(heights(0.0, [-0.01, 0.01, 0.99]), [0.0, height, height], atol=1e-6)
+
+
+def test_a_tilted_block_has_its_height_in_the_middle_and_ends_at_the_ground():
+    block = Tilted(0.5, 0.0, np.pi / 2, 1.0, 2.0, 0.1, slope_along=0.4, slope_across=0.05)  # its length is along y
+    x, y = np.array([0.5, 0.5, 0.5, 0.3, 0.5]), np.array([0.0, 0.4, -0.3, 0.0, 0.6])
+    np.testing.assert_allclose(Scene((block,)).heights_at(x, y), [0.1, 0.26, 0.0, 0.11, 0.0], atol=1e-6)
+
+
+def test_obstacles_stand_on_tilted_ground_and_turn_with_it():
+    scene = Scene((Block(0.0, 0.0, 0.0, 0.4, 0.4, 0.1),), TiltedGround(0.2, -0.1))
+    x, y = np.array([0.0, 0.1, 1.0]), np.array([0.0, 0.1, 2.0])
+    np.testing.assert_allclose(scene.heights_at(x, y), [0.1, 0.11, 0.0], atol=1e-6)
+    straight, turned = (scene.rasterise((41, 41), (20, 20), angle).heights for angle in (0.0, np.pi / 2))
+    np.testing.assert_allclose(turned, np.rot90(straight), atol=1e-6)

@@ -7,9 +7,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hdsp.base.errors import InputError
-from hdsp.terrain.obstacles import Staircase
+from hdsp.terrain.obstacles import Bank, Staircase, Tilted
 from hdsp.terrain.patches import crop_patches
-from hdsp.terrain.scenes import CATEGORIES, TerrainSettings, random_map, random_scene
+from hdsp.terrain.scenes import ALL_CATEGORIES, CATEGORIES, TerrainSettings, random_map, random_scene
 from tests import naive_terrain
 
 CELL = 0.025
@@ -116,6 +116,31 @@ def test_the_robot_sees_the_same_scene_at_every_heading(seed, category, index, h
     differing = (patch != straight).mean()
     assert differing < 0.08
     assert heading % 16 or differing == 0
+
+
+def test_slopes_and_kerbs_come_after_all_older_categories():
+    # The position of a category is part of the seed for its maps.
+    assert ALL_CATEGORIES[9:15] == ("mixed_2", "mixed_3", "mixed_4", "ramp_mixed", "tiles_mixed", "clutter")
+    assert all("plane" not in name and "kerb" not in name for name in ALL_CATEGORIES[:15])
+
+
+def test_slopes_and_kerbs_lie_in_their_ranges():
+    angles = []
+    for index in range(60):
+        plane = random_scene(1, "plane_clutter", index)
+        angles.append(math.atan(math.hypot(plane.ground.slope_x, plane.ground.slope_y)))
+        assert len(plane.obstacles) == 3 and not random_scene(1, "plane", index).obstacles
+        (ramp,) = random_scene(1, "long_ramp", index).obstacles
+        assert 0.05 <= math.atan(ramp.height / ramp.run) <= 0.35 and 1.0 <= ramp.run <= 4.0
+        assert math.isclose(ramp.length - ramp.run, 2.0) and random_scene(1, "long_ramp", index).ground is None
+        along = [end - ramp.length / 2 for end in (0.0, ramp.run)]  # its foot and its top
+        places = [(ramp.x + a * math.cos(ramp.yaw), ramp.y + a * math.sin(ramp.yaw)) for a in along]
+        assert any(max(abs(x), abs(y)) <= 0.9 for x, y in places)
+        assert all(isinstance(block, Tilted) for block in random_scene(1, "tilted_2", index).obstacles)
+        for category, low, high in (("kerb", 0.0, 0.0), ("kerb_smeared", 0.05, 0.15)):
+            (kerb,) = random_scene(1, category, index).obstacles
+            assert isinstance(kerb, Bank) and low <= kerb.run <= high and 0.05 <= kerb.height <= 0.2
+    assert 0.03 <= min(angles) < 0.1 and 0.3 < max(angles) <= 0.35  # both sides of the limit of robots
 
 
 def test_the_start_is_at_the_centre_of_the_middle_cell_and_at_world_zero():
