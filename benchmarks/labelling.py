@@ -140,7 +140,7 @@ def separate_costs(world, start: np.ndarray, settings) -> tuple[np.ndarray, np.n
 
 def _unvisited(world):
     """The world without stored body checks from earlier searches."""
-    return world._replace(base=np.zeros_like(world.base))
+    return world._replace(base=np.zeros_like(world.base), level_ground=np.zeros_like(world.level_ground))
 
 
 if __name__ == "__main__":

@@ -34,7 +34,8 @@ def best_feet(world, ix, iy, heading):
     """Least value of ``max S + sum S + neutral_penalty * sum |offset|``, and its four foot offsets (steps).
 
     Feet on one side keep a minimum separation, so they are chosen as pairs. The largest S is bounded by each of its
-    possible values in turn, which makes both sides independent. The value is inf if no feet are valid.
+    possible values in turn, which makes both sides independent. The value is inf if no feet have
+    footholds, or if the base is blocked over the best feet.
     """
     t = world.tables
     n = t.n_offsets
@@ -42,8 +43,6 @@ def best_feet(world, ix, iy, heading):
     p = cell_index(world, ix, iy)
     best = np.zeros(4, dtype=np.int64)
     least = np.inf
-    if not body_is_free(world, heading, p):
-        return least, best
     s = np.empty((4, n))
     for foot in range(4):
         for o in range(n):
@@ -76,6 +75,9 @@ def best_feet(world, ix, iy, heading):
         if total < least:
             least = total
             best[:] = choice
+    o0, o1, o2, o3 = best[0] - t.lowest, best[1] - t.lowest, best[2] - t.lowest, best[3] - t.lowest
+    if least < np.inf and not body_is_free(world, heading, p, o0, o1, o2, o3):
+        return np.inf, best
     return least, best
 
 

@@ -118,6 +118,7 @@ class Planner:
         For measurements: the next query takes as long as a first query.
         """
         self.world.base[:] = 0
+        self.world.level_ground[:] = 0
         self.heuristic.clear()
 
     def valid(self, pose) -> bool:

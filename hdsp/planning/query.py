@@ -152,7 +152,7 @@ class Query:
 
     def proved(self, plan: Plan, proof: Unreachable) -> Plan:
         """Returns the plan with a proof of infeasibility."""
-        words = unreachable_because(proof, self.world, self.grid)
+        words = unreachable_because(proof, self.world, self.grid, self.robot)
         return plan.renewed({"lower_bound": np.inf}, status=Status.INFEASIBLE, problems=(words,))
 
     def search_or_prove(self, search: Callable[[Query], Plan]) -> Plan:

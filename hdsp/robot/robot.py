@@ -31,6 +31,8 @@ Metres = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST), unit("m")]
 PositiveMetres = Annotated[Positive, Field(le=_LARGEST), unit("m")]
 NotNegativeMetres = Annotated[NotNegative, Field(le=_LARGEST), unit("m")]
 NotNegativeRadians = Annotated[NotNegative, unit("rad")]
+#: Inclination of the ground.
+Inclination = Annotated[Positive, Field(lt=math.pi / 2), unit("rad")]
 #: Angle between heading and direction.
 Deviation = Annotated[float, Field(gt=0, le=math.pi), unit("rad")]
 
@@ -100,8 +102,8 @@ class Rectangle:
 class Box(Rectangle):
     """Rectangle that has to stay free above a height.
 
-    The reference height is the lower of two values: the ground under the base centre, and the mean ground under the
-    neutral feet.
+    The height counts from the ground of the base, the plane through the ground under the feet
+    (`hdsp.detailed.base_pose`).
 
     Attributes:
         above: height above which nothing may rise into the rectangle.
@@ -169,6 +171,26 @@ class Drive:
     straight_deviation: NotNegativeRadians
     level: NotNegativeMetres
     deviation_cost: DeviationCost
+
+
+@checked
+class Slope:
+    """Steepest ground under a foot.
+
+    Both limits are the half axes of an ellipse: the gradient of the ground in the robot frame lies within
+    (tan max_pitch, tan max_roll). The base leans with the ground, up to the same limits.
+
+    Attributes:
+        max_pitch: largest inclination of the ground ahead.
+        max_roll: largest inclination of the ground across.
+    """
+
+    max_pitch: Inclination
+    max_roll: Inclination
+
+    def steepest(self) -> tuple[float, float]:
+        """Returns the largest gradients ahead and across."""
+        return math.tan(self.max_pitch), math.tan(self.max_roll)
 
 
 @checked
@@ -294,6 +316,7 @@ class Robot:
         feet: foot positions, clearance and contact ground.
         body: space for the body.
         drive: driving, and its ground limits.
+        slope: steepest ground.
         turn: rotation in place.
         foot_move: drive motion of one foot along x.
         base_shift: base motion over resting feet.
@@ -306,6 +329,7 @@ class Robot:
     feet: Feet
     body: Body
     drive: Drive
+    slope: Slope
     turn: Turn
     foot_move: FootMove
     base_shift: BaseShift
@@ -315,6 +339,10 @@ class Robot:
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        for lean in ("max_pitch", "max_roll"):
+            of_base, of_ground = getattr(self.stance, lean), getattr(self.slope, lean)
+            if of_base < of_ground:
+                raise fault(f"stance.{lean}", of_base, f"at least slope.{lean}, {of_ground:g}: the base leans with it")
         legs, height = self.legs, self.stance.base_height
         if not legs.min_length <= height <= legs.max_length:
             reach = f"{legs.min_length:g} to {legs.max_length:g} m (legs.min_length, legs.max_length)"

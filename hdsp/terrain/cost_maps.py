@@ -7,6 +7,9 @@ difference to its eight neighbours.
 - A foot can stand and roll on a cell if no cell within its clearance has ``dH`` above the drivable limit.
 - A foot pays for the most uneven cell in its contact, a small square on the inner side of the foot's cell
   (``hdsp.robot.robot``).
+- Ground is too steep at a heading if its gradient in the robot frame leaves the ellipse of ``Slope``. The gradient is
+  measured in eight directions, over the shortest length on which an edge below the drivable limit is no steeper than
+  the limit; single such edges therefore count as no slope. No foot stands on a cell that is too steep at all headings.
 - Foot cost ``C_F = 1 + 0.309 S`` and base cost ``C_B = 1`` give the state cost
   ``C = 0.5 C_B + 0.1 (sum C_F + max C_F) = 1 + k (max S + sum S)`` (paper, Sec. V-A).
 
@@ -20,12 +23,18 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
-from hdsp.robot.lattice import cells
+from hdsp.robot.lattice import HEADINGS, cells, heading_angle, metres
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
+_CELL = metres(1.0)  # m, side of a cell
+
 #: Increases whenever the same map, robot and task would get another cost. Labels and pretrained models carry it.
-COST_MODEL_VERSION = 3
+COST_MODEL_VERSION = 4
+
+
+#: Value in ``CostMaps.steep`` for ground that is too steep at each heading.
+EVERY_HEADING = np.uint64(2**HEADINGS - 1)
 
 
 class CostMaps(NamedTuple):
@@ -35,12 +44,14 @@ class CostMaps(NamedTuple):
         height_difference: float32, m; 0 where unknown.
         unevenness: float32, m; S in the module docstring.
         edge: bool; whether no wheel passes the cell: its height difference is too large, or its height is unknown.
+        steep: uint64; bit h set if the ground is too steep at heading h.
         standable: bool; whether a foot can stand on the cell and roll over it.
     """
 
     height_difference: np.ndarray
     unevenness: np.ndarray
     edge: np.ndarray
+    steep: np.ndarray
     standable: np.ndarray
 
 
@@ -50,8 +61,31 @@ def cost_maps(terrain: HeightMap, robot: Robot) -> CostMaps:
     difference = _height_difference(heights)
     unevenness = _unevenness(difference, _disc_weights(cells(robot.drive.unevenness_radius)))
     edge = np.isnan(heights) | (difference > np.float32(robot.drive.max_height_difference))
-    standable = ~_near(edge, _disc(cells(robot.feet.clearance)))
-    return CostMaps(difference, unevenness, edge, standable)
+    steep = _steep(heights, edge, steep_reach(robot), robot.drive.max_height_difference, *_direction_limits(robot))
+    standable = ~_near(edge, _disc(cells(robot.feet.clearance))) & (steep != EVERY_HEADING)
+    return CostMaps(difference, unevenness, edge, steep, standable)
+
+
+def steep_reach(robot: Robot) -> int:
+    """Distance (cells) up to which the ground on both sides of a cell counts for its gradient."""
+    length = robot.drive.max_height_difference / min(robot.slope.steepest())
+    return max(math.ceil(cells(length) / 2 - 1e-9), 1)
+
+
+def slope_directions(robot: Robot) -> np.ndarray:
+    """Offsets (dx, dy) in eight directions, at distances of 1 .. ``steep_reach`` cells, int64 [8, reach, 2]."""
+    angles, reach = np.arange(8) * math.pi / 8, np.arange(1, steep_reach(robot) + 1)
+    unit = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return np.rint(np.round(reach[:, None] * unit[:, None], 9)).astype(np.int64)
+
+
+def _direction_limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """``slope_directions`` and the largest gradients along them at each heading, float64 [8, reach, 64]."""
+    offsets = slope_directions(robot)
+    ahead, left = robot.slope.steepest()
+    turned = np.arctan2(offsets[..., 1], offsets[..., 0])[..., None] - heading_angle(np.arange(HEADINGS))
+    # Largest gradient along a direction over all gradients in the ellipse.
+    return offsets, np.hypot(ahead * np.cos(turned), left * np.sin(turned))
 
 
 def disc_mask(radius: float) -> np.ndarray:
@@ -89,6 +123,28 @@ def _height_difference(heights):
                         largest = d
             result[x, y] = largest
     return result
+
+
+@njit()
+def _steep(heights, edge, reach, rolled_over, offsets, limits):
+    nx, ny = heights.shape
+    steep = np.zeros((nx, ny), dtype=np.uint64)
+    passed = np.float64(np.float32(rolled_over)) * (1 + 1e-5)
+    for x in range(nx):
+        for y in range(ny):
+            for d in range(8):
+                for n in range(reach):
+                    dx, dy = offsets[d, n]
+                    a, b, u, v = x + dx, y + dy, x - dx, y - dy
+                    if min(a, b, u, v) < 0 or max(a, u) >= nx or max(b, v) >= ny or edge[a, b] or edge[u, v]:
+                        break  # beyond an edge lies other ground
+                    rise = abs(np.float64(heights[a, b]) - heights[u, v])
+                    if rise > passed:
+                        gradient = rise / (2 * _CELL * np.hypot(np.float64(dx), np.float64(dy)))
+                        for h in range(HEADINGS):
+                            if gradient > limits[d, n, h] * (1 + 1e-5):
+                                steep[x, y] |= np.uint64(1) << np.uint64(h)
+    return steep
 
 
 @njit()

@@ -54,7 +54,7 @@ def _foot_moves(world, key, unevenness, out_key, out_cost, out_action, n):
             if reached == _INF:
                 continue
             new = key + (np.int64(change) << shift)
-            if not separated(world.constants, new):
+            if not separated(world.constants, new) or not _base_is_free(world, new):
                 continue
             out_key[n] = new
             out_cost[n] = price * (1.0 + 10.0 * k * 0.5 * (np.float64(before) + reached))
@@ -86,7 +86,7 @@ def _base_shifts(world, key, can_step, unevenness, out_key, out_cost, out_action
         s2 = uneven[q + contacts[foot_row(t, heading, 2, o2 - by)]]
         s3 = uneven[q + contacts[foot_row(t, heading, 3, o3 - by)]]
         reached = merged_cost(k, s0, s1, s2, s3)
-        if reached == _INF or not body_is_free(world, heading, q):
+        if reached == _INF or not body_is_free(world, heading, q, o0 - by, o1 - by, o2 - by, o3 - by):
             continue
         out_key[n] = pack(ix + dx, iy + dy, heading, o0 - by, o1 - by, o2 - by, o3 - by)
         out_cost[n] = price * np.sqrt(np.float64(dx * dx + dy * dy)) * 0.5 * (cost + reached)
@@ -140,7 +140,7 @@ def _steps(world, key, unevenness, out_key, out_cost, out_action, n):
                 if not step_fits(before, after, max(highest, after), c.step_max_height, c.step_max_clearance):
                     continue
                 new = key + (np.int64(sign * length) << shift)
-                if not separated(c, new):
+                if not separated(c, new) or not _base_is_free(world, new):
                     continue
                 s0, s1, s2, s3 = _with_foot(unevenness, i, reached)
                 effort = step_effort(c.step, c.step_per_metre, c.step_per_height, length, before, after)
@@ -150,6 +150,13 @@ def _steps(world, key, unevenness, out_key, out_cost, out_action, n):
                 n += 1
                 break  # the nearest foothold; from there the foot can roll
     return n
+
+
+@njit(allocates=False)
+def _base_is_free(world, key):
+    """Whether the base is free in a packed state with footholds for all feet."""
+    ix, iy, heading, o0, o1, o2, o3 = unpack(key)
+    return body_is_free(world, heading, cell_index(world, ix, iy), o0, o1, o2, o3)
 
 
 @njit()

@@ -12,16 +12,17 @@ from hdsp.detailed.world.world import body_is_free, cell_index
 
 @njit(allocates=False)
 def state_cost(world, key):
-    """State cost C for a packed state; inf without a foothold for every foot, or with a body collision."""
+    """State cost C for a packed state; inf without a foothold for every foot, or with a blocked base."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     p = cell_index(world, ix, iy)
     t = world.tables
-    if not body_is_free(world, heading, p):
-        return np.inf
     uneven, contacts = world.uneven, t.contacts
     s0, s1 = uneven[p + contacts[foot_row(t, heading, 0, o0)]], uneven[p + contacts[foot_row(t, heading, 1, o1)]]
     s2, s3 = uneven[p + contacts[foot_row(t, heading, 2, o2)]], uneven[p + contacts[foot_row(t, heading, 3, o3)]]
-    return merged_cost(world.constants.unevenness, s0, s1, s2, s3)
+    cost = merged_cost(world.constants.unevenness, s0, s1, s2, s3)
+    if cost < np.inf and not body_is_free(world, heading, p, o0, o1, o2, o3):
+        return np.inf
+    return cost
 
 
 @njit(inline="always")

@@ -1,7 +1,8 @@
 """All successors of a state. This module drives and turns; ``manoeuvres`` moves feet and base.
 
 Source: paper, Sec. V-A, with the cost model in docs/cost-model.md. The robot drives and turns on neutral feet. With
-feet at different heights, e.g. on stairs, it only drives straight.
+feet at different heights, it does so only on a slope; with an edge between the feet, e.g. on stairs, it only drives
+straight.
 """
 
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from hdsp.detailed.actions.action import DRIVES, TURN_LEFT, TURN_RIGHT
 from hdsp.detailed.actions.manoeuvres import manoeuvres
 from hdsp.detailed.actions.state_costs import feet_cells
 from hdsp.detailed.states import FEET_MASK, HEADING_SHIFT, neutral_feet, unpack
-from hdsp.detailed.world.world import FREE, cell_index, look_at_body
+from hdsp.detailed.world.world import FREE, cell_index, look_at_body, on_slope
 from hdsp.robot.lattice import HEADINGS
 
 MAX_SUCCESSORS = 160
@@ -93,6 +94,7 @@ def pose_successors(world, rules, key, out_key, out_cost, out_action):
     p0, p1, p2, p3 = p + feet[rows[0]], p + feet[rows[1]], p + feet[rows[2]], p + feet[rows[3]]
     h0, h1, h2, h3 = height[p0], height[p1], height[p2], height[p3]
     level = max(max(h0, h1), max(h2, h3)) - min(min(h0, h1), min(h2, h3)) <= world.constants.level
+    level = level or on_slope(world, heading, p)
     price = t.drive_price[0 if level else 1, heading]
     n = _drives(world, key, heading, p, rows, price, out_key, out_cost, out_action)
     if level:

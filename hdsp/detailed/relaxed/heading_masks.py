@@ -8,7 +8,7 @@ import numpy as np
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import feet_cells
 from hdsp.detailed.actions.successors import Rules, allowed_headings
-from hdsp.detailed.world.world import World, cell_index, collides
+from hdsp.detailed.world.world import World, cell_index, collides, may_be_free, on_slope
 from hdsp.robot.lattice import HEADINGS
 
 
@@ -19,7 +19,7 @@ class HeadingMasks(NamedTuple):
         plain: bool [nx, ny], even ground all around: neutral feet stand and roll at every heading.
         known: uint8 [nx, ny], bit 0: the masks for neutral feet are computed; bit 1: ``some`` is computed.
         neutral: uint64 [nx, ny], the robot can stand on neutral feet.
-        level: uint64 [nx, ny], neutral feet can stand and are level.
+        level: uint64 [nx, ny], neutral feet can stand and are level or on a slope.
         step: uint64 [nx, ny], neutral feet can stand, and one foot can step.
         some: uint64 [nx, ny], the body is free and each foot finds some foothold.
     """
@@ -94,7 +94,10 @@ def _new_masks(world: World) -> HeadingMasks:
     # The heights under the body and under the feet differ too little to matter at any heading.
     window = 2 * math.ceil(feet) + 1
     highest = np.maximum(maximum_filter(height, window), world.window_height.reshape(height.shape))
-    most = min([world.constants.level, *world.tables.box_above.tolist()])
+    c, (ahead, left) = world.constants, world.tables.corner
+    # A plane between the feet rises no more than its feet differ, per distance between them.
+    leaning = 1 + ahead / (2 * c.neutral_x) + left / (2 * c.neutral_y)
+    most = min([c.level, *(world.tables.box_above / leaning).tolist()])
     even &= (highest <= minimum_filter(height, window) + most)[inner]
     masks = [np.zeros((world.nx, world.ny), dtype=np.uint64) for _ in range(4)]
     return HeadingMasks(even, np.zeros((world.nx, world.ny), np.uint8), *masks)
@@ -183,7 +186,7 @@ def _fill_neutral(world, allowed, masks, x, y):
             continue
         neutral |= bit
         h0, h1, h2, h3 = height[p0], height[p1], height[p2], height[p3]
-        if max(max(h0, h1), max(h2, h3)) - min(min(h0, h1), min(h2, h3)) <= limit:
+        if max(max(h0, h1), max(h2, h3)) - min(min(h0, h1), min(h2, h3)) <= limit or on_slope(world, h, p):
             level |= bit
         ways = steps[p0] | steps[p1] | steps[p2] | steps[p3]
         if step_backward:
@@ -204,7 +207,7 @@ def _fill_some(world, allowed, masks, x, y):
     some = masks.neutral[x, y]
     for h in range(HEADINGS):
         bit = _ONE << np.uint64(h)
-        if (allowed & ~some) & bit != 0 and missing_feet(world, p, h) == 0 and not collides(world, h, p):
+        if (allowed & ~some) & bit != 0 and may_be_free(world, h, p):
             some |= bit
     masks.some[x, y] = some
     masks.known[x, y] = 3

@@ -9,7 +9,7 @@ from hdsp.detailed.actions.action import POSE_ACTIONS
 from hdsp.detailed.actions.state_costs import feet_cells, foot_row, state_cost
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, pose_successors
 from hdsp.detailed.states import pack
-from hdsp.detailed.world.world import World, body_is_free, cell_index
+from hdsp.detailed.world.world import World, cell_index, may_be_free
 from hdsp.robot.lattice import HEADINGS
 
 
@@ -106,7 +106,7 @@ def least_pose_cost(world, x, y, heading):
     t = world.tables
     uneven, contacts, n_offsets, n_samples = world.uneven, t.contacts, t.n_offsets, t.n_samples
     p = cell_index(world, x, y)
-    if not body_is_free(world, heading, p):
+    if not may_be_free(world, heading, p):
         return np.inf
     total = largest = np.float32(0)
     for i in range(4):

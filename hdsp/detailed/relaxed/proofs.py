@@ -15,6 +15,7 @@ import numpy as np
 
 from hdsp.detailed.actions.state_costs import foot_row
 from hdsp.detailed.actions.successors import Rules
+from hdsp.detailed.base_pose import ground_plane
 from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, efforts_to, find_foothold_regions
 from hdsp.detailed.relaxed.heading_masks import PoseFlood, holds, missing_feet
 from hdsp.detailed.world.world import World, cell_index
@@ -90,7 +91,9 @@ def _gap_of_base(world: World, reached: np.ndarray, around_goal: np.ndarray, sta
     p = int(cell_index(world, x, y))
     missing = missing_feet(world, p, heading)
     footless = tuple(foot for foot in range(4) if missing >> foot & 1)
-    return Unreachable(POSE, -1, one, other, between, heading, body_hits(world, x, y, heading), footless)
+    return Unreachable(
+        POSE, -1, one, other, between, heading, body_hits(world, np.array([x, y, heading, 0, 0, 0, 0])), footless
+    )
 
 
 def _gap_of_foot(world: World, regions: FootholdRegions, efforts: np.ndarray, start, goal, foot: int) -> Unreachable:
@@ -127,14 +130,28 @@ def _gap(one: np.ndarray, other: np.ndarray, start: np.ndarray, goal: np.ndarray
     return a, b, line, int(np.rint(along)) % HEADINGS
 
 
-def body_hits(world: World, ix: int, iy: int, heading: int) -> np.ndarray:
-    """Map cells that the body hits at a pose, int64 [n, 2], the highest first."""
-    t, p = world.tables, int(cell_index(world, ix, iy))
-    feet = world.height[[p + t.feet[foot_row(t, heading, foot, -t.lowest)] for foot in range(4)]]
-    feet = feet[feet > -np.inf]
-    ground = min(world.height[p], feet.mean() if len(feet) else np.inf)
-    boxes = [p + t.box_cells[b, heading, : t.box_count[b, heading]] for b in range(len(t.box_above))]
-    hit = np.concatenate([cells[world.height[cells] > ground + t.box_above[b]] for b, cells in enumerate(boxes)])
-    hit = np.unique(hit)
+def body_hits(world: World, state: np.ndarray) -> np.ndarray:
+    """Map cells that the body hits in a state int64 [7], int64 [n, 2], the highest first.
+
+    Feet over unknown ground count as high as the mean of the others.
+    """
+    t, c, (ix, iy, heading) = world.tables, world.constants, (int(v) for v in state[:3])
+    p = int(cell_index(world, ix, iy))
+    rows = [foot_row(t, heading, foot, int(state[3 + foot]) - t.lowest) for foot in range(4)]
+    heights = world.height[p + t.feet[rows]].astype(float)
+    known = np.isfinite(heights)
+    heights[~known] = heights[known].mean() if known.any() else 0.0
+    ground, ahead, left = ground_plane(
+        c.neutral_x, c.neutral_y, c.steepest_ahead, c.steepest_left, tuple(state[3:].tolist()), tuple(heights.tolist())
+    )
+    cos, sin = t.ahead[heading]
+    slope = ahead * cos - left * sin, ahead * sin + left * cos
+    found = []
+    for b in range(len(t.box_above)):
+        n = t.box_count[b, heading]
+        cells = p + t.box_cells[b, heading, :n]
+        rise = slope[0] * t.box_dx[b, heading, :n] + slope[1] * t.box_dy[b, heading, :n]
+        found.append(cells[world.height[cells] > ground + t.box_above[b] + rise])
+    hit = np.unique(np.concatenate(found)) if found else np.empty(0, np.int64)
     hit = hit[np.argsort(-world.height[hit], kind="stable")]
     return np.stack([hit // world.stride - world.pad, hit % world.stride - world.pad], axis=1)

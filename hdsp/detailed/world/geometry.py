@@ -102,6 +102,20 @@ def base_cells() -> np.ndarray:
     return np.floor(MOVE_SAMPLES.displacement + arrived + 0.5).astype(np.int64)
 
 
+def outline_cells(robot: Robot) -> np.ndarray:
+    """Cells on the outline of the rectangle between the neutral feet, int64 [64 headings, n, 2], relative to the base.
+
+    The points on the outline are half a cell apart at most, so that no edge lies between two of its cells.
+    """
+    x, y = cells(robot.feet.neutral_x), cells(robot.feet.neutral_y)
+    long, wide = np.linspace(-x, x, math.ceil(4 * x) + 1), np.linspace(-y, y, math.ceil(4 * y) + 1)
+    sides = [np.stack([long, np.full_like(long, side)], 1) for side in (-y, y)]
+    ends = [np.stack([np.full_like(wide, end), wide], 1) for end in (-x, x)]
+    outline = np.concatenate(sides + ends)
+    turned = [np.floor(outline @ rotation(float(heading_angle(h))).T + 0.5) for h in range(HEADINGS)]
+    return np.array(turned, dtype=np.int64)
+
+
 def rectangle_cells(rectangle: Rectangle, heading: int) -> np.ndarray:
     """Cells with centres in a robot's rectangle at ``heading``, int64 [n, 2] relative to the base cell."""
     corner = math.hypot(max(abs(rectangle.x_min), abs(rectangle.x_max)), rectangle.half_width)

@@ -1,7 +1,10 @@
 """Terrain and robot, compiled into arrays for the search kernels.
 
-The maps are one-dimensional. No foot can stand on their border, so kernels need no bounds check. The state of the body
-depends on the base pose alone. It is computed at the first look at a pose and kept.
+The maps are one-dimensional. No foot can stand on their border, so kernels need no bounds check.
+
+The body is free over given feet if nothing rises into its boxes; they lie above the plane through the ground under the
+feet (`hdsp.detailed.base_pose`). On neutral feet, the answer depends on the base pose alone; it is computed at the
+first look and kept. For other feet, the lowest ground that leaves a level body free is kept instead.
 """
 
 import math
@@ -12,6 +15,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.jit import njit
+from hdsp.detailed.base_pose import ground_plane
 from hdsp.detailed.states import MAX_CELLS, pack_steps
 from hdsp.detailed.world.geometry import (
     MOVE_SAMPLES,
@@ -19,15 +23,17 @@ from hdsp.detailed.world.geometry import (
     base_shifts,
     contact_cells,
     foot_cells,
+    outline_cells,
     rectangle_cells,
     step_line,
 )
 from hdsp.robot.lattice import DRIVE_MOVES, HEADINGS, cells, heading_angle, metres
 from hdsp.robot.robot import Robot
-from hdsp.terrain.cost_maps import CostMaps, cost_maps, disc_mask
+from hdsp.terrain.cost_maps import EVERY_HEADING, CostMaps, cost_maps, disc_mask
 from hdsp.terrain.height_map import HeightMap
 
 _CELL = metres(1.0)  # m, side of a cell
+_TOUCH = 1e-6  # m; a body that touches the ground by no more is free
 
 
 class Tables(NamedTuple):
@@ -53,7 +59,12 @@ class Tables(NamedTuple):
     line: np.ndarray  # int64 [64, longest step + 1]
     box_cells: np.ndarray  # int64 [boxes, 64, n]
     box_count: np.ndarray  # int64 [boxes, 64]
-    box_above: np.ndarray  # float32 [boxes]
+    box_above: np.ndarray  # float64 [boxes]
+    box_dx: np.ndarray  # float32 [boxes, 64, n], the box cells in the map frame, cells
+    box_dy: np.ndarray
+    ahead: np.ndarray  # float64 [64, 2], direction of the heading in the map frame
+    corner: np.ndarray  # float64 [2], farthest box cell ahead and to the side, cells
+    outline: np.ndarray  # int64 [64, n], cells on the outline of the rectangle between neutral feet
 
 
 class Constants(NamedTuple):
@@ -77,6 +88,8 @@ class Constants(NamedTuple):
     neutral_y: float
     min_separation: int
     neutral_penalty: float  # in units of S, per step off the neutral position
+    steepest_ahead: float  # largest gradients, m per cell
+    steepest_left: float
 
 
 class World(NamedTuple):
@@ -95,10 +108,12 @@ class World(NamedTuple):
     height: np.ndarray  # float32 flat; -inf where unknown
     swing: np.ndarray  # float32 flat: highest cell within a foot's clearance, inf next to unknown cells
     window_height: np.ndarray  # float32 flat: highest cell within the body's reach
-    edge: np.ndarray  # bool flat: no wheel passes
+    edge: np.ndarray  # bool flat: no wheel passes at any heading, because of an edge or a steep slope
+    steep: np.ndarray  # uint64 flat: bit h set if the ground is too steep at heading h; empty if slopes have one limit
     steps: np.ndarray  # uint64 flat: bit h set if a foot here can step toward heading h
     banned: np.ndarray  # int64 [n, 7]: steps closed to the search (``manoeuvres.is_banned``)
-    base: np.ndarray  # uint8 [64 * cells]: whether the body is FREE or BLOCKED, 0 = not yet computed
+    base: np.ndarray  # uint8 [64 * cells]: whether the base on neutral feet is FREE or BLOCKED, 0 = not yet computed
+    level_ground: np.ndarray  # float32 [64 * cells]: lowest ground (m) with a free level body, 0 = not yet computed
     tables: Tables
     constants: Constants
 
@@ -142,8 +157,11 @@ def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) 
     constants = _constants(robot)
     height, standable = padded(heights, -np.inf), np.pad(maps.standable, pad).ravel()
     longest = 2 * tables.line.shape[1] - 1
-    near_edge = np.pad(maximum_filter(maps.edge, longest, mode="constant", cval=False), pad).ravel()
-    edge = np.pad(maps.edge, pad).ravel()
+    every = maps.steep == EVERY_HEADING
+    barrier = maps.edge | every
+    near_edge = np.pad(maximum_filter(barrier, longest, mode="constant", cval=False), pad).ravel()
+    edge = np.pad(barrier, pad).ravel()
+    one_limit = robot.slope.max_pitch == robot.slope.max_roll
     limits = constants.step_max_height, constants.step_max_clearance
     lifted = np.where(np.isnan(terrain.heights), np.inf, terrain.heights).astype(np.float32)
     disc = disc_mask(cells(robot.feet.clearance))
@@ -159,10 +177,12 @@ def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) 
         height=height,
         swing=swing,
         edge=edge,
+        steep=np.empty(0, np.uint64) if one_limit else np.pad(maps.steep, pad).ravel(),
         window_height=padded(maximum_filter(heights, window, mode="constant", cval=-np.inf), -np.inf),
         steps=steps,
         banned=np.empty((0, 7), dtype=np.int64),
         base=np.zeros(HEADINGS * len(standable), dtype=np.uint8),
+        level_ground=np.zeros(HEADINGS * len(standable), dtype=np.float32),
         tables=tables,
         constants=constants,
     )
@@ -188,7 +208,7 @@ def _uneven_under_feet(unevenness: np.ndarray, standable: np.ndarray, robot: Rob
 
 
 def _constants(robot: Robot) -> Constants:
-    step = robot.step
+    step, (ahead, left) = robot.step, robot.slope.steepest()
     return Constants(
         unevenness=robot.drive.unevenness_cost,
         turn=robot.turn.cost,
@@ -208,6 +228,8 @@ def _constants(robot: Robot) -> Constants:
         neutral_y=cells(robot.feet.neutral_y),
         neutral_penalty=robot.feet.neutral_preference * _CELL / robot.drive.unevenness_cost,
         min_separation=math.ceil(cells(robot.feet.min_separation) - 1e-9),
+        steepest_ahead=ahead * _CELL,
+        steepest_left=left * _CELL,
     )
 
 
@@ -223,12 +245,12 @@ def _tables(robot: Robot, stride: int, size: int) -> Tables:
         most = np.iinfo(np.int32).max // len(contact_offsets)
         raise InputError(f"height map of {size} cells, border included: at most {most} cells fit for this robot")
     contacts = feet + layer.reshape(feet.shape) * size
-    boxes = [[flat(rectangle_cells(box, h)) for h in range(HEADINGS)] for box in robot.body.boxes]
+    boxes = [[rectangle_cells(box, h) for h in range(HEADINGS)] for box in robot.body.boxes]
     widest = max((len(c) for box in boxes for c in box), default=0)
-    box_cells = np.zeros((len(boxes), HEADINGS, widest), dtype=np.int64)
+    box_offsets = np.zeros((len(boxes), HEADINGS, widest, 2), dtype=np.int64)
     for i, box in enumerate(boxes):
         for h, offsets in enumerate(box):
-            box_cells[i, h, : len(offsets)] = offsets
+            box_offsets[i, h, : len(offsets)] = offsets
     travel = np.arctan2(DRIVE_MOVES[:, 1], DRIVE_MOVES[:, 0])
     turned = travel[None, :] - heading_angle(np.arange(HEADINGS))[:, None]
     deviation = abs(np.mod(turned + math.pi, 2 * math.pi) - math.pi)
@@ -254,9 +276,21 @@ def _tables(robot: Robot, stride: int, size: int) -> Tables:
         base_sample=flat(base_cells()),
         shifts=base_shifts(),
         line=flat(step_line(robot)),
-        box_cells=box_cells,
+        box_cells=flat(box_offsets),
         box_count=np.array([[len(c) for c in box] for box in boxes], dtype=np.int64).reshape(len(boxes), HEADINGS),
-        box_above=np.array([box.above for box in robot.body.boxes], dtype=np.float32),
+        box_above=np.array([box.above for box in robot.body.boxes], dtype=np.float64),
+        box_dx=np.ascontiguousarray(box_offsets[..., 0], dtype=np.float32),
+        box_dy=np.ascontiguousarray(box_offsets[..., 1], dtype=np.float32),
+        ahead=np.stack([np.cos(heading_angle(np.arange(HEADINGS))), np.sin(heading_angle(np.arange(HEADINGS)))], 1),
+        corner=cells(
+            np.array(
+                [
+                    max((max(abs(box.x_min), abs(box.x_max)) for box in robot.body.boxes), default=0.0),
+                    max((box.half_width for box in robot.body.boxes), default=0.0),
+                ]
+            )
+        ),
+        outline=flat(outline_cells(robot)),
     )
 
 
@@ -297,8 +331,8 @@ def step_effort(fixed, per_metre, per_height, length, before, after):
 
 
 @njit(inline="always")
-def body_is_free(world, heading, p):
-    """Whether the body is free at flat cell ``p``: no collision, known ground under its centre."""
+def neutral_is_free(world, heading, p):
+    """Whether the base on neutral feet is free at flat cell ``p``; meaningless without a foothold for each foot."""
     known = world.base[heading * len(world.standable) + p]
     if known == 0:
         known = look_at_body(world, heading, p)
@@ -315,28 +349,142 @@ def look_at_body(world, heading, p):
 
 @njit(allocates=False)
 def collides(world, heading, p):
-    """Whether the body hits the terrain at flat cell ``p``, or the ground under its centre is unknown."""
-    tables, height = world.tables, world.height
-    if height[p] == -np.inf:
+    """Whether the base on neutral feet is blocked at flat cell ``p``.
+
+    The ground under the base centre or under a foot is unknown, the ground under a foot is too steep, or the body hits
+    the terrain.
+    """
+    t, height = world.tables, world.height
+    row, between = (heading * 4 * t.n_offsets - t.lowest) * t.n_samples, t.n_offsets * t.n_samples
+    p0, p1, p2, p3 = (
+        p + t.feet[row],
+        p + t.feet[row + between],
+        p + t.feet[row + 2 * between],
+        p + t.feet[row + 3 * between],
+    )
+    h0, h1, h2, h3 = height[p0], height[p1], height[p2], height[p3]
+    if height[p] == -np.inf or min(min(h0, h1), min(h2, h3)) == -np.inf:
         return True
-    ground = min(height[p], _mean_foot_height(world, heading, p))
-    for b in range(len(tables.box_above)):
-        limit = ground + tables.box_above[b]
-        if world.window_height[p] > limit:
-            for k in range(tables.box_count[b, heading]):
-                if height[p + tables.box_cells[b, heading, k]] > limit:
+    if is_steep(world, heading, p0, p1, p2, p3):
+        return True
+    ground, ahead, left = _plane(world, (0, 0, 0, 0), (h0, h1, h2, h3))
+    return _touches(world, heading, p, ground, ahead, left)
+
+
+@njit(inline="always")
+def is_steep(world, heading, p0, p1, p2, p3):
+    """Whether the ground under any foot, in flat cells, is too steep at this heading but not at every heading."""
+    steep = world.steep
+    if len(steep) == 0:
+        return False
+    return ((steep[p0] | steep[p1] | steep[p2] | steep[p3]) >> np.uint64(heading)) & np.uint64(1) != 0
+
+
+@njit(inline="always")
+def _plane(world, x, z):
+    """``ground_plane`` under feet with offsets ``x`` (cells) and heights ``z`` (m); gradients in m per cell."""
+    c = world.constants
+    heights = np.float64(z[0]), np.float64(z[1]), np.float64(z[2]), np.float64(z[3])
+    return ground_plane(c.neutral_x, c.neutral_y, c.steepest_ahead, c.steepest_left, x, heights)
+
+
+@njit(inline="always")
+def _touches(world, heading, p, ground, ahead, left):
+    """Whether the terrain reaches into a body over a plane."""
+    t, height = world.tables, world.height
+    cos, sin = t.ahead[heading, 0], t.ahead[heading, 1]
+    slope_x, slope_y = ahead * cos - left * sin, ahead * sin + left * cos
+    lower = abs(ahead) * t.corner[0] + abs(left) * t.corner[1] - _TOUCH
+    for b in range(len(t.box_above)):
+        limit = ground + t.box_above[b]
+        if world.window_height[p] > limit - lower:
+            limit += _TOUCH
+            for k in range(t.box_count[b, heading]):
+                rise = slope_x * t.box_dx[b, heading, k] + slope_y * t.box_dy[b, heading, k]
+                if height[p + t.box_cells[b, heading, k]] > limit + rise:
                     return True
     return False
 
 
 @njit(allocates=False)
-def _mean_foot_height(world, heading, p):
-    """Mean height over the known cells under the neutral feet; inf without a known cell."""
-    t = world.tables
-    total, known = np.float32(0), 0
+def body_is_free(world, heading, p, o0, o1, o2, o3):
+    """Whether the base over any feet is free at flat cell ``p``.
+
+    Args:
+        world: terrain and robot.
+        heading: heading index.
+        p: flat cell of the base.
+        o0, o1, o2, o3: foot offsets counted from the lowest, each on a foothold.
+    """
+    t, height = world.tables, world.height
+    row, n = heading * 4 * t.n_offsets, t.n_samples
+    p0, p1 = p + t.feet[(row + o0) * n], p + t.feet[(row + t.n_offsets + o1) * n]
+    p2, p3 = p + t.feet[(row + 2 * t.n_offsets + o2) * n], p + t.feet[(row + 3 * t.n_offsets + o3) * n]
+    if height[p] == -np.inf or is_steep(world, heading, p0, p1, p2, p3):
+        return False
+    feet = o0 + t.lowest, o1 + t.lowest, o2 + t.lowest, o3 + t.lowest
+    ground, ahead, left = _plane(world, feet, (height[p0], height[p1], height[p2], height[p3]))
+    lower = abs(ahead) * t.corner[0] + abs(left) * t.corner[1]
+    least = level_ground(world, heading, p)
+    if ground - lower >= least:
+        return True
+    if ground + lower < least - _TOUCH:
+        return False
+    return not _touches(world, heading, p, ground, ahead, left)
+
+
+@njit(allocates=False)
+def level_ground(world, heading, p):
+    """Lowest ground (m) under the base at flat cell ``p`` with a free level body; -inf over unknown ground alone."""
+    known = world.level_ground[heading * len(world.standable) + p]
+    if known == 0:
+        t, height = world.tables, world.height
+        known = np.float32(-np.inf)
+        for b in range(len(t.box_above)):
+            highest = np.float32(-np.inf)
+            for k in range(t.box_count[b, heading]):
+                highest = max(highest, height[p + t.box_cells[b, heading, k]])
+            known = max(known, np.float32(highest - t.box_above[b]))
+        if known == 0:  # 0 means not yet computed
+            known = np.float32(-1e-30)
+        world.level_ground[heading * len(world.standable) + p] = known
+    return known
+
+
+@njit(allocates=False)
+def may_be_free(world, heading, p):
+    """Whether the base may be free at flat cell ``p`` over some feet on footholds: false only if it never is.
+
+    The highest and the lowest foothold in reach of each foot bound the height and the gradients of the plane.
+    """
+    t, c, height, standable = world.tables, world.constants, world.height, world.standable
+    if height[p] == -np.inf:
+        return False
+    highest, lowest, total = -np.inf, np.inf, 0.0
     for foot in range(4):
-        height = world.height[p + t.feet[((heading * 4 + foot) * t.n_offsets - t.lowest) * t.n_samples]]
-        if height > -np.inf:
-            total += height
-            known += 1
-    return np.float32(total / known) if known else np.float32(np.inf)
+        top = -np.inf
+        for offset in range(t.n_offsets):
+            q = p + t.feet[((heading * 4 + foot) * t.n_offsets + offset) * t.n_samples]
+            if standable[q]:
+                top = max(top, np.float64(height[q]))
+                lowest = min(lowest, np.float64(height[q]))
+        if top == -np.inf:
+            return False
+        highest = max(highest, top)
+        total += top
+    span, longest = highest - lowest, t.n_offsets - 1
+    ahead = min(c.steepest_ahead, span / max(c.min_separation, 1))
+    left = min(c.steepest_left, (span + span / max(c.min_separation, 1) * longest) / (2 * c.neutral_y))
+    reach = max(-t.lowest, longest + t.lowest)
+    most = 0.25 * total + ahead * (reach + t.corner[0]) + left * t.corner[1]
+    return most + _TOUCH >= level_ground(world, heading, p)
+
+
+@njit(allocates=False)
+def on_slope(world, heading, p):
+    """Whether the ground joins the neutral feet without an edge: no edge lies on the outline between them."""
+    outline, edge = world.tables.outline, world.edge
+    for k in range(outline.shape[1]):
+        if edge[p + outline[heading, k]]:
+            return False
+    return True

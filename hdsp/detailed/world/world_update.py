@@ -12,12 +12,12 @@ import numpy as np
 from hdsp.detailed.world.world import World, build_world
 from hdsp.robot.lattice import cells
 from hdsp.robot.robot import Robot
-from hdsp.terrain.cost_maps import disc_mask
+from hdsp.terrain.cost_maps import disc_mask, steep_reach
 from hdsp.terrain.height_map import HeightMap
 
 #: Largest share of the map's cells in a part; beyond it, copying saves too little.
 LARGEST_SHARE = 0.5
-_MAPS = ("standable", "uneven", "height", "swing", "window_height", "edge", "steps", "base")
+_MAPS = ("standable", "uneven", "height", "swing", "window_height", "edge", "steep", "steps", "base")
 
 
 def updated_world(world: World, terrain: HeightMap, robot: Robot, changed: np.ndarray) -> World:
@@ -46,7 +46,7 @@ def updated_world(world: World, terrain: HeightMap, robot: Robot, changed: np.nd
     maps = {name: getattr(world, name).copy() for name in _MAPS}
     for name, values in maps.items():
         _layers(values, world)[:, *target] = _layers(getattr(new, name), new)[:, *source]
-    return world._replace(**maps)
+    return world._replace(**maps, level_ground=np.zeros_like(world.level_ground))
 
 
 def influence(robot: Robot) -> int:
@@ -58,8 +58,9 @@ def influence(robot: Robot) -> int:
     corners = [math.hypot(max(abs(box.x_min), abs(box.x_max)), box.half_width) for box in robot.body.boxes]
     body = cells(max(corners, default=0.0))
     neutral_feet = cells(math.hypot(robot.feet.neutral_x, robot.feet.neutral_y))
+    slope = steep_reach(robot)
     # One cell for height differences, two for rounding.
-    return math.ceil(max(under_feet, stepping, body, neutral_feet)) + 3
+    return math.ceil(max(under_feet, stepping, body, neutral_feet + slope, stepping + slope)) + 3
 
 
 def _rectangle(changed: np.ndarray, margin: int) -> tuple[slice, slice]:

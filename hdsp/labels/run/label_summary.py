@@ -58,12 +58,12 @@ def describe_labels(run: LabelRun, place: Place, explained_maps: int = 2000) -> 
 def why_dropped(run: LabelRun, number: int) -> str:
     """Reason why map ``number`` has no valid start state in its middle."""
     from hdsp.detailed.actions.state_costs import foot_row
-    from hdsp.detailed.world.world import body_is_free, build_world, cell_index
+    from hdsp.detailed.world.world import build_world, cell_index, collides
 
     terrain, heading = run.terrain_of(number), run.map_of(number)[2]
     world = build_world(terrain, run.robot)
     middle = int(cell_index(world, terrain.shape[0] // 2, terrain.shape[1] // 2))
-    body = not body_is_free(world, heading, middle)
+    body = collides(world, heading, middle)
     tables = world.tables
     footholds = [
         [world.standable[middle + tables.feet[foot_row(tables, heading, foot, o)]] for o in range(tables.n_offsets)]

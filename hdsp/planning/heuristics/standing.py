@@ -4,7 +4,7 @@ import numpy as np
 
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import foot_row
-from hdsp.detailed.world.world import World, body_is_free, cell_index
+from hdsp.detailed.world.world import World, cell_index, may_be_free
 from hdsp.robot.lattice import (
     ABSTRACT_ANCHOR,
     ABSTRACT_HEADINGS,
@@ -35,7 +35,7 @@ def _standing_states(world, nx, ny):
                 result[k, a, b] = (
                     _side_stands(standable, feet, samples, n, p, left_front, left_rear, apart)
                     and _side_stands(standable, feet, samples, n, p, right_front, right_rear, apart)
-                    and body_is_free(world, heading, p)
+                    and may_be_free(world, heading, p)
                 )
     return result
 
