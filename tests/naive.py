@@ -17,8 +17,9 @@ CELL = 0.025
 HEADINGS = 64
 MOVES = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0) and not abs(x) == abs(y) == 2]
 INF = math.inf
-REMEMBERED = ["difference", "edge", "unevenness", "standable", "foot_cell", "contact_cell", "uneven_under", "collides",
-              "cost_at", "lifted_over", "can_step", "deviation", "least_deviation"]  # fmt: skip
+TOUCH = 1e-6  # m; a body that touches the ground by no more is free
+REMEMBERED = ["difference", "edge", "steep", "unevenness", "standable", "foot_cell", "contact_cell", "uneven_under",
+              "blocked", "cost_at", "lifted_over", "can_step", "deviation", "least_deviation"]  # fmt: skip
 
 
 def angle(heading):
@@ -117,6 +118,40 @@ class Naive:
         """Whether no wheel passes a map cell."""
         return not self.known(cell) or self.difference(cell) > np.float32(self.robot.drive.max_height_difference)
 
+    def steep(self, cell, heading):
+        """Whether the ground at a cell is too steep for a foot of a robot at this heading."""
+        rolled_over, slope = float(np.float32(self.robot.drive.max_height_difference)), self.robot.slope
+        steepest = math.tan(slope.max_pitch), math.tan(slope.max_roll)
+        # Along this length, an edge that a wheel passes is no steeper than the limit.
+        longest = max(math.ceil(self.robot.drive.max_height_difference / min(steepest) / CELL / 2 - 1e-9), 1)
+        for way, n in itertools.product(range(8), range(1, longest + 1)):
+            dx, dy = (nearest(n * f(way * math.pi / 8), 1) for f in (math.cos, math.sin))
+            ends = [(cell[0] + dx, cell[1] + dy), (cell[0] - dx, cell[1] - dy)]
+            if not self.joined(cell, way, n):
+                continue
+            rise = abs(float(self.height(ends[0])) - float(self.height(ends[1])))
+            x, y = rotated(-heading, dx, dy)
+            largest = math.hypot(steepest[0] * x, steepest[1] * y) / math.hypot(dx, dy)
+            if rise > rolled_over * (1 + 1e-5) and rise / (2 * CELL * math.hypot(dx, dy)) > largest * (1 + 1e-5):
+                return True
+        return False
+
+    def joined(self, cell, way, reach):
+        """Whether no edge lies up to ``reach`` cells on either side of a cell, in one of eight directions."""
+        for n in range(1, reach + 1):
+            dx, dy = (nearest(n * f(way * math.pi / 8), 1) for f in (math.cos, math.sin))
+            for end in ((cell[0] + dx, cell[1] + dy), (cell[0] - dx, cell[1] - dy)):
+                if not self.inside(end) or self.edge(end):
+                    return False
+        return True
+
+    def always_steep(self, cell):
+        return all(self.steep(cell, heading) for heading in range(HEADINGS))
+
+    def barrier(self, cell):
+        """Whether no wheel passes a map cell at any heading."""
+        return self.edge(cell) or self.always_steep(cell)
+
     def unevenness(self, cell):
         """S of a cell, m."""
         radius = self.robot.drive.unevenness_radius / CELL
@@ -125,7 +160,9 @@ class Naive:
     def standable(self, cell):
         if not self.inside(cell):
             return False
-        return not any(self.edge(other) for other, _ in self.around(cell, self.robot.feet.clearance / CELL))
+        if any(self.edge(other) for other, _ in self.around(cell, self.robot.feet.clearance / CELL)):
+            return False
+        return not self.always_steep(cell)
 
     # --- robot on the terrain ---------------------------------------------------------------------------------------
 
@@ -168,23 +205,67 @@ class Naive:
         dx, dy = self.contact_cell(state[2], foot, state[3 + foot])
         return self.uneven_under((state[0] + dx, state[1] + dy))
 
-    def collides(self, base, heading):
-        """Whether the body collides with the ground, or the ground under its centre is unknown."""
-        if not self.known(base):
+    def plane(self, heading, offsets, footholds):
+        """Ground of the base: height under its centre (m), gradients ahead and to the left (m per cell)."""
+        x = [self.neutral(i)[0] + offset for i, offset in enumerate(offsets)]
+        z = [float(self.height(cell)) for cell in footholds]
+
+        def mean(values, feet):
+            return sum(values[i] for i in feet) / len(feet)
+
+        front, rear, left, right = (0, 3), (1, 2), (0, 1), (2, 3)
+        ahead = (mean(z, front) - mean(z, rear)) / (mean(x, front) - mean(x, rear))
+        across = mean(z, left) - mean(z, right) - ahead * (mean(x, left) - mean(x, right))
+        across /= 2 * self.neutral(0)[1]
+        steepest = [math.tan(limit) * CELL for limit in (self.robot.slope.max_pitch, self.robot.slope.max_roll)]
+        ahead, across = (max(-most, min(most, v)) for v, most in zip((ahead, across), steepest, strict=True))
+        return mean(z, range(4)) - ahead * mean(x, range(4)), ahead, across
+
+    def blocked(self, base, heading, offsets):
+        """Whether the base over feet on known ground is blocked; on other ground it always is."""
+        footholds = [self.foothold((*base, heading, *offsets), i) for i in range(4)]
+        if not all(self.known(cell) for cell in (base, *footholds)):
             return True
-        # For a robot above a thin wall, the ground beside the wall counts, not the wall.
-        feet = [self.foothold((*base, heading, 0, 0, 0, 0), i) for i in range(4)]
-        heights = [float(self.height(cell)) for cell in feet if self.known(cell)]
-        ground = min(self.height(base), np.float32(sum(heights) / len(heights)) if heights else np.float32(np.inf))
+        if any(self.steep(cell, heading) for cell in footholds):
+            return True
+        ground, ahead, across = self.plane(heading, offsets, footholds)
         for box in self.robot.body.boxes:
-            limit = ground + np.float32(box.above)
-            if any(self.known(c) and self.height(c) > limit for c in self.in_rectangle(base, heading, box)):
-                return True
+            for cell in filter(self.known, self.in_rectangle(base, heading, box)):
+                x, y = rotated(-heading, cell[0] - base[0], cell[1] - base[1])
+                if float(self.height(cell)) > ground + ahead * x + across * y + box.above + TOUCH:
+                    return True
         return False
 
-    def cost_at(self, base, heading, footholds, contacts):
-        """State cost C for a base cell, four foot cells and four contact cells; inf if the state is invalid."""
-        if self.collides(base, heading) or not all(self.standable(cell) for cell in footholds):
+    def may_be_free(self, base, heading):
+        """Whether the bounds on height and gradients of the plane leave the body free over some feet."""
+        low, high = self.robot.offset_range()
+        in_reach = []
+        for foot in range(4):
+            cells = [self.foothold((*base, heading, *[offset] * 4), foot) for offset in range(low, high + 1)]
+            in_reach.append([float(self.height(cell)) for cell in cells if self.standable(cell)])
+        if not self.known(base) or not all(in_reach):
+            return False
+        span = max(map(max, in_reach)) - min(map(min, in_reach))
+        apart = max(math.ceil(self.robot.feet.min_separation / CELL - 1e-9), 1)
+        slope = self.robot.slope
+        ahead = min(math.tan(slope.max_pitch) * CELL, span / apart)
+        across = min(math.tan(slope.max_roll) * CELL, span * (1 + (high - low) / apart) / (2 * self.neutral(0)[1]))
+        boxes = self.robot.body.boxes
+        length = max(max(abs(box.x_min), abs(box.x_max)) for box in boxes) / CELL
+        width = max(box.half_width for box in boxes) / CELL
+        most = sum(map(max, in_reach)) / 4 + ahead * (max(-low, high) + length) + across * width
+        return all(
+            float(self.height(cell)) <= most + box.above + TOUCH
+            for box in boxes
+            for cell in filter(self.known, self.in_rectangle(base, heading, box))
+        )
+
+    def cost_at(self, base, heading, offsets, footholds, contacts):
+        """State cost C for a base cell, four foot cells and four contact cells; inf if the state is invalid.
+
+        On a drive move, the feet are between cells; the base counts as free if it is so over its own cell.
+        """
+        if not all(self.standable(cell) for cell in footholds) or self.blocked(base, heading, offsets):
             return INF
         uneven = [self.uneven_under(cell) for cell in contacts]
         return 1 + self.robot.drive.unevenness_cost * (max(uneven) + sum(uneven))
@@ -200,7 +281,7 @@ class Naive:
             tuple((ix + x, iy + y) for x, y in (of(heading, i, feet[i], dx, dy) for i in range(4)))
             for of in (self.foot_cell, self.contact_cell)
         ]
-        return self.cost_at(base, heading, *cells)
+        return self.cost_at(base, heading, tuple(feet), *cells)
 
     def valid(self, state):
         low, high = self.robot.offset_range()
@@ -226,9 +307,27 @@ class Naive:
             yield from self.steps(state)
 
     def free(self, state):
-        """Whether the robot may turn and drive in any direction: all feet are neutral and at about the same height."""
+        """Whether the robot may turn and drive in any direction.
+
+        All feet are neutral; they are at about the same height, or no edge separates neighbouring feet.
+        """
         heights = [float(self.height(self.foothold(state, i))) for i in range(4)]
-        return not any(state[3:]) and max(heights) - min(heights) <= self.robot.drive.level
+        level = max(heights) - min(heights) <= self.robot.drive.level
+        return not any(state[3:]) and (level or self.on_slope(state))
+
+    def on_slope(self, state):
+        """Whether no edge lies on the outline of the rectangle between the neutral feet."""
+        corners = [self.neutral(i) for i in range(4)]
+        for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
+            points = math.ceil(2 * math.hypot(bx - ax, by - ay))
+            for n in range(points + 1):
+                x, y = rotated(state[2], ax + (bx - ax) * n / points, ay + (by - ay) * n / points)
+                # A point between two cells touches both.
+                for i, j in itertools.product((-1, 1), repeat=2):
+                    cell = state[0] + nearest(x, i), state[1] + nearest(y, j)
+                    if self.inside(cell) and self.barrier(cell):
+                        return False
+        return True
 
     def drives(self, state):
         ix, iy, heading = state[:3]
@@ -320,7 +419,7 @@ class Naive:
         if self.standable(self.line(foothold, heading, way, 1)):
             return False  # the foot can roll further
         passed = [self.line(foothold, heading, way, n) for n in range(1, length + 1)]
-        if not any(self.inside(cell) and self.edge(cell) for cell in passed):
+        if not any(self.inside(cell) and self.barrier(cell) for cell in passed):
             return False
         before, after = float(self.height(foothold)), float(self.height(landing))
         highest = max([before, after, *(self.lifted_over(cell) for cell in passed)])

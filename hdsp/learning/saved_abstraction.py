@@ -23,6 +23,8 @@ from hdsp.terrain.cost_maps import COST_MODEL_VERSION
 
 CONFIG, WEIGHTS = "config.json", "model.safetensors"
 FORMAT_VERSION = 1
+#: Earlier cost models whose abstractions still load; version 3 knows no slopes.
+EARLIER_COST_MODELS = (3,)
 Precision = Literal["float32", "float16"]
 
 
@@ -119,7 +121,8 @@ def read_saved(folder: Path, robot: Robot | None = None) -> tuple[SavedAbstracti
     for key, value in lattice_contract().items():
         _check_agreement(config_path, f"lattice.{key}", saved.lattice.get(key), value)
     provenance = saved.provenance
-    _check_agreement(config_path, "cost_model_version", provenance.cost_model_version, COST_MODEL_VERSION)
+    if provenance.cost_model_version not in EARLIER_COST_MODELS:
+        _check_agreement(config_path, "cost_model_version", provenance.cost_model_version, COST_MODEL_VERSION)
     if robot is not None and provenance.robot_hash not in ("", robot.hash()):
         raise InputError(
             f"{config_path}: trained for another robot ({provenance.robot!r}) than {robot.name!r} as it is now"

@@ -13,7 +13,7 @@ from hdsp.detailed.actions.action import BASE_FORWARD, FOOT_MOVE, STEP, TURN_LEF
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, successors
 from hdsp.detailed.states import pack_states, unpack_states
 from hdsp.detailed.world.world import World, build_world
-from hdsp.robot.lattice import DRIVE_MOVES
+from hdsp.robot.lattice import DRIVE_MOVES, RESOLUTION
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import CATEGORIES, TerrainSettings, random_map
@@ -36,6 +36,7 @@ TOY = {
             "ahead": 1.1, "side": 3.0, "behind": 2.3, "side_from": math.pi / 4, "side_to": 3 * math.pi / 4,
         },
     },
+    "slope": {"max_pitch": 0.3, "max_roll": 0.2},
     "turn": {"cost": 0.083, "unevenness_cost": 0.21},
     "foot_move": {"cost_per_metre": 1.37},
     "base_shift": {"cost_per_metre": 1.71, "backward": True},
@@ -92,6 +93,13 @@ def blocky(rng, cells: int = 12, blocks: int = 2, height: float = 0.12) -> np.nd
         length, width = rng.integers(1, cells, 2)
         heights[x : x + length, y : y + width] = rng.uniform(0.06, height)
     return heights
+
+
+def tilted(heights, rng, most: float = 0.35) -> np.ndarray:
+    """Heights on a floor that is tilted in a random direction, by up to ``most`` rad."""
+    ahead = rng.uniform(-np.pi, np.pi)
+    x, y = np.indices(heights.shape) * RESOLUTION
+    return (heights + np.tan(rng.uniform(0, most)) * (np.cos(ahead) * x + np.sin(ahead) * y)).astype(np.float32)
 
 
 def successor_arrays(world, state, rules: Rules | None = None):

@@ -176,7 +176,7 @@ def plain_relaxed_distances(twin, start, follow):
             states = [(x, y, heading, *([offset] * 4)) for offset in range(low, high + 1)]
             states = [state for state in states if twin.standable(twin.foothold(state, foot))]
             uneven.append(min((twin.uneven_under_foot(state, foot) for state in states), default=np.inf))
-        if twin.collides((x, y), heading):
+        if not twin.may_be_free((x, y), heading):
             return np.inf
         return 1 + twin.robot.drive.unevenness_cost * (max(uneven) + sum(uneven))
 

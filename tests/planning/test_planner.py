@@ -117,7 +117,7 @@ def test_nobody_straddles_a_wall_even_with_the_base_right_above_it():
     x, y = planner.grid.center((50, 50))
     plan = planner.plan((x, y, 0.0), (0.6, 0.6, 0.0))
     assert plan.status == Status.INVALID_START
-    assert "the body would hit what rises to 1.00 m at (1." in plan.explain()
+    assert "the body would hit the ground that rises to 1.00 m at (1." in plan.explain()
 
 
 def test_a_goal_in_a_wall_is_explained():
@@ -156,7 +156,7 @@ def test_a_door_too_narrow_is_proved_and_explained_by_what_the_body_hits():
     assert plan.status == Status.INFEASIBLE and plan.stats["expansions"] == 50_000
     words = plan.explain()
     assert words.startswith("there is no way: the robot cannot get from (") and "\n" not in words
-    assert "the body would hit what rises to 1.00 m at (1.4" in words
+    assert "the body would hit the ground that rises to 1.00 m at (1.4" in words
 
 
 def test_a_wall_too_high_is_explained_by_the_foot_that_cannot_pass():

@@ -47,7 +47,7 @@ def test_an_editor_refuses_what_the_loader_refuses():
     """Unknown and missing keys, as far as a schema can express them."""
     parts = [SCHEMA, *SCHEMA["$defs"].values()]
     assert all(part["additionalProperties"] is False and part["required"] == list(part["properties"]) for part in parts)
-    assert len(parts) == 12 and set(SCHEMA["properties"]) == set(Robot.load("momaro").to_dict())
+    assert len(parts) == 13 and set(SCHEMA["properties"]) == set(Robot.load("momaro").to_dict())
 
 
 def test_the_command_prints_the_schema():

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -5,7 +7,7 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import cost_maps
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import random_map
-from tests.detailed.instances import blocky, toy
+from tests.detailed.instances import blocky, tilted, toy
 from tests.naive import Naive
 
 MOMARO = Robot.load("momaro")
@@ -18,6 +20,8 @@ def assert_equal_to_the_twin(heights, robot, cells):
         assert maps.unevenness[x, y] == pytest.approx(twin.unevenness((x, y)), rel=1e-6, abs=1e-6)
         assert maps.edge[x, y] == twin.edge((x, y))
         assert maps.standable[x, y] == twin.standable((x, y))
+        for heading in range(0, 64, 5):
+            assert bool(int(maps.steep[x, y]) >> heading & 1) == twin.steep((x, y), heading)
 
 
 def test_cost_maps_equal_the_twins():
@@ -25,6 +29,7 @@ def test_cost_maps_equal_the_twins():
         rng = np.random.default_rng(seed)
         heights = blocky(rng, cells=16, blocks=4)
         heights[rng.random(heights.shape) < 0.03] = np.nan
+        heights = tilted(heights, rng) if seed > 1 else heights
         assert_equal_to_the_twin(heights, toy(feet={"clearance": 0.036}), np.ndindex(heights.shape))
 
 
@@ -53,11 +58,32 @@ def test_unevenness_is_proportional_to_height_and_ends_at_its_radius():
     assert np.flatnonzero(single[:, 30]).tolist() == list(range(18, 42))
 
 
-def test_slight_slopes_are_driven():
-    heights = np.repeat(np.arange(60, dtype=np.float32)[:, None] * 0.04, 60, axis=1)
-    maps = cost_maps(HeightMap(heights), MOMARO)
-    assert not maps.edge.any() and maps.standable.all()
-    assert maps.unevenness.min() > 0
+@pytest.mark.parametrize("ahead", [0.0, 0.4, 1.1, 2.5])
+@pytest.mark.parametrize("share", [0.9, 1.0, 1.1])
+def test_slopes_bear_a_foot_up_to_the_limit(ahead, share):
+    x, y = (np.indices((60, 60)) + 0.5) * 0.025
+    heights = np.tan(share * MOMARO.slope.max_pitch) * (np.cos(ahead) * x + np.sin(ahead) * y)
+    maps = cost_maps(HeightMap(heights.astype(np.float32)), MOMARO)
+    inner = maps.standable[6:-6, 6:-6]
+    assert not maps.edge.any() and (inner.all() if share <= 1 else not inner.any())
+
+
+def test_limits_ahead_and_across_depend_on_the_heading():
+    robot = dataclasses.replace(MOMARO, slope=dataclasses.replace(MOMARO.slope, max_roll=0.1))
+    heights = np.repeat(np.arange(60, dtype=np.float32)[:, None] * 0.025 * np.tan(0.2), 60, axis=1)
+    steep = cost_maps(HeightMap(heights.astype(np.float32)), robot).steep[30, 30]
+    allowed = [heading for heading in range(64) if not int(steep) >> heading & 1]
+    assert 0 in allowed and 32 in allowed and 16 not in allowed and 8 not in allowed
+    assert len(allowed) % 2 == 0 and len(allowed) < 24
+
+
+@pytest.mark.parametrize("smeared", [0.025, 0.05, 0.1, 0.15])
+@pytest.mark.parametrize("height", [0.04, 0.06, 0.1, 0.2])
+def test_a_kerb_smeared_into_a_ramp_stops_wheels_like_a_sharp_one(height, smeared):
+    x = np.arange(60) * 0.025
+    heights = np.repeat((height * np.clip((x - 0.7) / smeared, 0, 1))[:, None], 60, axis=1).astype(np.float32)
+    standable = cost_maps(HeightMap(heights), MOMARO).standable[20:40, 30]
+    assert standable.all() if height <= 0.05 else not standable.all()
 
 
 def test_unknown_ground_bears_no_foot_and_adds_no_unevenness():

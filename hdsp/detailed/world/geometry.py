@@ -105,15 +105,21 @@ def base_cells() -> np.ndarray:
 def outline_cells(robot: Robot) -> np.ndarray:
     """Cells on the outline of the rectangle between the neutral feet, int64 [64 headings, n, 2], relative to the base.
 
-    The points on the outline are half a cell apart at most, so that no edge lies between two of its cells.
+    The points on the outline are half a cell apart at most, so no edge lies between two of its cells. A point between
+    two cells adds both; mirrored and quarter-turned worlds therefore get mirrored and quarter-turned cells.
     """
     x, y = cells(robot.feet.neutral_x), cells(robot.feet.neutral_y)
     long, wide = np.linspace(-x, x, math.ceil(4 * x) + 1), np.linspace(-y, y, math.ceil(4 * y) + 1)
-    sides = [np.stack([long, np.full_like(long, side)], 1) for side in (-y, y)]
-    ends = [np.stack([np.full_like(wide, end), wide], 1) for end in (-x, x)]
+    sides = [np.stack([long, np.full_like(long, side)], axis=1) for side in (-y, y)]
+    ends = [np.stack([np.full_like(wide, end), wide], axis=1) for end in (-x, x)]
+    nudges = _NUDGE * np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
     outline = np.concatenate(sides + ends)
-    turned = [np.floor(outline @ rotation(float(heading_angle(h))).T + 0.5) for h in range(HEADINGS)]
-    return np.array(turned, dtype=np.int64)
+    by_heading = []
+    for heading in range(HEADINGS):
+        turned = (outline @ rotation(float(heading_angle(heading))).T)[:, None] + nudges
+        by_heading.append(np.unique(np.floor(turned + 0.5).astype(np.int64).reshape(-1, 2), axis=0))
+    longest = max(len(found) for found in by_heading)
+    return np.array([np.pad(found, ((0, longest - len(found)), (0, 0)), mode="edge") for found in by_heading])
 
 
 def rectangle_cells(rectangle: Rectangle, heading: int) -> np.ndarray:

@@ -484,7 +484,7 @@ def may_be_free(world, heading, p):
 def on_slope(world, heading, p):
     """Whether the ground joins the neutral feet without an edge: no edge lies on the outline between them."""
     outline, edge = world.tables.outline, world.edge
+    crossed = False
     for k in range(outline.shape[1]):
-        if edge[p + outline[heading, k]]:
-            return False
-    return True
+        crossed = crossed or edge[p + outline[heading, k]]
+    return not crossed

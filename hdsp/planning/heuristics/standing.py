@@ -4,7 +4,7 @@ import numpy as np
 
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import foot_row
-from hdsp.detailed.world.world import World, cell_index, may_be_free
+from hdsp.detailed.world.world import World, body_is_free, cell_index
 from hdsp.robot.lattice import (
     ABSTRACT_ANCHOR,
     ABSTRACT_HEADINGS,
@@ -15,7 +15,10 @@ from hdsp.robot.lattice import (
 
 
 def standing_states(world: World) -> np.ndarray:
-    """Abstract states at whose anchor the robot can stand with some feet, bool [16, nx, ny]."""
+    """Abstract states at whose anchor the robot can stand, bool [16, nx, ny].
+
+    Some feet have footholds, far enough apart, and the body is free over the footholds nearest to neutral.
+    """
     nx, ny = abstract_shape((world.nx, world.ny))
     return _standing_states(world, nx, ny)
 
@@ -35,9 +38,30 @@ def _standing_states(world, nx, ny):
                 result[k, a, b] = (
                     _side_stands(standable, feet, samples, n, p, left_front, left_rear, apart)
                     and _side_stands(standable, feet, samples, n, p, right_front, right_rear, apart)
-                    and may_be_free(world, heading, p)
+                    and _is_free_near_neutral(world, heading, p)
                 )
     return result
+
+
+@njit(inline="always")
+def _is_free_near_neutral(world, heading, p):
+    """Whether the body is free over the feet nearest to neutral; each foot has some foothold."""
+    o0, o1 = _nearest_to_neutral(world, heading, p, 0), _nearest_to_neutral(world, heading, p, 1)
+    o2, o3 = _nearest_to_neutral(world, heading, p, 2), _nearest_to_neutral(world, heading, p, 3)
+    return body_is_free(world, heading, p, o0, o1, o2, o3)
+
+
+@njit(inline="always")
+def _nearest_to_neutral(world, heading, p, foot):
+    t = world.tables
+    best = -t.lowest
+    farther = max(-t.lowest, t.n_offsets - 1 + t.lowest) + 1
+    for away in range(2 * farther):
+        offset = -t.lowest + (away // 2 if away % 2 else -(away // 2))
+        if 0 <= offset < t.n_offsets and world.standable[p + t.feet[foot_row(t, heading, foot, offset)]]:
+            best = offset
+            break
+    return best
 
 
 @njit(inline="always")
