@@ -116,14 +116,14 @@ class Naive:
 
     def edge(self, cell):
         """Whether no wheel passes a map cell."""
-        return not self.known(cell) or self.difference(cell) > np.float32(self.robot.drive.max_height_difference)
+        return not self.known(cell) or self.difference(cell) > np.float32(self.robot.drive.highest_edge)
 
     def steep(self, cell, heading):
         """Whether the ground at a cell is too steep for a foot of a robot at this heading."""
-        rolled_over, slope = float(np.float32(self.robot.drive.max_height_difference)), self.robot.slope
+        rolled_over, slope = float(np.float32(self.robot.drive.highest_edge)), self.robot.slope
         steepest = math.tan(slope.max_pitch), math.tan(slope.max_roll)
         # Along this length, an edge that a wheel passes is no steeper than the limit.
-        longest = max(math.ceil(self.robot.drive.max_height_difference / min(steepest) / CELL / 2 - 1e-9), 1)
+        longest = max(math.ceil(self.robot.drive.highest_edge / min(steepest) / CELL / 2 - 1e-9), 1)
         for way, n in itertools.product(range(8), range(1, longest + 1)):
             dx, dy = (nearest(n * f(way * math.pi / 8), 1) for f in (math.cos, math.sin))
             ends = [(cell[0] + dx, cell[1] + dy), (cell[0] - dx, cell[1] - dy)]
@@ -346,13 +346,20 @@ class Naive:
         return min(deviation, math.pi - deviation) <= self.robot.drive.straight_deviation + 1e-9
 
     def deviation(self, heading, dx, dy):
-        """Cost factor for driving toward (dx, dy)."""
+        """Cost factor for driving toward (dx, dy); inf if the robot cannot drive there."""
         f = self.robot.drive.deviation_cost
         deviation = deviation_angle(heading, dx, dy)
+        if not self.robot.drive.sideways or f.side == INF:
+            x, y = rotated(-heading, dx, dy)
+            straight = f.ahead if x > 0 else f.behind
+            # The robot pays its way along its heading and its way across.
+            return straight * (abs(x) + abs(y)) / math.hypot(x, y) if self.straight(heading, dx, dy) else INF
         if deviation <= f.side_from:
             return f.ahead + (f.side - f.ahead) * deviation / f.side_from
-        if deviation <= f.side_to:
+        if deviation <= f.side_to + 1e-9:
             return f.side
+        if f.behind == INF:
+            return INF
         return f.side + (f.behind - f.side) * (deviation - f.side_to) / (math.pi - f.side_to)
 
     def turns(self, state):

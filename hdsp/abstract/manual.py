@@ -185,7 +185,7 @@ class ManualCosts:
         margin = _Margin(features, self._pose_reach())
 
         walls = margin.of(_is_wall(features, robot), outside=True)
-        edges = margin.of(features.height_range > robot.drive.max_height_difference, outside=True)
+        edges = margin.of(features.height_range > robot.drive.highest_edge, outside=True)
         ranges = margin.of(np.nan_to_num(features.height_range), outside=0.0)
         tops = margin.of(features.top, outside=np.nan)
 

@@ -96,7 +96,7 @@ def check_plan(arena: Arena, plan: Plan, robot: Robot, tolerance: float = CELL_T
     for gaps in body:
         found.add(gaps, "body", blocks)
     lowest_foot_gap = np.inf
-    limit = robot.drive.max_height_difference
+    limit = robot.drive.highest_edge
     for foot, name in enumerate(FEET):
         gaps = _foot_gaps(feet[:, foot], ground[:, foot], limit, blocks)
         lowest_foot_gap = min(lowest_foot_gap, gaps.min(initial=np.inf))

@@ -59,7 +59,7 @@ def _is_steep_everywhere(world: World, robot: Robot, cell: int) -> bool:
     heights = world.height[[q for q in around if 0 <= q < len(world.height)]]
     if not world.edge[cell] or world.height[cell] == -np.inf:
         return False
-    return float(abs(heights - world.height[cell])[np.isfinite(heights)].max()) <= robot.drive.max_height_difference
+    return float(abs(heights - world.height[cell])[np.isfinite(heights)].max()) <= robot.drive.highest_edge
 
 
 def _steepness(world: World, robot: Robot, cell: int) -> str:
@@ -77,7 +77,7 @@ def _inclination(world: World, robot: Robot, cell: int) -> float:
             if world.edge[cell + step] and world.edge[cell - step] and not world.edge[cell]:
                 break
             rise = float(abs(world.height[cell + step] - world.height[cell - step]))
-            if robot.drive.max_height_difference < rise < np.inf:
+            if robot.drive.highest_edge < rise < np.inf:
                 steepest = max(steepest, rise / (2 * metres(float(np.hypot(dx, dy)))))
     return float(np.degrees(np.arctan(steepest)))
 
@@ -100,7 +100,7 @@ def _feet_without_foothold(world: World, grid: Grid, robot: Robot, state: np.nda
         elif world.height[cell] == -np.inf:
             why = "the ground there is unknown or off the map"
         else:
-            why = f"an edge higher than {robot.drive.max_height_difference:g} m is within {robot.feet.clearance:g} m"
+            why = f"an edge higher than {robot.drive.highest_edge:g} m is within {robot.feet.clearance:g} m"
         faults.append(f"the {name} foot cannot stand at ({x:.2f}, {y:.2f}) m: {why}")
     return faults
 

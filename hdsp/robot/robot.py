@@ -33,6 +33,8 @@ NotNegativeMetres = Annotated[NotNegative, Field(le=_LARGEST), unit("m")]
 NotNegativeRadians = Annotated[NotNegative, unit("rad")]
 #: Inclination of the ground.
 Inclination = Annotated[Positive, Field(lt=math.pi / 2), unit("rad")]
+#: Factor on a cost; ``.inf`` in a robot file: not possible.
+FactorOrNever = Annotated[float, Field(gt=0, allow_inf_nan=True)]
 #: Angle between heading and direction.
 Deviation = Annotated[float, Field(gt=0, le=math.pi), unit("rad")]
 
@@ -129,15 +131,15 @@ class DeviationCost:
 
     Attributes:
         ahead: factor straight ahead.
-        side: factor at all angles between side_from and side_to.
-        behind: factor straight back.
+        side: factor at all angles between side_from and side_to; .inf = the same as drive.sideways false.
+        behind: factor straight back; .inf = the robot does not drive backward.
         side_from: smallest angle with the side factor.
         side_to: largest angle with the side factor.
     """
 
     ahead: Positive
-    side: Positive
-    behind: Positive
+    side: FactorOrNever
+    behind: FactorOrNever
     side_from: Deviation
     side_to: Deviation
 
@@ -148,29 +150,77 @@ class DeviationCost:
         return self
 
     def __call__(self, deviation: float) -> float:
+        if deviation > self.side_to + 1e-9 and math.isinf(self.behind):
+            return math.inf
+        behind = self.side if math.isinf(self.behind) else self.behind
         knots = [0.0, self.side_from, self.side_to, math.pi]
-        return float(np.interp(deviation, knots, [self.ahead, self.side, self.side, self.behind]))
+        return float(np.interp(deviation, knots, [self.ahead, self.side, self.side, behind]))
 
 
 @checked
 class Drive:
     """Driving, and its ground limits.
 
+    An edge is a height difference between neighbouring cells. The highest edge that a wheel passes is either
+    max_height_difference, or rolled_share of wheel_radius.
+
     Attributes:
-        max_height_difference: largest height difference between neighbouring cells that a wheel passes.
         unevenness_radius: distance from a foot within which height differences count as unevenness.
         unevenness_cost: increase in the cost factor per metre of summed height differences.
-        straight_deviation: largest angle between heading and travel direction while the feet are not level.
+        straight_deviation: largest angle between heading and travel direction, ahead or back, for a robot that cannot
+            drive sideways, and for every robot while its feet are not level.
         level: largest height difference among level feet.
         deviation_cost: factor by travel direction.
+        sideways: whether the robot drives in all directions, as with steered wheels.
+        max_height_difference: highest edge that a wheel passes; null = from the wheel.
+        wheel_radius: radius of the wheels; null = max_height_difference is given.
+        rolled_share: highest edge that a wheel rolls over, as a share of its radius; null = max_height_difference is
+            given.
     """
 
-    max_height_difference: PositiveMetres
     unevenness_radius: PositiveMetres
     unevenness_cost: Annotated[Positive, unit("1/m")]
     straight_deviation: NotNegativeRadians
     level: NotNegativeMetres
     deviation_cost: DeviationCost
+    sideways: bool = True
+    max_height_difference: PositiveMetres | None = None
+    wheel_radius: PositiveMetres | None = None
+    rolled_share: Annotated[float, Field(gt=0, le=1)] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        wheel = self.wheel_radius, self.rolled_share
+        ways = "either max_height_difference, or wheel_radius and rolled_share"
+        if self.max_height_difference is not None and wheel != (None, None):
+            key = "wheel_radius" if self.wheel_radius is not None else "rolled_share"
+            raise fault(key, getattr(self, key), f"{ways}; max_height_difference is {self.max_height_difference:g} m")
+        if self.max_height_difference is None and None in wheel:
+            key = "rolled_share" if self.wheel_radius is not None else "max_height_difference"
+            raise fault(key, None, ways)
+        return self
+
+    @property
+    def highest_edge(self) -> float:
+        """Highest edge that a wheel passes, m."""
+        if self.max_height_difference is not None:
+            return self.max_height_difference
+        assert self.wheel_radius is not None and self.rolled_share is not None
+        return self.wheel_radius * self.rolled_share
+
+    def factor(self, deviation: float) -> float:
+        """Drive cost factor at an angle (rad, [0, pi]) between heading and travel direction; inf = not possible.
+
+        A robot that cannot drive sideways drives within ``straight_deviation`` of its heading, ahead or back. It pays
+        its way along the heading and its way across: the factor ahead or behind, times ``cos + sin`` of the angle.
+        """
+        if self.sideways and math.isfinite(self.deviation_cost.side):
+            return self.deviation_cost(deviation)
+        off = min(deviation, math.pi - deviation)
+        if off > self.straight_deviation + 1e-9:
+            return math.inf
+        straight = self.deviation_cost.ahead if deviation <= math.pi / 2 else self.deviation_cost.behind
+        return straight * (math.cos(off) + math.sin(off))
 
 
 @checked

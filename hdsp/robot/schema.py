@@ -29,8 +29,8 @@ _PAGE = """# Robot file
 This page documents every key of a robot file. `python -m hdsp.robot.schema docs` writes the page from
 `hdsp/robot/robot.py`; do not edit it.
 
-A robot is one YAML file: `hdsp.Planner(terrain, robot="my_robot.yaml")`. Every key is required. The presets
-[momaro.yaml](../hdsp/robot/presets/momaro.yaml) and
+A robot is one YAML file: `hdsp.Planner(terrain, robot="my_robot.yaml")`. Every key without a default is required. The
+presets [momaro.yaml](../hdsp/robot/presets/momaro.yaml) and
 [anymal_wheels.yaml](../hdsp/robot/presets/anymal_wheels.yaml) are templates. [Another robot](own-robot.md) shows the
 steps from a file to an abstraction for this robot.
 
@@ -49,10 +49,12 @@ of the file names the schema:
 ```
 
 Convention: metres and radians in the robot frame, x forward, y left. Costs are unitless. Symmetric parts are given
-once, for the front left leg. The editor checks keys and ranges; the loader also checks the rules between keys:
+once, for the front left leg. `.inf` is infinity. The editor checks keys and ranges; the loader also checks the rules
+between keys:
 
 - `feet`: the offsets include 0 and span less than 0.8 m; `contact_inward` is at most `neutral_x` and `neutral_y`.
 - `body.boxes`: `x_min` is less than `x_max`.
+- `drive`: either `max_height_difference`, or `wheel_radius` and `rolled_share`.
 - `drive.deviation_cost`: `side_from` is at most `side_to`.
 - `stance.base_height`: between `legs.min_length` and `legs.max_length`.
 
@@ -80,6 +82,9 @@ def robot_schema() -> dict[str, Any]:
         part["description"] = _summary(kind)
         for key, value in part["properties"].items():
             value.pop("title", None)
+            if "anyOf" in value:  # a number, or null as the default
+                inner = value.pop("anyOf")[0]
+                value |= {**inner, "type": [inner["type"], "null"]}
             value["description"] = meanings[key] + (f" [{value['unit']}]" if "unit" in value else "")
     return {"$schema": _DIALECT, **schema, "title": "Robot file of hdsp"}
 
@@ -128,10 +133,12 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _range(schema: dict[str, Any]) -> str:
-    if schema["type"] != "number":
-        return {"boolean": "true, false", "string": "text"}[schema["type"]]
+    default = f"; default {json.dumps(schema['default'])}" if "default" in schema else ""
+    if schema["type"] in ("boolean", "string"):
+        return {"boolean": "true, false", "string": "text"}[schema["type"]] + default
     signs = {"exclusiveMinimum": "> ", "minimum": "≥ ", "exclusiveMaximum": "< ", "maximum": "≤ "}
-    return ", ".join(f"{sign}{schema[name]:.6g}" for name, sign in signs.items() if name in schema) or "any"
+    limits = ", ".join(f"{sign}{schema[name]:.6g}" for name, sign in signs.items() if name in schema)
+    return (limits or "any") + default
 
 
 def _summary(kind: type) -> str:

@@ -60,15 +60,15 @@ def cost_maps(terrain: HeightMap, robot: Robot) -> CostMaps:
     heights = terrain.heights
     difference = _height_difference(heights)
     unevenness = _unevenness(difference, _disc_weights(cells(robot.drive.unevenness_radius)))
-    edge = np.isnan(heights) | (difference > np.float32(robot.drive.max_height_difference))
-    steep = _steep(heights, edge, steep_reach(robot), robot.drive.max_height_difference, *_direction_limits(robot))
+    edge = np.isnan(heights) | (difference > np.float32(robot.drive.highest_edge))
+    steep = _steep(heights, edge, steep_reach(robot), robot.drive.highest_edge, *_direction_limits(robot))
     standable = ~_near(edge, _disc(cells(robot.feet.clearance))) & (steep != EVERY_HEADING)
     return CostMaps(difference, unevenness, edge, steep, standable)
 
 
 def steep_reach(robot: Robot) -> int:
     """Distance (cells) up to which the ground on both sides of a cell counts for its gradient."""
-    length = robot.drive.max_height_difference / min(robot.slope.steepest())
+    length = robot.drive.highest_edge / min(robot.slope.steepest())
     return max(math.ceil(cells(length) / 2 - 1e-9), 1)
 
 

@@ -61,7 +61,20 @@ def toy(**changes) -> Robot:
 
 
 #: Cheap steps, so that a short textbook search finds many.
-NIMBLE = toy(step={"cost": 0.004, "cost_per_metre": 0.31, "cost_per_height": 0.05}, base_shift={"cost_per_metre": 1.2})
+NIMBLE_CHANGES = {
+    "step": {"cost": 0.004, "cost_per_metre": 0.31, "cost_per_height": 0.05},
+    "base_shift": {"cost_per_metre": 1.2},
+}
+NIMBLE = toy(**NIMBLE_CHANGES)
+
+#: Robots whose wheels do not steer: they drive along their heading, the second one ahead only.
+FIXED_WHEELS = toy(**{**NIMBLE_CHANGES, "drive": {"sideways": False}})
+AHEAD_ONLY = toy(
+    **{
+        **NIMBLE_CHANGES,
+        "drive": {"deviation_cost": {**TOY["drive"]["deviation_cost"], "side": math.inf, "behind": math.inf}},
+    }
+)
 
 #: The obstacles in the paper's categories, scaled to the toy robot; it can step on and over many of them.
 SMALL_TERRAIN = TerrainSettings(
@@ -186,14 +199,15 @@ TASKS_PER_CATEGORY = 70  # at least
 
 
 @cache
-def search_tasks(category: str) -> tuple[Task, ...]:
+def search_tasks(category: str, robots: tuple[Robot, ...] = (NIMBLE, NIMBLE, NIMBLE, toy())) -> tuple[Task, ...]:
     """Random tasks on small maps of a category; tasks with one start share a Dijkstra run, a world and a twin."""
     found, stepping = [], 0
     for index in itertools.count():
         if len(found) >= TASKS_PER_CATEGORY and stepping >= 20:
             return tuple(found)
         rng = np.random.default_rng([CATEGORIES.index(category), index])
-        robot, heights = toy() if index % 4 == 3 else NIMBLE, small_map(category, index)
+        robot = robots[index % len(robots)]
+        heights = small_map(category, index)
         twin = Naive(heights, robot)
         states = valid_states(twin, rng, 40, neutral=index % 3 > 0)
         if not states:

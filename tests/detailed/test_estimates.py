@@ -1,6 +1,7 @@
 """Estimates in the search kernels against true costs."""
 
 import heapq
+import math
 
 import numpy as np
 import pytest
@@ -33,13 +34,14 @@ costs = st.floats(0.01, 3.0)
 def robots(draw):
     """Toy robots with random costs."""
     ahead = draw(st.floats(0.3, 2.0))
+    factors = st.floats(0.3, 4.0) | st.sampled_from([25.0, math.inf])
     return toy(
         drive={
             "unevenness_cost": draw(st.floats(0.01, 1.0)),
             "deviation_cost": {
-                "ahead": ahead, "side": draw(st.floats(0.3, 4.0)), "behind": draw(st.floats(0.3, 4.0)),
-                "side_from": 0.785, "side_to": 2.356,
+                "ahead": ahead, "side": draw(factors), "behind": draw(factors), "side_from": 0.785, "side_to": 2.356,
             },
+            "sideways": draw(st.booleans()),
         },
         turn={"cost": draw(st.floats(0.001, 0.2))},
         foot_move={"cost_per_metre": draw(costs)},

@@ -1,5 +1,6 @@
 """Proofs of unreachable goals: found where expected, and never for a reachable goal."""
 
+import math
 import time
 
 import numpy as np
@@ -16,18 +17,26 @@ from hdsp.detailed.world.world import build_world
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import CATEGORIES, random_map
-from tests.detailed.instances import blocky, near_edges, toy, valid_states
+from tests.detailed.instances import TOY, blocky, near_edges, toy, valid_states
 from tests.naive import Naive, dijkstra
 
 MOMARO = Robot.load("momaro")
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
-@given(seed=st.integers(0, 10_000), backward=st.booleans(), window=st.sampled_from([2, 64]), neutral=st.booleans())
-def test_what_the_twin_reaches_is_never_called_unreachable(seed, backward, window, neutral):
+@given(
+    seed=st.integers(0, 10_000),
+    backward=st.booleans(),
+    sideways=st.booleans(),
+    window=st.sampled_from([2, 64]),
+    neutral=st.booleans(),
+)
+def test_what_the_twin_reaches_is_never_called_unreachable(seed, backward, sideways, window, neutral):
     rng = np.random.default_rng(seed)
     heights = blocky(rng, cells=10)
-    robot = toy(base_shift={"backward": backward}, step={"backward": backward})
+    behind = TOY["drive"]["deviation_cost"]["behind"] if backward else math.inf
+    drive = {"sideways": sideways, "deviation_cost": {**TOY["drive"]["deviation_cost"], "behind": behind}}
+    robot = toy(base_shift={"backward": backward}, step={"backward": backward}, drive=drive)
     states = valid_states(Naive(heights, robot), rng, 20, neutral=neutral)
     if not states:
         return

@@ -16,6 +16,8 @@ from hdsp.detailed.world.world import build_world
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import CATEGORIES
 from tests.detailed.instances import (
+    AHEAD_ONLY,
+    FIXED_WHEELS,
     NIMBLE,
     TASKS_PER_CATEGORY,
     blocky,
@@ -33,6 +35,14 @@ from tests.naive import Naive
 
 def planned(world, start, goal, **options):
     return solve(world, np.array(start), np.array(goal), geometric_estimate(world, np.array(goal)), **options)
+
+
+def test_robots_whose_wheels_do_not_steer_find_what_plain_dijkstra_finds():
+    for task in search_tasks("cuboid_wall", (FIXED_WHEELS, AHEAD_ONLY)):
+        for weight in (1.0, 2.0):
+            result = planned(task.world, task.start, task.goal, weight=weight)
+            assert result.status == [Status.SOLVED]
+            assert task.cost * (1 - 1e-5) <= result.cost[0] <= weight * task.cost * (1 + 1e-5)
 
 
 @by_category

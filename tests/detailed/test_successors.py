@@ -1,3 +1,4 @@
+import math
 from collections import Counter
 
 import numpy as np
@@ -12,6 +13,7 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import CATEGORIES, random_map
 from tests.detailed.instances import (
+    TOY,
     action_tuple,
     blocky,
     kernel_successors,
@@ -51,7 +53,9 @@ def test_successors_of_all_kinds_equal_the_twins():
     kinds = Counter()
     for seed in range(30):
         onward = {"backward": seed % 3 > 0}
-        robot = toy(step=onward, base_shift=onward, drive={"level": 0.07 + 0.1 * (seed % 2)})
+        factors = {**TOY["drive"]["deviation_cost"], "behind": math.inf if seed % 5 == 0 else 2.3}
+        drive = {"level": 0.07 + 0.1 * (seed % 2), "sideways": seed % 4 > 0, "deviation_cost": factors}
+        robot = toy(step=onward, base_shift=onward, drive=drive)
         rng = np.random.default_rng(seed)
         heights = tilted(blocky(rng), rng, 0.3) if seed % 4 == 3 else blocky(rng)
         heights[rng.random(heights.shape) < 0.01] = np.nan

@@ -16,6 +16,7 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import CATEGORIES, random_map
 from tests.detailed.instances import (
+    FIXED_WHEELS,
     NIMBLE,
     action_tuple,
     by_category,
@@ -33,6 +34,7 @@ CELLS = 73  # odd, so that the start cell in the middle stays there
 MIRRORED_FEET = (3, 2, 1, 0)
 KINDS = ("drive", "turn", "foot", "shift", "step")
 MOMARO = Robot.load("momaro")
+FIXED_MOMARO = Robot.load({**MOMARO.to_dict(), "drive": {**MOMARO.to_dict()["drive"], "sideways": False}})
 
 
 def mirrored_state(state, ny):
@@ -72,7 +74,7 @@ VIEWS = [(mirrored, mirrored_state, mirrored_action), (quarter_turned, quarter_t
 
 @pytest.mark.parametrize(
     "category, robot",
-    [(category, robot) for category in CATEGORIES for robot in (NIMBLE, toy(step={"backward": False}))]
+    [(category, robot) for category in CATEGORIES for robot in (NIMBLE, FIXED_WHEELS, toy(step={"backward": False}))]
     + [(category, MOMARO) for category in CATEGORIES[2::3]],
 )
 def test_actions_of_mirrored_and_turned_states(category, robot):
@@ -124,14 +126,18 @@ def assert_same_labels(first, second, actions):
     np.testing.assert_allclose(first.cost, second.cost[order], rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("category", CATEGORIES)
-def test_labels_of_mirrored_and_turned_maps(category):
+@pytest.mark.parametrize(
+    "category, robot, maps",
+    [(category, MOMARO, 12) for category in CATEGORIES]
+    + [(category, FIXED_MOMARO, 8) for category in CATEGORIES[1::3]],
+)
+def test_labels_of_mirrored_and_turned_maps(category, robot, maps):
     feasible, off_neutral = 0, 0
-    for index in range(12):
+    for index in range(maps):
         heights = random_map(21, category, index, cells=CELLS).heights
-        labels = label_map(HeightMap(heights), MOMARO)
-        reflected = label_map(HeightMap(mirrored(heights)), MOMARO)
-        turned = label_map(HeightMap(quarter_turned(heights)), MOMARO, start_heading=HEADINGS // 4)
+        labels = label_map(HeightMap(heights), robot)
+        reflected = label_map(HeightMap(mirrored(heights)), robot)
+        turned = label_map(HeightMap(quarter_turned(heights)), robot, start_heading=HEADINGS // 4)
         if labels is None:
             assert reflected is None and turned is None
             continue

@@ -74,6 +74,38 @@ def test_the_deviation_factor_runs_through_its_knots():
     assert factor(math.atan2(1, 2)) == pytest.approx(2.11424, abs=2e-5)  # published, docs/cost-model.md
 
 
+@pytest.mark.parametrize("drive", [{"sideways": False}, {"deviation_cost": {"side": math.inf}}])
+def test_a_robot_that_cannot_drive_sideways_drives_along_its_heading(drive):
+    values = copy.deepcopy(TOY)
+    values["drive"] |= {**drive, "deviation_cost": values["drive"]["deviation_cost"] | drive.get("deviation_cost", {})}
+    factor, most = Robot.load(values).drive.factor, TOY["drive"]["straight_deviation"]
+    assert factor(0.0) == 1.1 and factor(math.pi) == 2.3
+    assert factor(most) == pytest.approx(1.1 * (math.cos(most) + math.sin(most)))
+    assert factor(math.pi - most) == pytest.approx(2.3 * (math.cos(most) + math.sin(most)))
+    assert math.isinf(factor(most + 1e-6)) and math.isinf(factor(math.pi / 2)) and math.isinf(factor(math.pi - 0.4))
+
+
+def test_a_robot_that_cannot_drive_backward_keeps_its_other_directions():
+    drive = Robot.load(changed("drive.deviation_cost.behind", math.inf)).drive
+    assert drive.factor(drive.deviation_cost.side_to) == drive.factor(math.pi / 2) == 3.0
+    assert drive.factor(0.1) == Robot.load(TOY).drive.factor(0.1)
+    assert math.isinf(drive.factor(math.pi)) and math.isinf(drive.factor(drive.deviation_cost.side_to + 0.01))
+    assert_refused(changed("drive.deviation_cost.ahead", math.inf), "ahead", "finite number")
+    assert_refused(changed("drive.deviation_cost.behind", math.nan), "behind", "positive")
+
+
+def test_the_highest_edge_follows_from_the_wheel():
+    values = changed("drive.max_height_difference", ...)
+    values["drive"] |= {"wheel_radius": 0.08, "rolled_share": 0.5}
+    assert Robot.load(values).drive.highest_edge == 0.04
+    assert Robot.load(TOY).drive.highest_edge == 0.05
+    ways = "either max_height_difference, or wheel_radius and rolled_share"
+    assert_refused(changed("drive.max_height_difference", ...), "drive.max_height_difference", ways)
+    assert_refused(changed("drive.wheel_radius", 0.08), "drive.wheel_radius", ways)
+    values["drive"]["rolled_share"] = None
+    assert_refused(values, "drive.rolled_share", ways)
+
+
 def test_the_reach_covers_feet_steps_and_body():
     robot = Robot.load("momaro")
     farthest = robot.feet.neutral_x + robot.feet.offset_max

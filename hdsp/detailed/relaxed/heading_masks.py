@@ -59,7 +59,7 @@ def holds(reached: np.ndarray, state: np.ndarray) -> bool:
 class MaskTables(NamedTuple):
     """Actions with their headings as bits."""
 
-    straight: np.ndarray  # uint64 [20], headings at which a drive move leads ahead or back
+    drives: np.ndarray  # uint64 [2, 20], headings at which a drive move is possible; [1] for feet not level
     shift_dx: np.ndarray  # int64 [n], displacements of base shifts
     shift_dy: np.ndarray
     shift_headings: np.ndarray  # uint64 [n], headings at which the shifts are possible
@@ -80,7 +80,8 @@ def _mask_tables(world: World) -> MaskTables:
     ways = [shifts, -shifts] if world.constants.shift_backward else [shifts]
     found = np.unique(np.concatenate(ways), axis=0)
     headings = [_bits(np.any([(way == d).all(axis=1) for way in ways], axis=0)) for d in found]
-    return MaskTables(_bits(t.straight.T), found[:, 0].copy(), found[:, 1].copy(), np.array(headings, np.uint64))
+    drives = _bits(np.isfinite(t.drive_price).transpose(0, 2, 1))
+    return MaskTables(drives, found[:, 0].copy(), found[:, 1].copy(), np.array(headings, np.uint64))
 
 
 def _new_masks(world: World) -> HeadingMasks:
@@ -106,7 +107,7 @@ def _new_masks(world: World) -> HeadingMasks:
 @njit()
 def _flood(world, allowed, tables, masks, reached, x, y, drive_only):
     nx, ny, move_dx, move_dy = world.nx, world.ny, world.tables.move_dx, world.tables.move_dy
-    straight, shift_headings = tables.straight, tables.shift_headings
+    drives, shift_headings = tables.drives, tables.shift_headings
     shift_dx, shift_dy = tables.shift_dx, tables.shift_dy
     known, neutral, level, step, some = masks.known, masks.neutral, masks.level, masks.step, masks.some
     room = nx * ny + 1
@@ -133,7 +134,7 @@ def _flood(world, allowed, tables, masks, reached, x, y, drive_only):
         reached[0, x, y], reached[1, x, y] = on_neutral, on_any
         for m in range(len(move_dx)):
             u, v = x + move_dx[m], y + move_dy[m]
-            moved = on_neutral & (free | straight[m])
+            moved = on_neutral & ((free & drives[0, m]) | drives[1, m])
             if moved == 0 or not (0 <= u < nx and 0 <= v < ny) or moved & ~reached[0, u, v] == 0:
                 continue
             if known[u, v] == 0:

@@ -51,7 +51,7 @@ class Tables(NamedTuple):
     move_key: np.ndarray  # int64 [20], change of a packed state by the move
     move_first: np.ndarray  # int64 [20]
     move_count: np.ndarray
-    deviation: np.ndarray  # float64 [64, 20], factor on driving
+    deviation: np.ndarray  # float64 [64, 20], factor on driving, inf if impossible
     straight: np.ndarray  # bool [64, 20], whether the move leads ahead or back
     drive_price: np.ndarray  # float64 [2, 64, 20], length times factor; [1] for feet not level: inf unless straight
     base_sample: np.ndarray  # int64 [samples]
@@ -254,7 +254,7 @@ def _tables(robot: Robot, stride: int, size: int) -> Tables:
     travel = np.arctan2(DRIVE_MOVES[:, 1], DRIVE_MOVES[:, 0])
     turned = travel[None, :] - heading_angle(np.arange(HEADINGS))[:, None]
     deviation = abs(np.mod(turned + math.pi, 2 * math.pi) - math.pi)
-    factor = np.vectorize(robot.drive.deviation_cost)(np.round(deviation, 12))
+    factor = np.vectorize(robot.drive.factor, otypes=[float])(np.round(deviation, 12))
     length = metres(np.hypot(DRIVE_MOVES[:, 0], DRIVE_MOVES[:, 1]))
     straight = np.minimum(deviation, math.pi - deviation) <= robot.drive.straight_deviation + 1e-9
     return Tables(

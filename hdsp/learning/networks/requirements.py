@@ -7,6 +7,7 @@ from functools import reduce
 import torch
 from torch import Tensor, nn
 
+from hdsp.base.errors import InputError
 from hdsp.base.settings import NotNegative, Positive, checked
 from hdsp.robot.lattice import cells
 from hdsp.robot.robot import Box
@@ -34,20 +35,36 @@ class PoseRequirementOptions:
     Attributes:
         neutral: neutral foot position, along x and along y.
         level: largest height difference among the feet for driving in all directions.
-        edge: largest height difference between neighbouring cells that a wheel passes.
-        clearance: distance that feet keep from cells with larger differences.
+        clearance: distance that feet keep from edges no wheel passes.
         contact_inward: offset, from each foot toward the body, to the ground whose unevenness costs.
         unevenness_cost: drive cost per metre of unevenness.
         boxes: volumes that have to stay free.
+        edge: highest edge that a wheel passes; None = from the wheel.
+        wheel_radius, rolled_share: as in ``Drive``.
     """
 
     neutral: tuple[Positive, Positive]
     level: Positive
-    edge: Positive
     clearance: Positive
     contact_inward: NotNegative
     unevenness_cost: NotNegative
     boxes: tuple[Box, ...]
+    edge: Positive | None = None
+    wheel_radius: Positive | None = None
+    rolled_share: Positive | None = None
+
+    @property
+    def highest_edge(self) -> float:
+        """Highest edge that a wheel passes, m.
+
+        Raises:
+            InputError: neither the edge nor the wheel is given.
+        """
+        if self.edge is not None:
+            return self.edge
+        if self.wheel_radius is None or self.rolled_share is None:
+            raise InputError("model.options.stance.edge is None; need a number, or wheel_radius and rolled_share")
+        return self.wheel_radius * self.rolled_share
 
 
 class PoseRequirements(nn.Module):
@@ -70,7 +87,7 @@ class PoseRequirements(nn.Module):
 
     def __init__(self, options: PoseRequirementOptions, radius: int, rotations: Tensor):
         super().__init__()
-        self.options = options
+        self.options, self.edge = options, options.highest_edge
         self.radius = math.floor(cells(options.clearance) + 1e-9)
         signs, neutral = torch.tensor(FEET), torch.tensor(options.neutral)
         feet = cells(signs * neutral)
@@ -108,7 +125,7 @@ class PoseRequirements(nn.Module):
         mask = disc_mask(cells(self.options.clearance))
         nx, ny = edges.shape[-2] - 2 * self.radius, edges.shape[-1] - 2 * self.radius
         parts = (edges[..., i : i + nx, j : j + ny] for i, j in zip(*mask.nonzero(), strict=True))
-        return (reduce(torch.maximum, parts) / self.options.edge).clamp(0.0, MOST)
+        return (reduce(torch.maximum, parts) / self.edge).clamp(0.0, MOST)
 
     def straight(self, ground: Tensor, first: Sequence[int], size: Sequence[int]) -> Tensor:
         """Returns features [B, REQUIREMENT_FEATURES, *size] for poses with the start heading.
