@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from hdsp.abstract import oracle
+from hdsp.abstract.flat_table import cost_limit
 from hdsp.abstract.transform import feet_at
 from hdsp.detailed.search.outcome import Status
 from hdsp.detailed.world.world import build_world
@@ -82,6 +83,7 @@ def compare(run: LabelRun, maps: int) -> dict:
     seconds = {"world": 0.0, "shared": 0.0, "separate": 0.0}
     worst, different, compared, feasible = 0.0, 0, 0, 0
     undecided = {"shared": 0, "separate": 0}
+    rules = run.settings, cost_limit(run.robot, run.settings)
     warmed = False
     for number in range(run.split.maps):
         if compared == maps:
@@ -94,8 +96,8 @@ def compare(run: LabelRun, maps: int) -> dict:
         if start is None:
             continue
         if not warmed:  # compiles
-            oracle.task_costs(world, start, run.settings)
-            separate_costs(world, start, run.settings)
+            oracle.task_costs(world, start, *rules)
+            separate_costs(world, start, *rules)
             warmed, built = True, 0.0
         seconds["world"] += built
         ways = {"shared": oracle.task_costs, "separate": separate_costs}
@@ -103,7 +105,7 @@ def compare(run: LabelRun, maps: int) -> dict:
         found = {}
         for name in sorted(ways, reverse=bool(compared % 2)):
             began = time.process_time()
-            found[name] = ways[name](_unvisited(world), start, run.settings)
+            found[name] = ways[name](_unvisited(world), start, *rules)
             seconds[name] += time.process_time() - began
         (_, cost, reason), (_, other_cost, other_reason) = found["shared"], found["separate"]
         solved, other_solved = reason == Status.SOLVED, other_reason == Status.SOLVED
@@ -131,9 +133,9 @@ def compare(run: LabelRun, maps: int) -> dict:
     }
 
 
-def separate_costs(world, start: np.ndarray, settings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def separate_costs(world, start: np.ndarray, settings, limit: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Like `oracle.task_costs`, with a separate call for each goal."""
-    found = [oracle.task_costs(_unvisited(world), start, settings, action[None]) for action in ABSTRACT_ACTIONS]
+    found = [oracle.task_costs(_unvisited(world), start, settings, limit, action[None]) for action in ABSTRACT_ACTIONS]
     goals, cost, reason = (np.concatenate(column) for column in zip(*found, strict=True))
     return goals, cost, reason
 

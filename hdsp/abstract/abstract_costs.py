@@ -7,22 +7,17 @@ no other interface. `TaskPredictor` covers single tasks and serves evaluation.
 
 from __future__ import annotations
 
-import functools
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from hdsp.abstract.oracle import LabelSettings, task_costs
-from hdsp.abstract.transform import feet_at
+from hdsp.abstract.flat_table import flat_table
 from hdsp.base.errors import InputError
-from hdsp.detailed.world.world import build_world
 from hdsp.robot.lattice import (
     ABSTRACT_ACTIONS,
     ABSTRACT_HEADINGS,
-    HEADINGS_PER_ABSTRACT,
     N_ABSTRACT_ACTIONS,
     PATCH_CELLS,
-    PATCH_CENTER,
     abstract_shape,
     robot_frame_goals,
 )
@@ -105,7 +100,7 @@ class TaskPredictor(Protocol):
 
 
 class FlatCosts:
-    """Flat-ground baseline: every action is feasible at its flat-ground cost, on any terrain.
+    """Flat-ground baseline: every action has its flat-ground cost, on any terrain; inf = infeasible on flat ground.
 
     An abstraction differs from this baseline by its terrain knowledge. Implements `LocalCosts` and `TaskPredictor`.
     """
@@ -131,43 +126,19 @@ class FlatCosts:
 
     def predict(self, patches: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `TaskPredictor.predict`."""
-        goals = checked_tasks(patches, goals)
-        return np.ones(goals.shape[:-1], bool), self.costs(goals)
+        costs = self.costs(checked_tasks(patches, goals))
+        return np.isfinite(costs), costs
 
     def costs(self, goals: np.ndarray) -> np.ndarray:
-        """Returns flat-ground costs, float32 [...], for robot-frame goals [..., 3], from the nearest known task."""
+        """Returns flat-ground costs, float32 [...], for robot-frame goals [..., 3], from the nearest known task.
+
+        inf = infeasible on flat ground.
+        """
         # The known tasks are the actions at all headings, rotated into the robot frame.
         known = np.concatenate([robot_frame_goals(heading) for heading in range(ABSTRACT_HEADINGS)])
         distinct, which = np.unique(np.reshape(goals, (-1, 3)), axis=0, return_inverse=True)
         nearest = np.linalg.norm(distinct[:, None] - known, axis=-1).argmin(axis=1)
         return self.table.reshape(-1)[nearest][which].reshape(np.shape(goals)[:-1])
-
-
-@functools.lru_cache(maxsize=16)
-def flat_table(robot: Robot) -> np.ndarray:
-    """Returns flat-ground costs, float32 [16, 22] by heading and action: labels for a flat map.
-
-    A robot turn by 90 degrees only permutes the actions, so four headings are searched.
-
-    Raises:
-        InputError: an action is infeasible on flat ground.
-    """
-    world = build_world(HeightMap.flat((PATCH_CELLS, PATCH_CELLS)), robot)
-    table = np.empty((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), np.float32)
-    quarter = ABSTRACT_HEADINGS // 4
-    for heading in range(quarter):
-        start = feet_at(world, (PATCH_CENTER, PATCH_CENTER, heading * HEADINGS_PER_ABSTRACT))
-        costs = np.full(N_ABSTRACT_ACTIONS, np.inf) if start is None else task_costs(world, start, LabelSettings())[1]
-        if np.isinf(costs).any():
-            raise InputError(f"robot {robot.name}: some abstract action is infeasible even on flat ground")
-        table[heading] = costs
-    index = {tuple(action): m for m, action in enumerate(ABSTRACT_ACTIONS.tolist())}
-    for heading in range(quarter, ABSTRACT_HEADINGS):
-        # An action costs the same as its copy, rotated back by 90 degrees, at the heading one quarter earlier.
-        turned_back = [index[dy, -dx, turn] for dx, dy, turn in ABSTRACT_ACTIONS.tolist()]
-        table[heading] = table[heading - quarter, turned_back]
-    table.flags.writeable = False
-    return table
 
 
 def checked_region(height_map: HeightMap, region: Region | None) -> Region:

@@ -25,24 +25,30 @@ from hdsp.robot.lattice import ABSTRACT_ACTIONS, CELLS_PER_ABSTRACT, HEADINGS, H
 
 @checked
 class LabelSettings:
-    """Labelling rules.
+    """Labelling rules, for every robot: costs are relative to those of the robot.
 
     Attributes:
         heading_window: largest distance from the task's heading during a translation, in heading steps (5.625 degrees).
         turn_cost_factor: turn cost during a translation, relative to its normal value.
-        cost_limit: more expensive tasks count as infeasible; the published labels end at 1.48.
+        cost_limit_factor: tasks that are more expensive, by this factor, than the robot's most expensive action on flat
+            ground (``hdsp.abstract.flat_table.cost_limit``) count as infeasible. Momaro's limit is 1.6; its published
+            labels end at 1.48.
         max_expansions: memory safeguard, far above usual searches. A search beyond it ends undecided; its tasks count
             as infeasible and keep this status.
     """
 
     heading_window: Annotated[int, Field(ge=0, le=HEADINGS)] = 3
     turn_cost_factor: Positive = 1.68099
-    cost_limit: Positive = 1.6
+    cost_limit_factor: Positive = 2.385139176
     max_expansions: Count = 10_000_000
 
 
 def task_costs(
-    world: World, start: np.ndarray, settings: LabelSettings, actions: np.ndarray = ABSTRACT_ACTIONS
+    world: World,
+    start: np.ndarray,
+    settings: LabelSettings,
+    cost_limit: float,
+    actions: np.ndarray = ABSTRACT_ACTIONS,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Costs of abstract actions from a valid detailed state.
 
@@ -50,6 +56,7 @@ def task_costs(
         world: terrain and robot.
         start: int64 [7], lattice units; its heading is an abstract one.
         settings: labelling rules.
+        cost_limit: more expensive tasks count as infeasible.
         actions: int64 [n, 3], a selection of the 22 actions, in the lattice frame.
 
     Returns:
@@ -70,23 +77,31 @@ def task_costs(
     poses = new_poses(world, heading, window)
     for rules, chosen in tasks:
         if len(chosen):
-            cost[chosen], reason[chosen] = _search(world, start, goals[chosen], rules, settings, poses)
+            cost[chosen], reason[chosen] = _search(world, start, goals[chosen], rules, settings, cost_limit, poses)
     return goals, cost, reason
 
 
-def _search(world: World, start: np.ndarray, goals: np.ndarray, rules: Rules, settings: LabelSettings, poses: Poses):
+def _search(
+    world: World,
+    start: np.ndarray,
+    goals: np.ndarray,
+    rules: Rules,
+    settings: LabelSettings,
+    cost_limit: float,
+    poses: Poses,
+):
     """Costs and statuses for goals with the same rules.
 
     Goals out of reach in the relaxed problem are infeasible; goals within its reach, but beyond the limit, are over the
     limit. The relaxed problem also gives the cost of driving alone. A search with all actions runs only for goals with
     a possibly lower cost, once for all of them.
     """
-    relaxed = explore(world, rules, start, settings.cost_limit, goals, poses)
+    relaxed = explore(world, rules, start, cost_limit, goals, poses)
     least, cost = least_costs(world, relaxed, start, goals), relaxed.driven.copy()
     unreached = Status.COST_LIMIT if relaxed.cut else Status.INFEASIBLE
     status = np.where(np.isfinite(least), Status.COST_LIMIT, unreached).astype(np.int64)
     status[np.isfinite(cost)] = Status.SOLVED
-    limit = np.where(np.isfinite(cost), cost * (1 - 1e-6), settings.cost_limit)
+    limit = np.where(np.isfinite(cost), cost * (1 - 1e-6), cost_limit)
     chosen = np.flatnonzero(least < limit)
     if not len(chosen):
         return cost, status

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hdsp.abstract.flat_table import cost_limit
 from hdsp.abstract.oracle import LabelSettings, task_costs
 from hdsp.abstract.transform import feet_at
 from hdsp.base.errors import InputError
@@ -66,7 +67,8 @@ def label_map(
     start = feet_at(world, base)
     if start is None:
         return None
-    return _map_tasks(terrain, base, start, *task_costs(world, start, settings or LabelSettings()))
+    settings = settings or LabelSettings()
+    return _map_tasks(terrain, base, start, *task_costs(world, start, settings, cost_limit(robot, settings)))
 
 
 def label_unstandable(

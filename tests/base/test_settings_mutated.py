@@ -179,7 +179,10 @@ def test_a_stage_ends_with_one_line_and_status_1(tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     for arguments, says in [
         ([], "error: params.yaml, line 1: not YAML: "),
-        (["labelling.settings.cost_limit=abc"], "error: labelling.settings.cost_limit is 'abc'; need a finite number"),
+        (
+            ["labelling.settings.cost_limit_factor=abc"],
+            "error: labelling.settings.cost_limit_factor is 'abc'; need a finite number",
+        ),
     ]:
         command = [sys.executable, "-m", "pipeline.report", *arguments]
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)

@@ -106,14 +106,15 @@ def test_wrong_arguments_are_named():
     for heading in (3, -4, 64):
         with pytest.raises(InputError, match=f"start heading {heading}"):
             label_map(flat, MOMARO, start_heading=heading)
-    with pytest.raises(InputError, match=r"cost_limit is 0\.0; need a positive number"):
-        LabelSettings(cost_limit=0.0)
+    with pytest.raises(InputError, match=r"cost_limit_factor is 0\.0; need a positive number"):
+        LabelSettings(cost_limit_factor=0.0)
     with pytest.raises(InputError, match="heading_window is -1; need at least 0"):
         LabelSettings(heading_window=-1)
 
 
 def test_a_cost_limit_of_labelling_cuts_what_costs_more():
-    labels = label_map(HeightMap.flat((72, 72)), MOMARO, LabelSettings(cost_limit=0.3001))
+    factor = 0.3001 / max(FLAT)
+    labels = label_map(HeightMap.flat((72, 72)), MOMARO, LabelSettings(cost_limit_factor=factor))
     assert labels.feasible.tolist() == [cost <= 0.3001 for cost in FLAT]
     assert (labels.reason[~labels.feasible] == Status.COST_LIMIT).all()
 

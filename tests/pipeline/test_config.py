@@ -76,7 +76,10 @@ def test_wrong_overrides_are_named_in_one_line(override, says):
 @pytest.mark.parametrize(
     ("override", "says"),
     [
-        ("labelling.settings.cost_limit=abc", "labelling.settings.cost_limit is 'abc'; need a finite number"),
+        (
+            "labelling.settings.cost_limit_factor=abc",
+            "labelling.settings.cost_limit_factor is 'abc'; need a finite number",
+        ),
         ("labelling.settings=null", "labelling.settings is None; need a mapping"),
         ("labelling.used=[train,tests]", "labelling.used[1] is 'tests'; need one of labelling.splits: train, val, "),
         (

@@ -65,4 +65,4 @@ def test_the_report_sets_the_labels_beside_those_of_the_paper(labelled):
 
 def test_a_report_of_labels_of_other_settings_is_refused(labelled):
     with pytest.raises(AssertionError, match="labels of other settings or code than these; label the split again"):
-        run_python("pipeline.label_report", *tiny(labelled), "labelling.settings.cost_limit=1.2")
+        run_python("pipeline.label_report", *tiny(labelled), "labelling.settings.cost_limit_factor=1.2")

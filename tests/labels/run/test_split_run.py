@@ -327,7 +327,7 @@ def wait_for(condition, seconds: float = 30) -> bool:
 
 def test_maps_where_the_robot_cannot_stand_are_what_the_others_drop(tmp_path):
     split = SplitSettings(seed=31, maps_per_category=2, heading_residues=(0, 1))
-    settings = LabelSettings(cost_limit=0.01)
+    settings = LabelSettings(cost_limit_factor=0.01)
     kept = {}
     for standable in (True, False):
         run = LabelRun(replace(split, standable=standable), ROBOT, TerrainSettings(), settings)

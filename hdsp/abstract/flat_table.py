@@ -1,0 +1,75 @@
+"""Costs of the abstract actions on flat ground, and the cost limit of labels that follows from them."""
+
+import functools
+
+import numpy as np
+
+from hdsp.abstract.oracle import LabelSettings, task_costs
+from hdsp.abstract.transform import feet_at
+from hdsp.base.errors import InputError
+from hdsp.detailed.world.world import World, build_world
+from hdsp.robot.lattice import (
+    ABSTRACT_ACTIONS,
+    ABSTRACT_HEADINGS,
+    HEADINGS_PER_ABSTRACT,
+    N_ABSTRACT_ACTIONS,
+    PATCH_CELLS,
+    PATCH_CENTER,
+)
+from hdsp.robot.robot import FEET, Robot
+from hdsp.terrain.height_map import HeightMap
+
+#: Actions of each kind in the longest detailed plan for an abstract action on flat ground; a generous bound.
+_ACTIONS = 64
+
+
+@functools.lru_cache(maxsize=16)
+def flat_table(robot: Robot, settings: LabelSettings | None = None) -> np.ndarray:
+    """Returns flat-ground costs, float32 [16, 22] by heading and action: labels for a flat map.
+
+    inf = infeasible even on flat ground, for instance a way back for a robot that only drives ahead. A robot turn by 90
+    degrees only permutes the actions, so four headings are searched.
+
+    Raises:
+        InputError: the robot cannot stand on flat ground, or no action is feasible.
+    """
+    world = build_world(HeightMap.flat((PATCH_CELLS, PATCH_CELLS)), robot)
+    settings = settings or LabelSettings()
+    table = np.empty((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), np.float32)
+    quarter = ABSTRACT_HEADINGS // 4
+    for heading in range(quarter):
+        start = feet_at(world, (PATCH_CENTER, PATCH_CENTER, heading * HEADINGS_PER_ABSTRACT))
+        if start is None:
+            raise InputError(f"robot {robot.name}: the robot cannot stand even on flat ground")
+        table[heading] = task_costs(world, start, settings, _most(world, settings))[1]
+    index = {tuple(action): m for m, action in enumerate(ABSTRACT_ACTIONS.tolist())}
+    for heading in range(quarter, ABSTRACT_HEADINGS):
+        # An action costs the same as its copy, rotated back by 90 degrees, at the heading one quarter earlier.
+        turned_back = [index[dy, -dx, turn] for dx, dy, turn in ABSTRACT_ACTIONS.tolist()]
+        table[heading] = table[heading - quarter, turned_back]
+    if np.isinf(table).all():
+        raise InputError(f"robot {robot.name}: every abstract action is infeasible even on flat ground")
+    table.flags.writeable = False
+    return table
+
+
+def cost_limit(robot: Robot, settings: LabelSettings) -> float:
+    """Returns the highest cost of a feasible label.
+
+    The limit is ``settings.cost_limit_factor`` times the cost of the most expensive feasible action on flat ground, or
+    of a longest and highest step with each foot, whichever is higher. It is 1.6 for Momaro.
+    """
+    flat = flat_table(robot, settings)
+    highest = float(flat[np.isfinite(flat)].max())
+    step = robot.step
+    if step.max_length > 0:
+        effort = step.cost + step.cost_per_metre * step.max_length + step.cost_per_height * step.max_height
+        highest = max(highest, len(FEET) * effort)
+    return round(settings.cost_limit_factor * highest, 6)  # the table has seven digits
+
+
+def _most(world: World, settings: LabelSettings) -> float:
+    """A cost above that of any action on flat ground."""
+    price = world.tables.drive_price[0]
+    turn = world.constants.turn * max(settings.turn_cost_factor, 1.0)
+    return _ACTIONS * (turn + float(price[np.isfinite(price)].max()))
