@@ -40,6 +40,11 @@ from hdsp.robot.robot import Robot
 if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
 
+#: Logit of a goal that is infeasible even on flat ground.
+NEVER = -1e4
+#: Largest difference, in abstract steps, between a goal and one that is infeasible on flat ground.
+TOLERANCE = 1e-3
+
 WINDOWS = 24  # patches per goal evaluation in ``predict_windows``
 
 
@@ -164,7 +169,7 @@ class LearnedAbstraction:
         for start in range(0, len(patches), batch):
             part = slice(start, start + batch)
             predicted, of_feasible = self._evaluate(patches[part], goals[part])
-            logits[part] = of_feasible.float().cpu().numpy()
+            logits[part] = np.where(self._never(goals[part]), NEVER, of_feasible.float().cpu().numpy())
             cost[part] = predicted.clamp_min(MINIMUM_COST).cpu().numpy()
         return logits, cost
 
@@ -187,7 +192,7 @@ class LearnedAbstraction:
             encoded = encode(network.encoding, torch.from_numpy(heights)[None, None].to(self.device))
             # Channels innermost, as the weights are.
             dense = trunk(encoded.contiguous(memory_format=torch.channels_last))
-        shared_goals = torch.from_numpy(goals)[None].to(self.device)
+        shared_goals, never = torch.from_numpy(goals)[None].to(self.device), self._never(goals)
         feasible, costs = np.zeros((len(corners), len(goals)), bool), np.zeros((len(corners), len(goals)), np.float32)
         # Small groups, because the values for all goals and patches together exceed the processor's cache. The groups
         # are always the same, because sums over another number of rows may round differently.
@@ -196,9 +201,17 @@ class LearnedAbstraction:
             if wanted[part].any():
                 features = trunk.windows(dense, torch.from_numpy(corners[part]).to(self.device)).float()
                 cost, logits = network.goal_part(features, shared_goals)
-                feasible[part] = (logits > 0).cpu().numpy()
+                feasible[part] = (logits > 0).cpu().numpy() & ~never
                 costs[part] = cost.clamp_min(MINIMUM_COST).cpu().numpy()
         return feasible, self._at_level(costs, goals)
+
+    def _never(self, goals: np.ndarray) -> np.ndarray:
+        """Whether goals [..., 3] are infeasible even on flat ground; bool [...]."""
+        if not self.provenance.never_feasible:
+            return np.zeros(goals.shape[:-1], bool)
+        never = np.array(self.provenance.never_feasible, np.float32)
+        near = np.abs(goals[..., None, :] - never) < TOLERANCE
+        return np.asarray(near.all(axis=-1).any(axis=-1))
 
     def _evaluate(self, patches: np.ndarray, goals: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         heights = torch.tensor(patches)[:, None].to(self.device, memory_format=torch.channels_last)

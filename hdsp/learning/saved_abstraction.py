@@ -12,6 +12,9 @@ from dataclasses import field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
+from hdsp.abstract.flat_table import flat_table
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
 from hdsp.base.settings import checked, load_settings, read_json, shown
@@ -37,6 +40,8 @@ class Provenance:
         robot_hash: ``Robot.hash()`` of the labelled robot; empty = not recorded.
         cost_model_version: cost model version behind the labels.
         labels_hash: hash over everything the labels depend on; empty = not recorded.
+        never_feasible: goals in the robot frame, in abstract steps (``robot_frame_goals``), that are infeasible even on
+            flat ground; the abstraction judges them infeasible on any terrain.
         notes: further plain values.
     """
 
@@ -44,12 +49,13 @@ class Provenance:
     robot_hash: str = ""
     cost_model_version: int = COST_MODEL_VERSION
     labels_hash: str = ""
+    never_feasible: tuple[tuple[float, float, float], ...] = ()
     notes: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, robot: Robot, labels_hash: str = "", **notes: Any) -> "Provenance":
         """Provenance for labels made now for ``robot``, with the current cost model."""
-        return cls(robot.name, robot.hash(), COST_MODEL_VERSION, labels_hash, notes)
+        return cls(robot.name, robot.hash(), COST_MODEL_VERSION, labels_hash, _never_feasible(robot), notes)
 
 
 @checked
@@ -75,6 +81,12 @@ class SavedAbstraction:
     weights_sha256: str
     calibration: Calibration = field(default_factory=Calibration)
     precision: Precision = "float32"
+
+
+def _never_feasible(robot: Robot) -> tuple[tuple[float, float, float], ...]:
+    goals = np.array([lattice.robot_frame_goals(heading) for heading in range(lattice.ABSTRACT_HEADINGS)])
+    found = np.unique(np.round(goals[np.isinf(flat_table(robot))].astype(float), 6), axis=0)
+    return tuple((dx, dy, turn) for dx, dy, turn in found.tolist())
 
 
 def replace_folder(folder: Path, files: Mapping[str, bytes]) -> Path:

@@ -1,16 +1,21 @@
 """Saved abstractions: loading restores them exactly, and unsuitable files are refused."""
 
 import json
+import math
 
 import numpy as np
 import pytest
 import torch
 
+from hdsp.abstract.flat_table import flat_table
 from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.learning import HardwareSettings, LearnedAbstraction, ModelSettings, Provenance, build_network
+from hdsp.learning.learned_costs import LearnedCosts
 from hdsp.learning.metrics import MINIMUM_COST
+from hdsp.robot.lattice import robot_frame_goals
 from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
 from tests.learning.synthetic import TINY_MODEL, synthetic_tasks
 
 EXACT = HardwareSettings(accelerator="cpu", precision="32")
@@ -46,6 +51,26 @@ def test_a_round_trip_changes_no_prediction(abstraction, saved):
     assert (read.model.to_dict(), read.provenance, read.metrics) == (
         abstraction.model.to_dict(), abstraction.provenance, abstraction.metrics,
     )  # fmt: skip
+
+
+def test_actions_that_are_infeasible_on_flat_ground_are_never_judged_feasible(abstraction, tmp_path):
+    momaro = Robot.load("momaro").to_dict()
+    factors = {**momaro["drive"]["deviation_cost"], "side": math.inf, "behind": math.inf}
+    robot = Robot.load({**momaro, "drive": {**momaro["drive"], "deviation_cost": factors}})
+    with torch.no_grad():
+        abstraction.network.heads.bias.copy_(torch.tensor([0.4, 9.0]))  # otherwise all are feasible
+    ahead_only = LearnedAbstraction(abstraction.network, abstraction.model, Provenance.of(robot), hardware=EXACT)
+    read = LearnedAbstraction.from_pretrained(ahead_only.save_pretrained(tmp_path / "ahead"), robot, EXACT)
+    tasks, flat = synthetic_tasks(30), flat_table(robot)
+    tasks.goals[:], never = robot_frame_goals(0), np.isinf(flat[0])
+    assert read.predict(tasks.heights, tasks.goals)[0].tolist() == [(~never).tolist()] * 30
+    terrain = HeightMap.flat((20, 16))
+    known = np.isfinite(LearnedCosts(abstraction).edges(terrain))
+    edges = LearnedCosts(read).edges(terrain)
+    assert (np.isfinite(edges) == (known & np.isfinite(flat)[:, None, None])).all() and known.any()
+    tasks.feasible[:, never], tasks.cost[:, never] = False, 0
+    figures = read.calibrated(tasks).calibration_figures(tasks)
+    assert np.isfinite([figures["ece"], figures["brier"], read.calibrated(tasks).calibration.temperature]).all()
 
 
 def test_predictions_do_not_depend_on_the_batch(abstraction):
