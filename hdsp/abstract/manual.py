@@ -12,8 +12,8 @@ height, largest height, and class:
 
 Rules for a robot with neutral feet:
 
-- A state is *blocked* if ground rises into the body, or if a foot finds no drivable cell within a small reach ahead and
-  behind.
+- A state is *blocked* if ground rises into the body, which lies above the plane through the ground under the neutral
+  feet (`hdsp.detailed.base_pose`), or if a foot finds no drivable cell within a small reach ahead and behind.
 - An action is feasible if no state on its way is blocked and each foot crosses drivable cells. On an action (nearly)
   straight ahead or back, a foot may also cross step cells.
 - The action costs its flat-ground cost, raised in proportion to the mean height range below and around the robot, plus
@@ -42,6 +42,7 @@ from hdsp.robot.lattice import (
     PATCH_CENTER,
     abstract_shape,
     abstract_steps,
+    abstract_steps_to_world,
     heading_angle,
     robot_frame_goals,
     rotation,
@@ -189,11 +190,13 @@ class ManualCosts:
         ranges = margin.of(np.nan_to_num(features.height_range), outside=0.0)
         tops = margin.of(features.top, outside=np.nan)
 
+        feet = robot.neutral_feet()
+        ground, ahead, left = self._ground_plane(margin.of(features.ground, outside=np.nan), margin, rotated)
         blocked = np.zeros(features.ground.shape, bool)
         for box in robot.body.boxes:
             for cell in _cells_in(box.x_min, box.x_max, box.half_width, rotated):
-                blocked |= margin.shifted(tops, cell) - features.ground > box.above
-        feet = robot.neutral_feet()
+                x, y, _ = abstract_steps_to_world([*(rotated.T @ cell), 0.0])
+                blocked |= margin.shifted(tops, cell) - (ground + x * ahead + y * left) > box.above
         on_wall, on_step = [], []
         reach = np.array([settings.foot_reach, 0.0])
         for foot in feet:
@@ -205,6 +208,21 @@ class ManualCosts:
         around = _cells_in(-length, length, width, rotated)
         uneven = reduce(np.add, (margin.shifted(ranges, cell) for cell in around)) / len(around)
         return _PoseTerrain(blocked, np.array(on_step), np.array(on_wall), uneven)
+
+    def _ground_plane(self, grounds: np.ndarray, margin: _Margin, rotated: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Plane through the ground under the neutral feet, as in `hdsp.detailed.base_pose`.
+
+        Returns:
+            Height under the base centre (m), gradient ahead, gradient to the left, each [nx, ny].
+        """
+        feet = self.robot.neutral_feet()
+        steepest_ahead, steepest_left = self.robot.slope.steepest()
+        length, width = np.abs(feet).max(axis=0)
+        z = [margin.shifted(grounds, _cell(rotated @ foot)) for foot in feet]
+        ahead = (z[0] + z[3] - z[1] - z[2]) / (4 * length)
+        left = (z[0] + z[1] - z[2] - z[3]) / (4 * width)
+        ahead, left = np.clip(ahead, -steepest_ahead, steepest_ahead), np.clip(left, -steepest_left, steepest_left)
+        return (z[0] + z[1] + z[2] + z[3]) / 4, ahead, left
 
 
 def coarse_features(heights: np.ndarray) -> Features:
