@@ -1,11 +1,12 @@
 """Decision of tasks on random maps, and time per map.
 
-    python -m benchmarks.labels_decided [--maps 200] [--seed 3] [--robot momaro]
+    python -m benchmarks.labels_decided [--maps 200] [--seed 3] [--robot momaro] [--categories all]
 
-The benchmark labels random maps from all nine categories in turn and prints one JSON line last. It holds the shares of
-tasks solved, with an invalid goal, proved infeasible, proved above the cost limit, and undecided at a search limit
-(`capped_share`); the most expansions in a search; milliseconds per map, with and without maps dropped for lack of a
-valid start; and tasks per second on one core.
+The benchmark labels random maps and prints one JSON line last. The maps come in turn from the paper's nine categories
+and from the categories with slopes; ``--categories paper`` or ``slopes`` takes one group alone. The line holds the
+shares of tasks solved, with an invalid goal, proved infeasible, proved above the cost limit, and undecided at a search
+limit (`capped_share`); the most expansions in a search; milliseconds per map, with and without maps dropped for lack of
+a valid start; and tasks per second on one core.
 """
 
 import argparse
@@ -17,8 +18,9 @@ from hdsp.abstract import oracle
 from hdsp.detailed.search.outcome import Status
 from hdsp.labels.rules import LabelSettings, label_map
 from hdsp.robot.robot import Robot
-from hdsp.terrain.scenes import CATEGORIES, TerrainSettings, random_map
+from hdsp.terrain.scenes import CATEGORIES, SLOPE_CATEGORIES, TerrainSettings, random_map
 
+_GROUPS = {"paper": CATEGORIES, "slopes": SLOPE_CATEGORIES, "all": CATEGORIES + SLOPE_CATEGORIES}
 _CAPS = Status.EXPANSION_LIMIT, Status.MEMORY_LIMIT, Status.TIME_LIMIT
 
 
@@ -27,14 +29,16 @@ def main(argv=None) -> dict:
     parser.add_argument("--maps", type=int, default=200)
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--robot", default="momaro", help="preset or YAML file")
+    parser.add_argument("--categories", choices=tuple(_GROUPS), default="all")
     arguments = parser.parse_args(argv)
+    categories = _GROUPS[arguments.categories]
     robot, settings, terrain = Robot.load(arguments.robot), LabelSettings(), TerrainSettings()
     expansions = count_expansions()
     reasons: Counter = Counter()
     kept, seconds = 0, 0.0
-    for number in range(-len(CATEGORIES), arguments.maps):  # the first maps only compile kernels
-        index, category = divmod(max(number, 0), len(CATEGORIES))
-        category = CATEGORIES[category if number >= 0 else number]
+    for number in range(-len(categories), arguments.maps):  # the first maps only compile kernels
+        index, category = divmod(max(number, 0), len(categories))
+        category = categories[category if number >= 0 else number]
         heights = random_map(arguments.seed, category, index, terrain)
         began = time.perf_counter()
         labels = label_map(heights, robot, settings)
@@ -46,6 +50,7 @@ def main(argv=None) -> dict:
             reasons.update(Status(int(reason)) for reason in labels.reason)
     total = sum(reasons.values())
     result = {
+        "categories": len(categories),
         "maps": arguments.maps,
         "maps_kept": kept,
         "tasks": total,

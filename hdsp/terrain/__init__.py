@@ -22,13 +22,21 @@ if TYPE_CHECKING:
     from hdsp.terrain.patches import crop_patches
     from hdsp.terrain.random_arenas import ArenaSettings, RandomArena, random_arena
     from hdsp.terrain.scans import Scan, ScanFile, build_map, find_files
-    from hdsp.terrain.scenes import ALL_CATEGORIES, CATEGORIES, TerrainSettings, random_map, random_scene
+    from hdsp.terrain.scenes import (
+        ALL_CATEGORIES,
+        CATEGORIES,
+        SLOPE_CATEGORIES,
+        TerrainSettings,
+        random_map,
+        random_scene,
+    )
     from hdsp.terrain.sensor_model import SensingSettings, sensed
 
 __all__ = [
     "ALL_CATEGORIES",
     "CATEGORIES",
     "COST_MODEL_VERSION",
+    "SLOPE_CATEGORIES",
     "Arena",
     "ArenaDescription",
     "ArenaSettings",
@@ -63,6 +71,7 @@ _MODULES = {
     "ALL_CATEGORIES": "scenes",
     "CATEGORIES": "scenes",
     "COST_MODEL_VERSION": "cost_maps",
+    "SLOPE_CATEGORIES": "scenes",
     "Arena": "arenas",
     "ArenaDescription": "arenas",
     "ArenaSettings": "random_arenas",

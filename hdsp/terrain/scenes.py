@@ -45,7 +45,9 @@ _CONTENTS = {
 }
 #: The paper's categories.
 CATEGORIES = tuple(_CONTENTS)[:9]
-#: The paper's categories, and richer ones that are closer to real places; the last eight contain slopes and kerbs.
+#: Categories with slopes and kerbs.
+SLOPE_CATEGORIES = tuple(_CONTENTS)[15:]
+#: The paper's categories, and richer ones that are closer to real places.
 ALL_CATEGORIES = tuple(_CONTENTS)
 
 
