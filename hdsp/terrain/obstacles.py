@@ -5,6 +5,7 @@ Convention: x forward, y left, m; yaw counter-clockwise, rad.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple, overload
 
 import numpy as np
 
@@ -13,6 +14,27 @@ from hdsp.robot.lattice import Grid
 from hdsp.terrain.height_map import HeightMap
 
 _ON_SIDE = 1e-9  # m; a point this close to a side counts as on the side, despite rounding errors
+
+
+class Face(NamedTuple):
+    """A plane piece of an upper side, rectangular seen from above.
+
+    Attributes:
+        x, y: centre, m.
+        yaw: direction of the length, rad.
+        length, width: m.
+        height: height of its centre, m.
+        slope_along, slope_across: rise over run along the length and to its left.
+    """
+
+    x: float
+    y: float
+    yaw: float
+    length: float
+    width: float
+    height: float
+    slope_along: float = 0.0
+    slope_across: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -46,6 +68,17 @@ class Block:
         """Upper side's height at points (x, y) on the block, m."""
         return self.height
 
+    def faces(self) -> tuple[Face, ...]:
+        """Plane pieces of the upper side; where they lie below the ground, the ground counts."""
+        return (Face(self.x, self.y, self.yaw, self.length, self.width, self.height),)
+
+    def _face(self, begin: float, end: float, low: float, high: float) -> Face:
+        """Face over the whole width from ``begin`` to ``end`` along the length, with these heights at its ends."""
+        ahead = (begin + end - self.length) / 2
+        x, y = self.x + ahead * math.cos(self.yaw), self.y + ahead * math.sin(self.yaw)
+        slope = (high - low) / (end - begin)
+        return Face(x, y, self.yaw, end - begin, self.width, (low + high) / 2, slope)
+
 
 @dataclass(frozen=True)
 class Ramp(Block):
@@ -54,6 +87,9 @@ class Ramp(Block):
     def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         along = math.cos(self.yaw) * (x - self.x) + math.sin(self.yaw) * (y - self.y)
         return self.height * np.clip(0.5 + along / self.length, 0.0, 1.0)
+
+    def faces(self) -> tuple[Face, ...]:
+        return (self._face(0.0, self.length, 0.0, self.height),)
 
 
 @dataclass(frozen=True)
@@ -72,6 +108,10 @@ class Bank(Block):
         along = math.cos(self.yaw) * (x - self.x) + math.sin(self.yaw) * (y - self.y) + self.length / 2
         return self.height * np.clip(along / max(self.run, _ON_SIDE), 0.0, 1.0)
 
+    def faces(self) -> tuple[Face, ...]:
+        level = (self._face(self.run, self.length, self.height, self.height),) if self.run < self.length else ()
+        return ((self._face(0.0, self.run, 0.0, self.height),) if self.run > 0 else ()) + level
+
 
 @dataclass(frozen=True)
 class Tilted(Block):
@@ -89,6 +129,9 @@ class Tilted(Block):
         along = turn[0, 0] * (x - self.x) + turn[0, 1] * (y - self.y)
         across = turn[1, 0] * (x - self.x) + turn[1, 1] * (y - self.y)
         return np.maximum(self.height + self.slope_along * along + self.slope_across * across, 0.0)
+
+    def faces(self) -> tuple[Face, ...]:
+        return (super().faces()[0]._replace(slope_along=self.slope_along, slope_across=self.slope_across),)
 
 
 @dataclass(frozen=True)
@@ -115,6 +158,21 @@ class Tiles(Block):
         height, slope_along, slope_across = np.moveaxis(tiles[i, j], -1, 0)
         top = height + slope_along * (along - (i + 0.5) * self.side) + slope_across * (across - (j + 0.5) * self.side)
         return np.maximum(top, 0.0)
+
+    def faces(self) -> tuple[Face, ...]:
+        found = []
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        for i, row in enumerate(self.tiles):
+            for j, (height, slope_along, slope_across) in enumerate(row):
+                length = min(self.side, self.length - i * self.side)
+                width = min(self.side, self.width - j * self.side)
+                along = i * self.side + (length - self.length) / 2
+                across = j * self.side + (width - self.width) / 2
+                # The height counts at the middle of the whole tile.
+                height += slope_along * (length - self.side) / 2 + slope_across * (width - self.side) / 2
+                x, y = self.x + cos * along - sin * across, self.y + sin * along + cos * across
+                found.append(Face(x, y, self.yaw, length, width, height, slope_along, slope_across))
+        return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -159,7 +217,13 @@ class TiltedGround:
     slope_x: float
     slope_y: float
 
-    def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    @overload
+    def height(self, x: float, y: float) -> float: ...
+
+    @overload
+    def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray: ...
+
+    def height(self, x, y):
         """Heights at points (x, y), m."""
         return self.slope_x * x + self.slope_y * y
 

@@ -1,8 +1,10 @@
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hdsp.terrain.obstacles import Bank, Block, Scene, Staircase, Tilted, TiltedGround
+from hdsp.robot import lattice
+from hdsp.terrain.obstacles import Bank, Block, Ramp, Scene, Staircase, Tiles, Tilted, TiltedGround
 from tests import naive_terrain
 
 CELL = 0.025
@@ -67,3 +69,30 @@ def test_obstacles_stand_on_tilted_ground_and_turn_with_it():
     np.testing.assert_allclose(scene.heights_at(x, y), [0.1, 0.11, 0.0], atol=1e-6)
     straight, turned = (scene.rasterise((41, 41), (20, 20), angle).heights for angle in (0.0, np.pi / 2))
     np.testing.assert_allclose(turned, np.rot90(straight), atol=1e-6)
+
+
+TILES = Tiles(
+    0.3, -0.2, 0.7, 1.0, 0.7, 0.3, 0.4, tuple(tuple((0.2, 0.1 * i, 0.2 * j) for j in (1, 2)) for i in range(3))
+)
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        Block(0.1, 0.2, 0.3, 1.0, 0.5, 0.2),
+        Ramp(0.1, 0.2, 2.0, 1.0, 0.5, 0.2),
+        Bank(0.1, 0.2, -1.0, 1.5, 0.5, 0.2, 0.4),
+        Bank(0.1, 0.2, -1.0, 1.5, 0.5, 0.2, 0.0),
+        Tilted(0.1, 0.2, 1.0, 1.0, 0.5, 0.3, 0.2, -0.3),
+        TILES,
+    ],
+)
+def test_the_faces_of_a_block_make_up_its_upper_side(block):
+    x, y = np.random.default_rng(0).uniform(-1, 1, (2, 3000))
+    found = np.zeros(x.shape)
+    for face in block.faces():
+        turn = lattice.rotation(-face.yaw)
+        along, across = turn @ (x - face.x, y - face.y)
+        on = (abs(along) <= face.length / 2) & (abs(across) <= face.width / 2)
+        found[on] = np.maximum(face.height + face.slope_along * along + face.slope_across * across, 0.0)[on]
+    np.testing.assert_allclose(found, Scene((block,)).heights_at(x, y), atol=1e-6)

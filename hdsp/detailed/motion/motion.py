@@ -11,6 +11,7 @@ import numpy as np
 
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.inclination import Inclination, inclination
 
 #: Phases of a motion. ``roll``: all feet on the ground, driving, turning or moving under the base; ``lean``: the base
 #: moves over resting feet; ``lift``, ``swing``, ``lower``: parts of a step.
@@ -106,6 +107,11 @@ class Motion:
         result[swinging] = at[:, 2] - np.where(np.isnan(heights), np.inf, heights).max(axis=1)
         return result
 
+    def inclinations(self) -> Inclination:
+        """Ground under the feet in its steepest direction, arrays [4 n] in the order of configurations, then feet."""
+        headings = np.repeat(self.base[:, 5], 4)
+        return inclination(self.terrain.height_at, self.feet[..., :2].reshape(-1, 2), headings, self.robot)
+
     def body_penetrations(self) -> np.ndarray:
         """Depths by which the ground reaches into the body, float64 [n], m; 0 without contact.
 
@@ -148,8 +154,8 @@ class Motion:
         """Returns all violations as (configuration, text), in motion order; empty for a feasible motion.
 
         The check covers every configuration: the centre of mass lies inside the support polygon by the margin; leg
-        lengths, roll and pitch are within their limits; carrying feet are on the ground and no foot is below it;
-        swinging feet and the body are clear of the ground.
+        lengths, roll and pitch are within their limits; carrying feet are on the ground, which is no steeper than the
+        robot's limit, and no foot is below it; swinging feet and the body are clear of the ground.
         """
         s, legs = self.robot.stance, self.robot.legs
         found: list[tuple[int, str]] = []
@@ -175,6 +181,14 @@ class Motion:
         report(
             self.carries & (over > _TOUCH),
             lambda n, i: f"the {FEET[i]} foot carries, but is {over[n, i]:.3f} m above the ground",
+        )
+        under = self.inclinations()
+        degrees, limits = (np.degrees(angles).reshape(-1, 4) for angles in (under.angle, under.limit))
+        report(
+            self.carries & under.too_steep.reshape(-1, 4),
+            lambda n, i: (
+                f"the ground under the {FEET[i]} foot is steeper than {limits[n, i]:.1f} degrees: {degrees[n, i]:.1f}"
+            ),
         )
         report(
             ~(clearances >= s.swing_clearance - _EPS),

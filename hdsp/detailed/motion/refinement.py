@@ -1,9 +1,9 @@
 """From a plan to a motion: base over the feet, heights, swing of stepping feet.
 
 As in the paper, refinement concerns the steps of a plan: stability and the way of the foot. While all feet roll, the
-base stays over its planned position, as far as its balance allows. For a step, the base shifts, leans and rolls until
-its centre of mass is inside the triangle between the other feet. The foot rises straight up, swings over the highest
-ground on its way, and sinks straight down.
+base stays over its planned position and leans with the ground (`hdsp.detailed.base_pose`), as far as its balance
+allows. For a step, the base shifts, leans and rolls until its centre of mass is inside the triangle between the other
+feet. The foot rises straight up, swings over the highest ground on its way, and sinks straight down.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from hdsp.base.errors import RefinementError
 from hdsp.detailed.actions.action import Action, ActionKind
 from hdsp.detailed.actions.state_costs import foot_row
+from hdsp.detailed.base_pose import base_poses
 from hdsp.detailed.motion.motion import PHASES, Motion
 from hdsp.detailed.motion.stance import FOUND, OUT_OF_REACH, UNBALANCED, Ground, find_stance, limits_of, resting_stances
 from hdsp.detailed.world.world import World, cell_index
@@ -83,13 +84,11 @@ class _Refinement:
         self.limits = limits_of(robot)
         self.ground = Ground(terrain.heights, *terrain.origin, terrain.resolution)
         self.feet = self._on_ground(robot.foot_positions(states))
-        self.wanted_z, self.wanted_pitch = self._wanted()
+        self.wanted = self._wanted()
         self.parts: list[tuple] = []
 
     def motion(self) -> Motion:
-        lacking, resting = resting_stances(
-            self.limits, self.ground, self.states[:, :3].copy(), self.feet, self.wanted_z, self.wanted_pitch
-        )
+        lacking, resting = resting_stances(self.limits, self.ground, self.states[:, :3].copy(), self.feet, self.wanted)
         stances = np.concatenate([resting, self.states[:, 2:3]], axis=1)
         stances[:, 5] = np.unwrap(stances[:, 5])
         if (lacking != FOUND).any():
@@ -111,10 +110,9 @@ class _Refinement:
         top = self._highest_between(feet[foot], landed[foot]) + self.robot.stance.swing_clearance + _ABOVE
         raised, over = np.array([*feet[foot, :2], top]), np.array([*landed[foot, :2], top])
         ways = [_line(feet[foot], raised), _line(raised, over), _line(over, landed[foot])]
-        pitch = 0.5 * (self.wanted_pitch[k] + self.wanted_pitch[k + 1])
-        height = 0.5 * (self.wanted_z[k] + self.wanted_z[k + 1])
+        wanted = 0.5 * (self.wanted[k] + self.wanted[k + 1])
         x, y, heading = self.states[k, :3]
-        found = find_stance(self.limits, self.ground, x, y, heading, feet, foot, np.concatenate(ways), height, pitch)
+        found = find_stance(self.limits, self.ground, x, y, heading, feet, foot, np.concatenate(ways), wanted)
         if found[0] != FOUND:
             raise self._refusal(k, self._why(found[0], f"the {FEET[foot]} foot in the air"))
         stance = np.array([*found[1:], before[5]])
@@ -150,13 +148,12 @@ class _Refinement:
         base, feet, carries, action, phase = (np.concatenate(part) for part in zip(*self.parts, strict=True))
         return Motion(base, feet, carries, action, phase, self.terrain, self.robot)
 
-    def _wanted(self) -> tuple[np.ndarray, np.ndarray]:
-        """Most comfortable height and pitch in each state: parallel to the ground under the feet."""
-        z = self.feet[..., 2]
-        length = np.linalg.norm(self.feet[:, [0, 3], :2] - self.feet[:, [1, 2], :2], axis=2).mean(axis=1)
-        rise = (z[:, [0, 3]] - z[:, [1, 2]]).mean(axis=1)
-        limit = self.robot.stance.max_pitch
-        return z.mean(axis=1) + self.robot.stance.base_height, np.clip(-np.arctan2(rise, length), -limit, limit)
+    def _wanted(self) -> np.ndarray:
+        """Most comfortable height (m), roll and pitch (rad) in each state, float64 [n, 3]: those of the base pose."""
+        wanted = base_poses(self.robot, self.states[:, 3:], self.feet[..., 2])
+        # The base height counts at right angles to the ground of the base.
+        wanted[:, 0] += self.robot.stance.base_height / np.cos(wanted[:, 1]) / np.cos(wanted[:, 2])
+        return wanted
 
     def _highest_between(self, start: np.ndarray, end: np.ndarray) -> float:
         """Highest known ground (m) within a foot's clearance around its way; plans never step over unknown ground."""

@@ -32,9 +32,10 @@ class StanceLimits(NamedTuple):
     mass_x: float
     mass_z: float
     margin: float
+    max_roll: float
     max_pitch: float
     boxes: np.ndarray  # float64 [n, 4]: x_min, x_max, half width, lower side above the hips
-    candidates: np.ndarray  # float64 [m, 4]: shift x, shift y, roll, change of pitch; the most comfortable first
+    candidates: np.ndarray  # float64 [m, 4]: shifts x, y, changes of roll and pitch; the most comfortable first
 
 
 class Ground(NamedTuple):
@@ -57,6 +58,7 @@ def limits_of(robot: Robot) -> StanceLimits:
         mass_x=s.mass_x,
         mass_z=s.mass_z,
         margin=s.margin,
+        max_roll=s.max_roll,
         max_pitch=s.max_pitch,
         boxes=np.array([(b.x_min, b.x_max, b.half_width, b.above - s.base_height) for b in robot.body.boxes]),
         candidates=_candidates(s),
@@ -78,7 +80,7 @@ def _candidates(stance) -> np.ndarray:
 
 
 @njit()
-def find_stance(limits, ground, x, y, heading, feet, lifted, swing, wanted_z, wanted_pitch):
+def find_stance(limits, ground, x, y, heading, feet, lifted, swing, wanted):
     """Returns the valid stance nearest to the wanted one.
 
     Args:
@@ -88,8 +90,7 @@ def find_stance(limits, ground, x, y, heading, feet, lifted, swing, wanted_z, wa
         feet: float64 [4, 3], world, m.
         lifted: the foot in the air, or -1.
         swing: float64 [n, 3], points that this foot must reach from the same stance.
-        wanted_z: wanted base height, m.
-        wanted_pitch: rad; wanted roll and shift are 0.
+        wanted: float64 [3], wanted base height (m), roll and pitch (rad); wanted shift is 0.
 
     Returns:
         FOUND, or the failed condition of the best candidate (UNBALANCED, OUT_OF_REACH, TOUCHING); then x, y, z, roll
@@ -99,8 +100,9 @@ def find_stance(limits, ground, x, y, heading, feet, lifted, swing, wanted_z, wa
     hips, candidates = limits.hips, limits.candidates
     best = UNBALANCED
     for k in range(len(candidates)):
-        shift_x, shift_y, roll = candidates[k, 0], candidates[k, 1], candidates[k, 2]
-        pitch = min(max(wanted_pitch + candidates[k, 3], -limits.max_pitch), limits.max_pitch)
+        shift_x, shift_y = candidates[k, 0], candidates[k, 1]
+        roll = min(max(wanted[1] + candidates[k, 2], -limits.max_roll), limits.max_roll)
+        pitch = min(max(wanted[2] + candidates[k, 3], -limits.max_pitch), limits.max_pitch)
         bx, by = x + cos * shift_x - sin * shift_y, y + sin * shift_x + cos * shift_y
         r = rotation_matrix(cos, sin, roll, pitch)
         mx = bx + r[0, 0] * limits.mass_x + r[0, 2] * limits.mass_z
@@ -120,14 +122,14 @@ def find_stance(limits, ground, x, y, heading, feet, lifted, swing, wanted_z, wa
         if low > high:
             continue
         best = TOUCHING
-        z = min(max(wanted_z, low), high)
+        z = min(max(wanted[0], low), high)
         while True:
             if clear(limits.boxes, ground, bx, by, z, r):
                 return FOUND, bx, by, z, roll, pitch
             if z == high:
                 break
             z = min(z + _LIFT, high)
-    return best, x, y, wanted_z, 0.0, wanted_pitch
+    return best, x, y, wanted[0], wanted[1], wanted[2]
 
 
 @njit(inline="always")
@@ -222,8 +224,8 @@ def _between(start, slope, least, most, low, high):
 
 
 @njit()
-def resting_stances(limits, ground, poses, feet, wanted_z, wanted_pitch):
-    """``find_stance`` on four feet for many states: poses [n, 3], feet [n, 4, 3], wanted height and pitch [n].
+def resting_stances(limits, ground, poses, feet, wanted):
+    """``find_stance`` on four feet for many states: poses [n, 3], feet [n, 4, 3], wanted [n, 3].
 
     Returns:
         Results as in ``find_stance``, int64 [n], and x, y, z, roll, pitch, float64 [n, 5].
@@ -232,7 +234,7 @@ def resting_stances(limits, ground, poses, feet, wanted_z, wanted_pitch):
     nowhere = np.empty((0, 3))
     for k in range(len(poses)):
         x, y, heading = poses[k]
-        found = find_stance(limits, ground, x, y, heading, feet[k], -1, nowhere, wanted_z[k], wanted_pitch[k])
+        found = find_stance(limits, ground, x, y, heading, feet[k], -1, nowhere, wanted[k])
         lacking[k] = found[0]
         stances[k] = found[1:]
     return lacking, stances

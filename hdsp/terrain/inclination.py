@@ -1,0 +1,80 @@
+"""Inclination of the ground under feet, for checks: measured on any ground, without the planner's cost maps.
+
+The rule is that of ``hdsp.robot.robot.Slope``: the gradient of the ground in the robot frame lies within an ellipse. A
+gradient is measured over the length on which an edge that a wheel just passes is no steeper than the limit.
+
+Convention: x forward, y left, m; angles in rad.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.robot.lattice import RESOLUTION, cells, metres
+from hdsp.robot.robot import Robot
+
+#: Heights (m) at points (x, y), with x's shape; NaN = unknown.
+Heights = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+_DIRECTIONS = np.arange(8) * math.pi / 8
+_SHIFTS = np.array([-1.0, 0.0, 1.0])
+_ROUNDING = 0.02  # share of a limit that rounding of heights and places may take
+
+
+class Inclination(NamedTuple):
+    """Ground under feet [n] in the direction in which it is steepest, compared with the limit in this direction.
+
+    Attributes:
+        angle: rad.
+        limit: rad.
+        too_steep: bool.
+    """
+
+    angle: np.ndarray
+    limit: np.ndarray
+    too_steep: np.ndarray
+
+
+def inclination(heights: Heights, feet: np.ndarray, headings: np.ndarray, robot: Robot) -> Inclination:
+    """Measures the ground under feet.
+
+    Ground beyond an edge that no wheel passes, and unknown ground, does not count. The place of a foot is uncertain by
+    half a cell, so the least gradient within this distance counts.
+
+    Args:
+        heights: the ground.
+        feet: float64 [n, 2], world positions, m.
+        headings: float64 [n], headings of the robot, rad.
+        robot: its limits.
+    """
+    ahead, left = robot.slope.steepest()
+    half = metres(math.ceil(cells(robot.drive.max_height_difference / min(ahead, left)) / 2 - 1e-9))
+    limits = np.hypot(ahead * np.cos(_DIRECTIONS), left * np.sin(_DIRECTIONS))
+    angles = np.asarray(headings, float)[:, None] + _DIRECTIONS
+    unit = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    ends = np.array([-half, half]) + metres(0.5) * _SHIFTS[:, None]
+    at = feet[:, None, None, None] + unit[:, :, None, None] * ends[..., None]
+    rises = np.diff(heights(at[..., 0], at[..., 1]).astype(float), axis=-1)[..., 0]
+    gradients = np.nan_to_num(np.abs(rises).min(axis=-1) / (2 * half))
+    row, column = np.nonzero(gradients > limits * (1 + _ROUNDING))
+    gradients[row, column] *= ~_crosses_edge(heights, feet[row], unit[row, column], half, robot)
+    worst = (gradients / limits).argmax(axis=1)
+    steepest, limit = gradients[np.arange(len(feet)), worst], limits[worst]
+    return Inclination(np.arctan(steepest), np.arctan(limit), steepest > limit * (1 + _ROUNDING))
+
+
+def _crosses_edge(heights: Heights, feet: np.ndarray, unit: np.ndarray, half: float, robot: Robot) -> np.ndarray:
+    """Whether an edge lies on the line between both ends of a measurement, or beside one of them; bool [n]."""
+    along = np.arange(-half - RESOLUTION, half + 1.5 * RESOLUTION, RESOLUTION)
+    across = np.stack([-unit[:, 1], unit[:, 0]], axis=-1)
+    line = feet[:, None] + unit[:, None] * along[:, None]
+    crossed = np.zeros(len(feet), bool)
+    for aside in (-RESOLUTION, 0.0, RESOLUTION):
+        at = line + aside * across[:, None]
+        jumps = np.abs(np.diff(heights(at[..., 0], at[..., 1]).astype(float), axis=1))
+        # Beside the line, only the cells next to the ends matter.
+        jumps = jumps if aside == 0 else np.delete(jumps, np.s_[2:-2], axis=1)
+        crossed |= ~(jumps.max(axis=1, initial=0.0) <= robot.drive.max_height_difference)
+    return crossed
