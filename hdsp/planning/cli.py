@@ -84,7 +84,7 @@ def _add_planning(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--weight", type=float, default=1.25, help="how much speed counts, from 1 on (default: 1.25)")
     parser.add_argument(
-        "--margin", type=float, default=0.0, help="m that the base keeps clear of obstacles (default: 0)"
+        "--margin", type=float, default=0.0, help="m that the body keeps clear of obstacles (default: 0)"
     )
     parser.add_argument("--time", type=float, default=60.0, help="s after which the search gives up (default: 60)")
     parser.add_argument("--out", help="a CSV file of the states (m, rad) and of the actions that lead to them")

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hdsp.detailed.actions.action import Action, ActionKind
+from hdsp.detailed.base_pose import base_poses
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.robot.lattice import HEADINGS
@@ -22,12 +23,13 @@ _GROUPS = {
     "moving feet and base": (ActionKind.FOOT_MOVE, ActionKind.BASE_SHIFT),
 }
 _FLAT = 0.02  # m; footholds with smaller differences in height are level
+_UPRIGHT = 5.0  # degrees; a base that leans by less is upright
 
 
 def explain_plan(
     terrain: HeightMap, robot: Robot, states: np.ndarray, actions: Sequence[Action], costs: np.ndarray
 ) -> str:
-    """Describes a plan: its way, steps and costs.
+    """Describes a plan: its way, inclination of the base, steps and costs.
 
     Args:
         terrain: the map under the plan.
@@ -74,6 +76,8 @@ def _way(terrain: HeightMap, robot: Robot, states: np.ndarray, actions: Sequence
     parts = [f"drives {driven:.2f} m"]
     if turned:
         parts.append(f"turns by {turned:.0f} degrees")
+    if (leaning := _most_leaning(terrain, robot, states)) >= _UPRIGHT:
+        parts.append(f"leans by up to {leaning:.0f} degrees")
     if heights := _step_heights(terrain, robot, states, actions):
         rises = [after - before for before, after, _ in heights]
         up, down = sum(rise > _FLAT for rise in rises), sum(rise < -_FLAT for rise in rises)
@@ -82,6 +86,13 @@ def _way(terrain: HeightMap, robot: Robot, states: np.ndarray, actions: Sequence
         tallest = max(top - min(before, after) for before, after, top in heights)
         parts.append(f"makes {_count(len(heights), 'step')} ({ways}) over up to {tallest:.2f} m")
     return ", ".join(parts)
+
+
+def _most_leaning(terrain: HeightMap, robot: Robot, states: np.ndarray) -> float:
+    """Largest angle (degrees) between the base and the horizontal, as steep as the ground on slopes."""
+    feet = robot.foot_positions(states)
+    roll, pitch = base_poses(robot, states[:, 3:], terrain.height_at(feet[..., 0], feet[..., 1]))[:, 1:].T
+    return float(np.degrees(np.arccos(np.clip(np.cos(roll) * np.cos(pitch), -1, 1)).max()))
 
 
 def _step_heights(

@@ -1,5 +1,6 @@
-"""A margin around the base of a robot."""
+"""A margin around the body of a robot."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,22 +10,26 @@ from hdsp.robot.robot import Box, Robot
 
 
 def with_margin(robot: Robot, margin: float) -> Robot:
-    """Returns the robot with a base wider by a margin (m) on all sides.
+    """Returns the robot with a body wider by a margin (m) on all sides, and lower by as much as it leans over it.
 
     The planner tests the body at the centres of cells. An obstacle in a cell lies up to half a diagonal, 18 mm, from
-    its centre. With this margin a turned base touches no cell that the map shows as too high. Noise in the map needs
-    more. Feet keep their own clearance. The room between the legs stays the same: on stairs the next edge nearly fills
-    it.
+    its centre. With this margin a turned body touches no cell that the map shows as too high; between two states, while
+    it turns, it may come a few millimetres nearer. Noise in the map needs more. Feet keep their own clearance.
 
     Raises:
-        InputError: the margin is not a number >= 0.
+        InputError: the margin is not a number >= 0, or brings the body down to the ground.
     """
     if not (np.isfinite(margin) and margin >= 0):
         raise InputError(f"margin is {margin}; it must be a finite number >= 0, in m")
-    base = max((box.above for box in robot.body.boxes), default=0.0)
-    boxes = tuple(_widened(box, margin) if box.above == base else box for box in robot.body.boxes)
+    # The lower side of the body rises and falls with the ground under the feet.
+    deeper = margin * math.hypot(*robot.slope.steepest())
+    lowest = min((box.above for box in robot.body.boxes), default=math.inf)
+    if not deeper < lowest:
+        raise InputError(f"margin is {margin}; the body of {robot.name} is only {lowest:g} m above the ground")
+    boxes = tuple(_widened(box, margin, deeper) for box in robot.body.boxes)
     return replace(robot, body=replace(robot.body, boxes=boxes))
 
 
-def _widened(box: Box, margin: float) -> Box:
-    return replace(box, x_min=box.x_min - margin, x_max=box.x_max + margin, half_width=box.half_width + margin)
+def _widened(box: Box, margin: float, deeper: float) -> Box:
+    wider = {"x_min": box.x_min - margin, "x_max": box.x_max + margin, "half_width": box.half_width + margin}
+    return replace(box, above=box.above - deeper, **wider)

@@ -41,7 +41,7 @@ class Planner:
         heuristic: ``"geometric"``, ``"manual"``, ``"learned"`` (the shipped abstraction for this robot),
             ``"learned:FOLDER"`` (a trained abstraction), any ``AbstractCosts``, or a ``Heuristic`` for the same terrain
             and robot.
-        margin: distance between base and obstacles, m; see ``with_margin``.
+        margin: distance between body and obstacles, m; see ``with_margin``.
 
     Raises:
         InputError: another resolution, an unknown robot or heuristic, an abstraction for another robot, or a margin

@@ -12,7 +12,7 @@ from hdsp.planning.collisions import FOOT_RADIUS, check_plan
 from hdsp.planning.planner import Planner
 from hdsp.robot.robot import Robot
 from hdsp.terrain.arenas import Arena
-from hdsp.terrain.obstacles import Block, Ramp, Scene, Staircase
+from hdsp.terrain.obstacles import Bank, Block, Ramp, Scene, Staircase, Tilted, TiltedGround
 
 ROBOT = Robot.load("momaro")
 FOOT_OUT = ROBOT.feet.neutral_y + FOOT_RADIUS  # lateral distance from the base to the outside of a foot
@@ -111,6 +111,55 @@ def test_plans_of_random_arenas_are_free():
     assert plan.solved
     result = check_plan(arena, plan, ROBOT)
     assert result.free, result.collisions
+
+
+@pytest.mark.parametrize(("height", "free"), [(0.25, True), (0.35, False)])
+def test_on_a_slope_what_stands_between_the_legs_counts_from_the_slope(height, free):
+    for ground in (TiltedGround(0.25, 0.0), TiltedGround(0.0, -0.25)):
+        arena = Arena(6.0, Scene((Block(2.6, 2.0, 0.3, 0.1, 0.1, height),), ground))
+        assert check_plan(arena, straight(), ROBOT, 0.0).free == free
+
+
+def test_the_base_leans_no_more_than_the_steepest_slope():
+    # The front feet stand on a platform. A plane through the feet would be steeper, and the base clear of the bar.
+    platform = Block(2.825, 2.0, 0.0, 1.2, 2.0, 0.3)
+    at = {"free": 0.63, "in the way": 0.70}
+    for where, height in at.items():
+        bar = Block(2.4, 2.0, 0.0, 0.02, 0.1, 0.15 + 0.4 * math.tan(ROBOT.slope.max_pitch) + height)
+        hits = [hit for hit in check(drive((2.0, 2.0, 0.0)), platform, bar).collisions if hit.part == "body"]
+        assert bool(hits) == (where == "in the way"), where
+
+
+def test_gaps_agree_with_the_ground_under_the_body_point_by_point():
+    rng = np.random.default_rng(0)
+    found = {True: 0, False: 0}
+    for _ in range(150):
+        at = *(2.0 + rng.uniform(-0.5, 0.5, 2)), rng.uniform(-3, 3)
+        size = *rng.uniform(0.1, 0.8, 2), rng.uniform(0.1, 0.7)
+        block = (Block(*at, *size), Ramp(*at, *size), Tilted(*at, *size, *rng.uniform(-0.4, 0.4, 2)),
+                 Bank(*at, *size, 0.5 * size[0]))[rng.integers(4)]  # fmt: skip
+        ground = TiltedGround(*rng.uniform(-0.2, 0.2, 2))
+        scene = Scene((block,), ground)
+        pose = np.array([[2.0, 2.0, rng.uniform(-3, 3), *rng.uniform(-0.2, 0.2, 4)]])
+        verdict = check_plan(Arena(6.0, scene), SimpleNamespace(states=pose, actions=()), ROBOT)
+        feet = ROBOT.foot_positions(pose)[0]
+        z, x = scene.heights_at(*feet.T).astype(float), ROBOT.neutral_feet()[:, 0] + pose[0, 3:]
+        # The plane through four feet by least squares, if the feet stand on the tilted ground alone.
+        if not np.allclose(z, ground.height(*feet.T), atol=1e-6):
+            continue
+        ahead, left, under = np.linalg.lstsq(np.stack([x, ROBOT.neutral_feet()[:, 1], np.ones(4)], axis=1), z)[0]
+        hit = False
+        for box in ROBOT.body.boxes:
+            u, v = np.meshgrid(
+                np.linspace(box.x_min, box.x_max, 200), np.linspace(-box.half_width, box.half_width, 120)
+            )
+            c, s = math.cos(pose[0, 2]), math.sin(pose[0, 2])
+            heights = scene.heights_at(2.0 + c * u - s * v, 2.0 + s * u + c * v)
+            hit |= bool((heights > under + ahead * u + left * v + box.above).any())
+        if abs(verdict.body_clearance) > 0.012:
+            assert hit == (verdict.body_clearance < 0), (block, pose)
+            found[hit] += 1
+    assert min(found.values()) > 20, found
 
 
 def test_no_plan_and_jumps_are_refused():

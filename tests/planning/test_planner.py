@@ -288,13 +288,15 @@ def test_feet_that_stand_on_each_other_are_no_valid_state(flat):
     assert "left" in plan.explain()
 
 
-def test_a_margin_keeps_the_base_off_walls_but_not_off_the_ground():
+def test_a_margin_keeps_the_body_off_walls_but_not_off_the_ground():
     wall = HeightMap(np.where(np.arange(100)[:, None] >= 60, 1.0, 0.0).astype(np.float32) * np.ones((1, 100)))
     near = (60 * RESOLUTION - 0.4625 - 0.025, 1.25, 0.0)  # 0.5 m from the centre of the first wall cell
     assert Planner(wall).valid(near) and Planner(wall, margin=0.03).valid(near)
     assert not Planner(wall, margin=0.06).valid(near)
     low = HeightMap(np.where(np.arange(100)[:, None] >= 60, 0.5, 0.0).astype(np.float32) * np.ones((1, 100)))
     assert Planner(low, margin=0.06).valid(near)  # it is lower than the base
+    with pytest.raises(InputError, match=r"margin is 1\.0; the body of momaro is only 0\.3 m above the ground"):
+        Planner(wall, margin=1.0)
     for margin in (-0.01, math.nan):
         with pytest.raises(InputError, match="margin is"):
             Planner(wall, margin=margin)
