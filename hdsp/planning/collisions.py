@@ -246,7 +246,7 @@ def _turned(points: np.ndarray, angle: np.ndarray | float) -> np.ndarray:
 
 def _foot_gaps(arena: Arena, feet: np.ndarray, ground: np.ndarray, robot: Robot, blocks: list[Block]) -> np.ndarray:
     """Gaps between a foot's rim and each block too high for its wheel, [m, blocks]; inf for lower blocks."""
-    limit, steepest = robot.drive.max_height_difference, max(robot.slope.steepest())
+    limit, steepest = robot.drive.highest_edge, max(robot.slope.steepest())
     gaps = np.full((len(feet), len(blocks)), np.inf)
     for index, block in enumerate(blocks):
         apart = feet - (block.x, block.y)

@@ -50,7 +50,7 @@ def inclination(heights: Heights, feet: np.ndarray, headings: np.ndarray, robot:
         robot: its limits.
     """
     ahead, left = robot.slope.steepest()
-    half = metres(math.ceil(cells(robot.drive.max_height_difference / min(ahead, left)) / 2 - 1e-9))
+    half = metres(math.ceil(cells(robot.drive.highest_edge / min(ahead, left)) / 2 - 1e-9))
     limits = np.hypot(ahead * np.cos(_DIRECTIONS), left * np.sin(_DIRECTIONS))
     angles = np.asarray(headings, float)[:, None] + _DIRECTIONS
     unit = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -76,5 +76,5 @@ def _crosses_edge(heights: Heights, feet: np.ndarray, unit: np.ndarray, half: fl
         jumps = np.abs(np.diff(heights(at[..., 0], at[..., 1]).astype(float), axis=1))
         # Beside the line, only the cells next to the ends matter.
         jumps = jumps if aside == 0 else np.delete(jumps, np.s_[2:-2], axis=1)
-        crossed |= ~(jumps.max(axis=1, initial=0.0) <= robot.drive.max_height_difference)
+        crossed |= ~(jumps.max(axis=1, initial=0.0) <= robot.drive.highest_edge)
     return crossed
