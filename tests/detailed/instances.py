@@ -94,8 +94,9 @@ SMALL_TERRAIN = TerrainSettings(
 
 
 def small_map(category: str, index: int, cells: int = 14) -> np.ndarray:
-    """A random map from a category for the toy robot: heights float32 [cells, cells]."""
-    return random_map(7, category, index, SMALL_TERRAIN, cells=cells).heights
+    """A random map from a category for the toy robot: heights float32 [cells, cells]; every fourth lies on a slope."""
+    heights = random_map(7, category, index, SMALL_TERRAIN, cells=cells).heights
+    return tilted(heights, np.random.default_rng(index), 0.25) if index % 4 == 1 else heights
 
 
 def blocky(rng, cells: int = 12, blocks: int = 2, height: float = 0.12) -> np.ndarray:
@@ -105,7 +106,7 @@ def blocky(rng, cells: int = 12, blocks: int = 2, height: float = 0.12) -> np.nd
         x, y = rng.integers(0, cells, 2)
         length, width = rng.integers(1, cells, 2)
         heights[x : x + length, y : y + width] = rng.uniform(0.06, height)
-    return heights
+    return tilted(heights, rng, 0.25) if rng.random() < 0.25 else heights
 
 
 def tilted(heights, rng, most: float = 0.35) -> np.ndarray:

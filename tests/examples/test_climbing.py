@@ -28,7 +28,9 @@ def test_all_tasks_end_as_they_should(found):
 def test_no_way_through_the_narrow_door_is_proved_quickly(found):
     one = found[0]["door_narrow"]
     assert one["status"] == ["infeasible"] and one["seconds"] < 20
-    assert "no way" in one["words"][0] and "the body would hit the ground that rises to 1.00 m at (4.9" in one["words"][0]
+    assert (
+        "no way" in one["words"][0] and "the body would hit the ground that rises to 1.00 m at (4.9" in one["words"][0]
+    )
 
 
 def test_the_page_says_what_came_out(found):
