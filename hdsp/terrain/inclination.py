@@ -20,7 +20,8 @@ Heights = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 _DIRECTIONS = np.arange(8) * math.pi / 8
 _SHIFTS = np.array([-1.0, 0.0, 1.0])
-_ROUNDING = 0.02  # share of a limit that rounding of heights and places may take
+_ROUNDING = 1e-3  # share of a limit that rounding of heights may take
+_AT_BENDS = 0.05  # the same where a slope begins, if the planner measured it between cells in other directions
 
 
 class Inclination(NamedTuple):
@@ -37,7 +38,9 @@ class Inclination(NamedTuple):
     too_steep: np.ndarray
 
 
-def inclination(heights: Heights, feet: np.ndarray, headings: np.ndarray, robot: Robot) -> Inclination:
+def inclination(
+    heights: Heights, feet: np.ndarray, headings: np.ndarray, robot: Robot, cell: float = 0.0
+) -> Inclination:
     """Measures the ground under feet.
 
     Ground beyond an edge that no wheel passes, and unknown ground, does not count. The place of a foot is uncertain by
@@ -45,24 +48,31 @@ def inclination(heights: Heights, feet: np.ndarray, headings: np.ndarray, robot:
 
     Args:
         heights: the ground.
-        feet: float64 [n, 2], world positions, m.
+        feet: float64 [n, 2], world positions, m; with cells, the centres of their cells.
         headings: float64 [n], headings of the robot, rad.
         robot: its limits.
+        cell: side of the cells in which the ground is known, m; 0 = known at any point. A gradient is then measured
+            between centres of cells.
     """
     ahead, left = robot.slope.steepest()
     half = metres(math.ceil(cells(robot.drive.highest_edge / min(ahead, left)) / 2 - 1e-9))
-    limits = np.hypot(ahead * np.cos(_DIRECTIONS), left * np.sin(_DIRECTIONS))
     angles = np.asarray(headings, float)[:, None] + _DIRECTIONS
     unit = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    ends = np.array([-half, half]) + metres(0.5) * _SHIFTS[:, None]
-    at = feet[:, None, None, None] + unit[:, :, None, None] * ends[..., None]
-    rises = np.diff(heights(at[..., 0], at[..., 1]).astype(float), axis=-1)[..., 0]
-    gradients = np.nan_to_num(np.abs(rises).min(axis=-1) / (2 * half))
-    row, column = np.nonzero(gradients > limits * (1 + _ROUNDING))
+    shift = (cell or metres(0.5)) * unit
+    offset = half * unit
+    if cell:
+        offset, shift = (cell * np.rint(np.round(vectors / cell, 6)) for vectors in (offset, shift))
+    length = np.linalg.norm(offset, axis=-1)
+    turned = np.arctan2(offset[..., 1], offset[..., 0]) - np.asarray(headings, float)[:, None]
+    limits = np.hypot(ahead * np.cos(turned), left * np.sin(turned))
+    middles = feet[:, None, None] + shift[:, :, None] * _SHIFTS[:, None]
+    high, low = (heights(*np.moveaxis(middles + side * offset[:, :, None], -1, 0)) for side in (1.0, -1.0))
+    gradients = np.nan_to_num(np.abs(high.astype(float) - low).min(axis=-1) / (2 * length))
+    most = limits * (1 + (_ROUNDING if cell else _AT_BENDS))
+    row, column = np.nonzero(gradients > most)
     gradients[row, column] *= ~_crosses_edge(heights, feet[row], unit[row, column], half, robot)
-    worst = (gradients / limits).argmax(axis=1)
-    steepest, limit = gradients[np.arange(len(feet)), worst], limits[worst]
-    return Inclination(np.arctan(steepest), np.arctan(limit), steepest > limit * (1 + _ROUNDING))
+    worst = np.arange(len(feet)), (gradients / limits).argmax(axis=1)
+    return Inclination(np.arctan(gradients[worst]), np.arctan(limits[worst]), gradients[worst] > most[worst])
 
 
 def _crosses_edge(heights: Heights, feet: np.ndarray, unit: np.ndarray, half: float, robot: Robot) -> np.ndarray:

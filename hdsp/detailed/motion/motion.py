@@ -109,8 +109,10 @@ class Motion:
 
     def inclinations(self) -> Inclination:
         """Ground under the feet in its steepest direction, arrays [4 n] in the order of configurations, then feet."""
+        origin, cell = np.array(self.terrain.origin), self.terrain.resolution
+        centers = origin + (np.floor((self.feet[..., :2] - origin) / cell) + 0.5) * cell
         headings = np.repeat(self.base[:, 5], 4)
-        return inclination(self.terrain.height_at, self.feet[..., :2].reshape(-1, 2), headings, self.robot)
+        return inclination(self.terrain.height_at, centers.reshape(-1, 2), headings, self.robot, cell)
 
     def body_penetrations(self) -> np.ndarray:
         """Depths by which the ground reaches into the body, float64 [n], m; 0 without contact.
