@@ -30,9 +30,9 @@ This page documents every key of a robot file. `python -m hdsp.robot.schema docs
 `hdsp/robot/robot.py`; do not edit it.
 
 A robot is one YAML file: `hdsp.Planner(terrain, robot="my_robot.yaml")`. Every key without a default is required. The
-presets [momaro.yaml](../hdsp/robot/presets/momaro.yaml) and
-[anymal_wheels.yaml](../hdsp/robot/presets/anymal_wheels.yaml) are templates. [Another robot](own-robot.md) shows the
-steps from a file to an abstraction for this robot.
+presets [momaro.yaml](../hdsp/robot/presets/momaro.yaml),
+[anymal_wheels.yaml](../hdsp/robot/presets/anymal_wheels.yaml) and [go2w.yaml](../hdsp/robot/presets/go2w.yaml) are
+templates. [Another robot](own-robot.md) shows the steps from a file to an abstraction for this robot.
 
 The loader names each fault in one line:
 

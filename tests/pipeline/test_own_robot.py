@@ -12,7 +12,7 @@ from pipeline import own_robot
 from pipeline.config import configure
 from pipeline.own_robot import PAGE, check_name, markers, place, section, write_page
 from pipeline.stage import Folders, run_stage
-from tests.pipeline.conftest import ROOT
+from tests.pipeline.conftest import ROOT, SMALL_NETWORK, run_python, tiny
 
 
 def test_the_page_has_a_row_for_each_abstraction_and_each_search():
@@ -76,6 +76,15 @@ def test_on_flat_ground_the_robot_can_do_every_task_and_parking_is_expensive():
     assert labels.feasible.all()
     assert labels.cost[0] == pytest.approx(0.1, abs=1e-3)  # ahead
     assert labels.cost[2] > 4 * labels.cost[0]  # to the left, by driving ahead and back
+
+
+def test_all_stages_run_for_a_robot_whose_wheels_do_not_steer(tmp_path):
+    network = [f"model.options.{name}={value}" for name, value in SMALL_NETWORK.items()]
+    run_python("pipeline.own_robot", "robot=go2w", *tiny(tmp_path), *network, tracking=tmp_path)
+    quality = json.loads((tmp_path / "reports/abstraction_quality.json").read_text())["sets"]["random"]
+    assert set(quality["methods"]) == {"trained", "manual", "flat"}
+    runs = json.loads((tmp_path / "reports/planning.json").read_text())["runs"]
+    assert {run["status"] for run in runs} == {"solved"} and min(run["cost"] for run in runs) > 0
 
 
 def test_it_steps_up_where_it_cannot_drive():
