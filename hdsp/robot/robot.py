@@ -24,8 +24,8 @@ _PRESETS = resources.files("hdsp.robot") / "presets"
 FEET = ("front_left", "rear_left", "rear_right", "front_right")
 
 _LARGEST = 10.0  # m; a larger length is in another unit
-_LONGEST_STEP = 15  # cells; the largest step length in an action code (hdsp.detailed.actions.action)
-_OFFSETS = 32  # lattice steps; the number of foot offsets in a state code
+LONGEST_STEP = 15  # cells; the largest step length in an action code (hdsp.detailed.actions.action)
+OFFSETS = 32  # lattice steps; the number of foot offsets in a state code
 
 Metres = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST), unit("m")]
 PositiveMetres = Annotated[Positive, Field(le=_LARGEST), unit("m")]
@@ -71,11 +71,11 @@ class Feet:
         if self.contact_inward > nearest:
             need = f"at most {nearest:g} m, the distance of the feet from the middle of the body"
             raise fault("contact_inward", self.contact_inward, need)
-        if max(abs(self.offset_min), abs(self.offset_max)) < metres(_OFFSETS):
+        if max(abs(self.offset_min), abs(self.offset_max)) < metres(OFFSETS):
             low, high = offset_steps([self.offset_min, self.offset_max])
-            if low <= 0 <= high and high - low < _OFFSETS:
+            if low <= 0 <= high and high - low < OFFSETS:
                 return self
-        need = f"offsets that include 0 and span less than {metres(_OFFSETS):g} m"
+        need = f"offsets that include 0 and span less than {metres(OFFSETS):g} m"
         raise fault("offset_max", self.offset_max, f"{need} (offset_min is {self.offset_min:g} m)")
 
 
@@ -297,7 +297,7 @@ class Step:
     """
 
     backward: bool
-    max_length: Annotated[NotNegativeMetres, Field(le=metres(_LONGEST_STEP))]
+    max_length: Annotated[NotNegativeMetres, Field(le=metres(LONGEST_STEP))]
     max_height: NotNegativeMetres
     max_clearance: NotNegativeMetres
     cost: NotNegative

@@ -1,0 +1,189 @@
+"""The robot's limits that stop a foot between two footholds, in words for a robot operator.
+
+A foot moves along the straight line between the footholds: it rolls over cells on which it can stand, and steps over
+edges. Four limits of the robot restrict it. A limit is to blame if the foot passes without it, while the others hold;
+if no single limit is to blame, a smallest set of limits is.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.detailed.world.world import World, cell_index
+from hdsp.robot.lattice import cells, metres
+from hdsp.robot.robot import Robot
+
+CLEARANCE, HEIGHT, LIFT, LENGTH = range(4)
+_FREE = {CLEARANCE: 0.0, HEIGHT: math.inf, LIFT: math.inf, LENGTH: math.inf}
+_MOST_CELLS = 200  # on the line; a longer gap has no single step
+
+
+class Line(NamedTuple):
+    """Ground along the straight line between two footholds.
+
+    Attributes:
+        spacing: distance between neighbouring points, m.
+        height: float64 [n], m; -inf where unknown.
+        around: float64 [n, k], ground at ``reach`` from the points, m; inf where unknown.
+        reach: float64 [k], m.
+        edge: bool [n], a wheel does not pass.
+        edge_away: float64 [n], distance to the nearest edge, m; inf beyond the robot's clearance.
+        closed: bool [n], no foot stands there for another reason than an edge.
+    """
+
+    spacing: float
+    height: np.ndarray
+    around: np.ndarray
+    reach: np.ndarray
+    edge: np.ndarray
+    edge_away: np.ndarray
+    closed: np.ndarray
+
+
+def limits_between(world: World, robot: Robot, line_cells: np.ndarray) -> list[str]:
+    """Returns the limits that stop a foot on its way along a line of cells, one phrase each.
+
+    Args:
+        world: terrain and robot, compiled.
+        robot: its limits.
+        line_cells: int64 [n, 2], map cells on a straight line; a foot can stand on the first and on the last.
+
+    Returns:
+        Phrases; empty if limits are not the cause, e.g. beside unknown ground.
+    """
+    if not 2 <= len(line_cells) <= _MOST_CELLS:
+        return []
+    line = _line(world, robot, line_cells)
+    limits = {
+        CLEARANCE: robot.feet.clearance,
+        HEIGHT: robot.step.max_height,
+        LIFT: robot.step.max_clearance,
+        LENGTH: robot.step.max_length,
+    }
+    blamed = _to_blame(line, limits)
+    needs = {limit: _needed(line, _without(limits, blamed), limit) for limit in blamed}
+    return [_words(line, robot, limit, needed) for limit, needed in needs.items() if needed is not None]
+
+
+def _without(limits: dict[int, float], free: list[int]) -> dict[int, float]:
+    return {**limits, **{limit: _FREE[limit] for limit in free}}
+
+
+def _line(world: World, robot: Robot, line_cells: np.ndarray) -> Line:
+    flat = np.array([int(cell_index(world, *cell)) for cell in line_cells])
+    reach = math.floor(cells(robot.feet.clearance) + 1e-9)
+    dx, dy = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
+    away = np.hypot(dx, dy)
+    near = away <= cells(robot.feet.clearance) + 1e-9
+    around = flat[:, None] + (dx * world.stride + dy)[near]
+    away = metres(away[near])
+    edge_away = np.where(world.edge[around], away, np.inf).min(axis=1)
+    heights = world.height[around].astype(float)
+    return Line(
+        spacing=metres(float(np.hypot(*(line_cells[-1] - line_cells[0])))) / (len(line_cells) - 1),
+        height=world.height[flat].astype(float),
+        around=np.where(np.isfinite(heights), heights, np.inf),
+        reach=away,
+        edge=world.edge[flat],
+        edge_away=edge_away,
+        closed=~world.standable[flat] & ~np.isfinite(edge_away),
+    )
+
+
+def _to_blame(line: Line, limits: dict[int, float]) -> list[int]:
+    """Smallest set of limits without which the foot passes."""
+    if not _passes(line, _FREE):
+        return []
+    alone = [limit for limit in limits if _passes(line, _without(limits, [limit]))]
+    if CLEARANCE in alone:
+        return [CLEARANCE]  # a foothold on a tread is nearer than a step over the tread
+    if alone:
+        excess = {limit: (_needed(line, limits, limit) or math.inf) / limits[limit] for limit in alone}
+        return [min(alone, key=lambda limit: excess[limit])]
+    blamed = list(limits)
+    for limit in (LENGTH, LIFT, HEIGHT, CLEARANCE):
+        fewer = [other for other in blamed if other != limit]
+        if _passes(line, _without(limits, fewer)):
+            blamed = fewer
+    return blamed
+
+
+def _needed(line: Line, limits: dict[int, float], limit: int) -> float | None:
+    """First value of a limit, from strict to loose, with which the foot passes; None without one."""
+    if limit == CLEARANCE:
+        finite = np.unique(line.edge_away[np.isfinite(line.edge_away)])[::-1]
+        values = np.maximum(finite - 1e-6, 0.0)
+    elif limit == LENGTH:
+        values = line.spacing * np.arange(1, len(line.height))
+    else:
+        levels = np.unique(np.concatenate([line.height, line.around.ravel()]))
+        values = np.unique(levels[:, None] - levels)
+        values = values[(values > 0) & np.isfinite(values)]
+    return next((float(value) for value in values if _passes(line, {**limits, limit: float(value)})), None)
+
+
+def _passes(line: Line, limits: dict[int, float]) -> bool:
+    """Whether a foot gets from the first to the last point under some limits."""
+    n = len(line.height)
+    stands = ~line.closed & ~line.edge & (line.edge_away > limits[CLEARANCE] + 1e-9)
+    stands[0] = stands[-1] = True
+    lifted = line.around[:, line.reach <= limits[CLEARANCE] + 1e-9].max(axis=1)
+    reached, waiting = np.zeros(n, bool), [0]
+    reached[0] = True
+    while waiting:
+        i = waiting.pop()
+        for way in (1, -1):
+            crossed, highest, rolling = False, line.height[i], True
+            for j in range(i + way, n if way == 1 else -1, way):
+                if line.spacing * abs(j - i) > limits[LENGTH] + 1e-6:
+                    break
+                crossed, highest = crossed or bool(line.edge[j]), max(highest, lifted[j])
+                rolling = rolling and bool(stands[j])
+                lowest = min(line.height[i], line.height[j])
+                fits = abs(line.height[j] - line.height[i]) <= limits[HEIGHT] + 1e-6
+                fits = fits and crossed and highest < math.inf and highest - lowest <= limits[LIFT] + 1e-6
+                if stands[j] and not reached[j] and (rolling or fits):
+                    reached[j] = True
+                    waiting.append(j)
+    return bool(reached[-1])
+
+
+def _words(line: Line, robot: Robot, limit: int, needed: float) -> str:
+    if limit == HEIGHT:
+        return f"a step there rises or falls by {needed:.3f} m; the robot steps up to {robot.step.max_height:g} m"
+    if limit == LIFT:
+        return (
+            f"a foot would swing {needed:.3f} m above its lower foothold; the robot lifts it up to "
+            f"{robot.step.max_clearance:g} m"
+        )
+    if limit == LENGTH:
+        return f"a step there is {needed:.3f} m long; the robot steps up to {robot.step.max_length:g} m"
+    clearance, treads = robot.feet.clearance, _treads(line, robot)
+    if not treads:
+        return f"no foothold there is {clearance:g} m away from all edges, only {needed:.3f} m"
+    shallow, deep = f"{min(treads):.2f}", f"{max(treads):.2f}"
+    depth = shallow if shallow == deep else f"{shallow} to {deep}"
+    return (
+        f"the treads are {depth} m deep; a foot that keeps {clearance:g} m from edges needs {_least_tread(robot):g} m"
+    )
+
+
+def _least_tread(robot: Robot) -> float:
+    """Depth (m) of the shortest tread with a foothold; an edge takes the cells on both its sides."""
+    return metres(2.0 * (math.floor(cells(robot.feet.clearance) + 1e-9) + 1) + 1)
+
+
+def _treads(line: Line, robot: Robot) -> list[float]:
+    """Depths (m) of the ground between edges that has no foothold."""
+    rises = np.flatnonzero(abs(np.diff(line.height)) > robot.drive.highest_edge) + 1
+    found = []
+    for first, end in pairwise(rises):
+        edge_away = line.edge_away[first:end]
+        if np.isfinite(edge_away).all() and not line.closed[first:end].any():
+            # The line may cross the tread at an angle; the distance to the edges bounds the depth.
+            found.append(min(line.spacing * (end - first), 2 * float(edge_away.max()) + metres(2.0)))
+    return found
