@@ -8,17 +8,22 @@ if no single limit is to blame, a smallest set of limits is.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from hdsp.detailed.world.world import World, cell_index
+from hdsp.detailed.relaxed.proofs import is_foot_stopped
+from hdsp.detailed.world.world import World, build_world, cell_index
 from hdsp.robot.lattice import cells, metres
-from hdsp.robot.robot import Robot
+from hdsp.robot.robot import LONGEST_STEP, Robot
+from hdsp.terrain.height_map import HeightMap
 
 CLEARANCE, HEIGHT, LIFT, LENGTH = range(4)
-_FREE = {CLEARANCE: 0.0, HEIGHT: math.inf, LIFT: math.inf, LENGTH: math.inf}
+#: A foot with less clearance could turn over an edge.
+_FREE = {CLEARANCE: metres(1.2), HEIGHT: math.inf, LIFT: math.inf, LENGTH: math.inf}
+_HIGH = 9.0  # m, more than any height that a leg could reach
 _MOST_CELLS = 200  # on the line; a longer gap has no single step
 
 
@@ -44,29 +49,52 @@ class Line(NamedTuple):
     closed: np.ndarray
 
 
-def limits_between(world: World, robot: Robot, line_cells: np.ndarray) -> list[str]:
-    """Returns the limits that stop a foot on its way along a line of cells, one phrase each.
+def stopping_limits(
+    terrain: HeightMap, robot: Robot, start: np.ndarray, goal: np.ndarray, line_cells: np.ndarray
+) -> str | None:
+    """Returns the limits that stop a foot on its way along a line of cells, in words.
 
     Args:
-        world: terrain and robot, compiled.
+        terrain: the map.
         robot: its limits.
+        start, goal: int64 [7], valid states, lattice units; no steps lead a foot from one to the other.
         line_cells: int64 [n, 2], map cells on a straight line; a foot can stand on the first and on the last.
 
     Returns:
-        Phrases; empty if limits are not the cause, e.g. beside unknown ground.
+        Words; None if limits are not the cause, e.g. beside unknown ground.
     """
     if not 2 <= len(line_cells) <= _MOST_CELLS:
-        return []
-    line = _line(world, robot, line_cells)
+        return None
+    line = _line(build_world(terrain, robot), robot, line_cells)
     limits = {
         CLEARANCE: robot.feet.clearance,
         HEIGHT: robot.step.max_height,
         LIFT: robot.step.max_clearance,
         LENGTH: robot.step.max_length,
     }
-    blamed = _to_blame(line, limits)
-    needs = {limit: _needed(line, _without(limits, blamed), limit) for limit in blamed}
-    return [_words(line, robot, limit, needed) for limit, needed in needs.items() if needed is not None]
+    on_line = blamed = _to_blame(line, limits, bool(_treads(line, robot)))
+    for limit in on_line:
+        # The foot may pass beside the line, where fewer limits stop it.
+        fewer = [other for other in blamed if other != limit]
+        if fewer and not is_foot_stopped(build_world(terrain, _robot_without(robot, fewer)), start, goal):
+            blamed = fewer
+    needs = {limit: _needed(line, _without(limits, on_line), limit) for limit in blamed}
+    words = [_words(line, robot, limit, needed) for limit, needed in needs.items() if needed is not None]
+    return "; ".join(words) or None
+
+
+def _robot_without(robot: Robot, free: list[int]) -> Robot:
+    feet, step = robot.feet, robot.step
+    return replace(
+        robot,
+        feet=replace(feet, clearance=_FREE[CLEARANCE] if CLEARANCE in free else feet.clearance),
+        step=replace(
+            step,
+            max_height=_HIGH if HEIGHT in free else step.max_height,
+            max_clearance=_HIGH if LIFT in free else step.max_clearance,
+            max_length=metres(LONGEST_STEP) if LENGTH in free else step.max_length,
+        ),
+    )
 
 
 def _without(limits: dict[int, float], free: list[int]) -> dict[int, float]:
@@ -94,16 +122,16 @@ def _line(world: World, robot: Robot, line_cells: np.ndarray) -> Line:
     )
 
 
-def _to_blame(line: Line, limits: dict[int, float]) -> list[int]:
-    """Smallest set of limits without which the foot passes."""
+def _to_blame(line: Line, limits: dict[int, float], treads: bool) -> list[int]:
+    """Smallest set of limits without which the foot passes; ``treads``: some treads have no foothold."""
     if not _passes(line, _FREE):
         return []
     alone = [limit for limit in limits if _passes(line, _without(limits, [limit]))]
-    if CLEARANCE in alone:
+    if CLEARANCE in alone and (treads or alone == [CLEARANCE]):
         return [CLEARANCE]  # a foothold on a tread is nearer than a step over the tread
     if alone:
         excess = {limit: (_needed(line, limits, limit) or math.inf) / limits[limit] for limit in alone}
-        return [min(alone, key=lambda limit: excess[limit])]
+        return [max(alone, key=lambda limit: (limit != CLEARANCE, -excess[limit]))]
     blamed = list(limits)
     for limit in (LENGTH, LIFT, HEIGHT, CLEARANCE):
         fewer = [other for other in blamed if other != limit]
@@ -121,8 +149,8 @@ def _needed(line: Line, limits: dict[int, float], limit: int) -> float | None:
         values = line.spacing * np.arange(1, len(line.height))
     else:
         levels = np.unique(np.concatenate([line.height, line.around.ravel()]))
-        values = np.unique(levels[:, None] - levels)
-        values = values[(values > 0) & np.isfinite(values)]
+        levels = levels[np.isfinite(levels)]
+        values = np.unique(abs(levels[:, None] - levels))
     return next((float(value) for value in values if _passes(line, {**limits, limit: float(value)})), None)
 
 
@@ -179,7 +207,8 @@ def _least_tread(robot: Robot) -> float:
 
 def _treads(line: Line, robot: Robot) -> list[float]:
     """Depths (m) of the ground between edges that has no foothold."""
-    rises = np.flatnonzero(abs(np.diff(line.height)) > robot.drive.highest_edge) + 1
+    known = np.where(np.isfinite(line.height), line.height, np.nan)
+    rises = np.flatnonzero(abs(np.diff(known)) > robot.drive.highest_edge) + 1
     found = []
     for first, end in pairwise(rises):
         edge_away = line.edge_away[first:end]

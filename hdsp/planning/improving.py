@@ -101,8 +101,7 @@ def _rounds(
                 cost = plan.cost
             if found.ended == Status.INFEASIBLE and not plan.solved and not refused.words:
                 proof = proofs[-1] if proofs else query.proof()
-                if proof is not None:
-                    plan = query.proved(plan, proof)
+                plan = query.without_way(plan, proof)
             yield plan, found.ended
         else:
             return

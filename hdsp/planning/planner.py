@@ -249,6 +249,7 @@ class Planner:
         return Query(
             terrain=self.terrain,
             robot=self.robot,
+            wider=self._wider,
             grid=self.grid,
             world=self.world,
             heuristic=self.heuristic,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -40,6 +41,8 @@ class Plan:
         refused: steps in former plans that could not be carried out, in words; empty unless ``refinable`` was set.
         bound: proved: the plan costs at most so many times the optimum (among plans without the refused steps). 1 for
             an optimal plan, inf without a proof.
+        cause: finds the robot's limits without which there would be a plan (``decisive_limits``); ``explain`` calls it.
+            None if ``problems`` or ``refused`` name the cause.
     """
 
     status: Status
@@ -53,6 +56,7 @@ class Plan:
     problems: tuple[str, ...] = ()
     refused: tuple[str, ...] = ()
     bound: float = np.inf
+    cause: Callable[[], str | None] | None = field(default=None, repr=False)
 
     @property
     def solved(self) -> bool:
@@ -64,10 +68,18 @@ class Plan:
         return sum(action.stepping_foot is not None for action in self.actions)
 
     def explain(self) -> str:
-        """Describes the plan, or the reason for its absence, in one line for an operator."""
+        """Describes the plan, or the reason for its absence, in one line for an operator.
+
+        After a search that found no obstacle, the reason needs some more searches, at most half a minute.
+        """
         if self.solved:
             return explain_plan(self.terrain, self.robot, self.states, self.actions, self.action_costs)
-        return explain_ending(self.status, self.stats, self.problems, self.refused)
+        causes = (self._cause,) if self._cause else ()
+        return explain_ending(self.status, self.stats, self.problems + causes, self.refused)
+
+    @cached_property
+    def _cause(self) -> str | None:
+        return self.cause() if self.cause is not None else None
 
     def refine(self) -> Motion:
         """Returns the motion that follows the plan: base and feet in each configuration, all checked.

@@ -5,19 +5,22 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from hdsp.abstract.transform import feet_at
 from hdsp.base.errors import InputError
 from hdsp.detailed.actions.action import action_of
-from hdsp.detailed.relaxed.proofs import Unreachable, why_unreachable
+from hdsp.detailed.relaxed.proofs import FOOT, Unreachable, why_unreachable
 from hdsp.detailed.search.estimate import Estimate, geometric_estimate
 from hdsp.detailed.search.life_cycle import Progress
 from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import World
+from hdsp.planning.decisive_limits import decisive_limits
+from hdsp.planning.foot_limits import stopping_limits
 from hdsp.planning.heuristics import Heuristic
 from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.planning.plans import Plan
@@ -28,6 +31,8 @@ from hdsp.terrain.height_map import HeightMap
 
 #: Expansions before a proof is tried; about a tenth of a second.
 FEW = 50_000
+#: Time for the reason of a failure that shows no obstacle, s.
+REASON_SECONDS = 30.0
 
 
 def locate(world: World, grid: Grid, robot: Robot, pose, name: str) -> tuple[np.ndarray, list[str]]:
@@ -64,6 +69,7 @@ class Query:
     Attributes:
         terrain: the map.
         robot: whose plan it is.
+        wider: the same robot with its margin, as in ``world``.
         grid: place of the map in the world.
         world: terrain and robot, compiled.
         heuristic: the guide.
@@ -75,6 +81,7 @@ class Query:
 
     terrain: HeightMap
     robot: Robot
+    wider: Robot
     grid: Grid
     world: World
     heuristic: Heuristic
@@ -150,10 +157,25 @@ class Query:
         """Returns a proof of infeasibility, or None."""
         return why_unreachable(self.world, self.start, self.goal)
 
-    def proved(self, plan: Plan, proof: Unreachable) -> Plan:
-        """Returns the plan with a proof of infeasibility."""
+    def without_way(self, plan: Plan, proof: Unreachable | None) -> Plan:
+        """Returns a plan that ends infeasible, with its reason.
+
+        Args:
+            plan: plan from a search.
+            proof: proof of infeasibility; None after a search through all reachable states.
+        """
+        query = self.terrain, self.wider, self.start, self.goal
+        cause: Callable[[], str | None] | None = partial(decisive_limits, *query, REASON_SECONDS)
+        if proof is None:
+            return plan.renewed(cause=cause)
+        if proof.proof == FOOT:
+            cause = partial(
+                stopping_limits, *query, np.concatenate([[proof.from_start], proof.blocked, [proof.from_goal]])
+            )
+        elif proof.footless or len(proof.body_hits):
+            cause = None
         words = unreachable_because(proof, self.world, self.grid, self.robot)
-        return plan.renewed({"lower_bound": np.inf}, status=Status.INFEASIBLE, problems=(words,))
+        return plan.renewed({"lower_bound": np.inf}, status=Status.INFEASIBLE, problems=(words,), cause=cause)
 
     def search_or_prove(self, search: Callable[[Query], Plan]) -> Plan:
         """Searches a little; without a plan, tries a proof of infeasibility; without a proof, searches on.
@@ -166,9 +188,11 @@ class Query:
         if not undecided and plan.status != Status.INFEASIBLE:
             return plan
         proof = self.proof()
-        if proof is None:
-            return search(self) if undecided else plan
-        return self.proved(plan, proof)
+        if proof is None and undecided:
+            plan = search(self)
+        if proof is None and plan.status != Status.INFEASIBLE:
+            return plan
+        return self.without_way(plan, proof)
 
 
 now = time.perf_counter

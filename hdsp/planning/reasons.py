@@ -6,7 +6,6 @@ from hdsp.detailed.actions.state_costs import foot_row, state_cost
 from hdsp.detailed.relaxed.proofs import FOOT, Unreachable, body_hits
 from hdsp.detailed.states import pack_states
 from hdsp.detailed.world.world import World, cell_index, is_steep
-from hdsp.planning.foot_limits import limits_between
 from hdsp.robot.lattice import Grid, heading_angle, metres
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.cost_maps import slope_directions
@@ -118,9 +117,6 @@ def _feet_too_close(robot: Robot, state: np.ndarray) -> list[str]:
 def unreachable_because(proof: Unreachable, world: World, grid: Grid, robot: Robot) -> str:
     """Describes the obstacle between a start and a goal."""
     words, cells = _obstacle(proof, world, grid)
-    if proof.proof == FOOT:
-        line = np.concatenate([proof.from_start[None], proof.blocked, proof.from_goal[None]])
-        words = "; ".join([words, *limits_between(world, robot, line)])
     steep = [cell for cell in cells if _is_steep_everywhere(world, robot, cell)]
     if steep:
         steepest = max(steep, key=lambda cell: _inclination(world, robot, cell))

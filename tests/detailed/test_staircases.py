@@ -13,12 +13,8 @@ AHEAD = 1.1  # m, to the first riser
 
 
 def staircase(rng):
-    """A staircase along x, and the poses below and above it.
-
-    Treads are at least 0.3 m long. On shorter treads, two risers with more than 0.15 m together are under the body and
-    touch it.
-    """
-    steps, rise, tread = int(rng.integers(2, 5)), rng.uniform(0.15, 0.25), rng.uniform(0.3, 0.35)
+    """A staircase along x, and the poses below and above it."""
+    steps, rise, tread = int(rng.integers(2, 5)), rng.uniform(0.15, 0.25), rng.uniform(0.25, 0.35)
     top = AHEAD + (steps - 1) * tread
     heights = np.zeros((math.ceil((top + 1.3) / 0.1) * 4, 60), np.float32)
     for step in range(steps):

@@ -68,15 +68,27 @@ def why_unreachable(
     start, goal = np.asarray(start, dtype=np.int64), np.asarray(goal, dtype=np.int64)
     regions = find_foothold_regions(world, rules, 0.0)
     efforts = efforts_to(regions, world, goal[None])
-    for foot in range(4):
-        if efforts[foot, regions.region[_foothold(world, start, foot)]] == np.inf:
-            return _gap_of_foot(world, regions, efforts[foot], start, goal, foot)
+    foot = _stopped_foot(world, regions, efforts, start)
+    if foot is not None:
+        return _gap_of_foot(world, regions, efforts[foot], start, goal, foot)
     flood = PoseFlood(world, rules)
     reached = flood.reached_from(start, rules.drive_only)
     if holds(reached, goal):
         return None
     around_goal = flood.reached_from(goal, drive_only=True)
     return _gap_of_base(world, (reached != 0).any(axis=0), (around_goal != 0).any(axis=0), start, goal)
+
+
+def is_foot_stopped(world: World, start: np.ndarray, goal: np.ndarray) -> bool:
+    """Whether the proof ``foot`` holds, for two valid states, int64 [7]."""
+    regions = find_foothold_regions(world, Rules(), 0.0)
+    return _stopped_foot(world, regions, efforts_to(regions, world, goal[None]), start) is not None
+
+
+def _stopped_foot(world: World, regions: FootholdRegions, efforts: np.ndarray, start: np.ndarray) -> int | None:
+    """The first foot for which no steps lead from the start to the goal of ``efforts``."""
+    stopped = (f for f in range(4) if efforts[f, regions.region[_foothold(world, start, f)]] == np.inf)
+    return next(stopped, None)
 
 
 def _foothold(world: World, state: np.ndarray, foot: int) -> int:
