@@ -130,7 +130,9 @@ def _to_blame(line: Line, limits: dict[int, float], treads: bool) -> list[int]:
     if CLEARANCE in alone and (treads or alone == [CLEARANCE]):
         return [CLEARANCE]  # a foothold on a tread is nearer than a step over the tread
     if alone:
-        excess = {limit: (_needed(line, limits, limit) or math.inf) / limits[limit] for limit in alone}
+        # A limit of 0, e.g. of a robot that does not step, is exceeded most.
+        needed = {limit: _needed(line, limits, limit) or math.inf for limit in alone}
+        excess = {limit: needed[limit] / limits[limit] if limits[limit] else math.inf for limit in alone}
         return [max(alone, key=lambda limit: (limit != CLEARANCE, -excess[limit]))]
     blamed = list(limits)
     for limit in (LENGTH, LIFT, HEIGHT, CLEARANCE):

@@ -1,4 +1,4 @@
-"""Plans on three hundred random staircases, platforms, bars, ramps and heaps of blocks are free in the true scene."""
+"""Plans on three hundred random staircases, platforms, bars, ramps and heaps of blocks are free, and become motions."""
 
 import math
 
@@ -60,7 +60,7 @@ def test_plans_in_random_scenes_are_free(kind):
         verdict = check_plan(arena, plan, ROBOT)
         assert verdict.free, (kind, number, verdict.collisions)
         assert min(verdict.body_clearance, verdict.foot_clearance) >= 0, (kind, number, verdict)
-        if kind in ("platform", "ramp"):
+        if kind != "blocks":  # beside them a leg may be too short for a step
             assert not plan.refine().check(), (kind, number)
     least = {"bar": 0.6, "blocks": 0.4}.get(kind, 0.9)
     assert solved >= least * SCENES

@@ -17,7 +17,16 @@ from hdsp.detailed.actions.action import Action, ActionKind
 from hdsp.detailed.actions.state_costs import foot_row
 from hdsp.detailed.base_pose import base_poses
 from hdsp.detailed.motion.motion import PHASES, Motion
-from hdsp.detailed.motion.stance import FOUND, OUT_OF_REACH, UNBALANCED, Ground, find_stance, limits_of, resting_stances
+from hdsp.detailed.motion.stance import (
+    FOUND,
+    OUT_OF_REACH,
+    UNBALANCED,
+    Ground,
+    all_clear,
+    find_stance,
+    limits_of,
+    resting_stances,
+)
 from hdsp.detailed.world.world import World, cell_index
 from hdsp.robot.lattice import RESOLUTION, Grid, metres
 from hdsp.robot.robot import FEET, Robot
@@ -130,13 +139,30 @@ class _Refinement:
         self._add(k, LEAN, stances, np.repeat(feet[None], n, axis=0))
 
     def _roll(self, k: int, before: np.ndarray, after: np.ndarray) -> None:
+        if self._rolled(k, before, after):
+            return
+        # The ground between two states reaches higher than at both: the base rises first and sinks last.
+        above, over = before.copy(), after.copy()
+        above[2] = over[2] = max(before[2], after[2])
+        if above[2] > before[2]:
+            self._lean(k, before, above, self.feet[k])
+        self._rolled(k, above, over, always=True)
+        if over[2] > after[2]:
+            self._lean(k, over, after, self.feet[k + 1])
+
+    def _rolled(self, k: int, before: np.ndarray, after: np.ndarray, always: bool = False) -> bool:
+        """Adds the configurations between two stances if the base is clear in each of them, or always."""
         far = np.linalg.norm((self.feet[k + 1] - self.feet[k])[:, :2], axis=1).max()
         leaning = abs(after - before)
         n = max(1, int(np.ceil(max(far / _STRIDE, leaning[:3].max() / _STRIDE, leaning[3:].max() / _LEAN) - 1e-9)))
         t = np.linspace(0, 1, n + 1)[1:, None]
+        stances = before + t * (after - before)
+        if not always and not all_clear(self.limits.boxes, self.ground, stances):
+            return False
         state = self.states[k] + t * (self.states[k + 1] - self.states[k])
         state[:, 2] = self.states[k, 2] + t[:, 0] * (after[5] - before[5])
-        self._add(k, ROLL, before + t * (after - before), self._on_ground(self.robot.foot_positions(state)))
+        self._add(k, ROLL, stances, self._on_ground(self.robot.foot_positions(state)))
+        return True
 
     def _add(self, k: int, phase: int, stances: np.ndarray, feet: np.ndarray, lifted: int | None = None) -> None:
         carries = np.ones((len(stances), 4), bool)

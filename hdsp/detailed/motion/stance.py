@@ -200,6 +200,16 @@ def clear(boxes, ground, x, y, z, r):
     return True
 
 
+@njit()
+def all_clear(boxes, ground, stances):
+    """Whether no ground column reaches into a body box in any stance, float64 [n, 6]: x, y, z, roll, pitch, heading."""
+    for k in range(len(stances)):
+        x, y, z, roll, pitch, heading = stances[k]
+        if not clear(boxes, ground, x, y, z, rotation_matrix(np.cos(heading), np.sin(heading), roll, pitch)):
+            return False
+    return True
+
+
 @njit(inline="always")
 def _reaches_into(boxes, dx, dy, top, r):
     """Whether the column below (dx, dy, top), relative to the base, reaches into a box."""
