@@ -1,6 +1,7 @@
 """Real stairs: shares of random staircases that the robot climbs, proves impossible, or leaves undecided.
 
-    python -m benchmarks.stairs [--count 200] [--seed 0] [--robot momaro] [--heuristic manual] [--weight 1.5]
+    python -m benchmarks.stairs [--count 200] [--seed 0] [--robot momaro] [--heuristic manual] [--weight 1.25]
+                                [--page docs/climbing.md]
 
 Rise 0.15 to 0.20 m, tread 0.25 to 0.32 m, flights of 2, 3, 4 and 8 steps, up and down. Every second task is straight;
 in the others, staircase, start and goal are turned by up to 15 degrees each. Stairs fill the whole width of the map,
@@ -11,7 +12,7 @@ One JSON line comes last. `climbed` is the share of tasks with a plan that the r
 with status `infeasible` and without refused steps, `undecided` the rest. `climbed_of_easy` counts rises up to 0.18 m
 with treads from 0.28 m on. `refined` is the share of climbed tasks whose motion passes its own check; `refused` counts
 tasks with steps that could not be carried out. `reasons` counts the explanations of tasks without a plan, without their
-numbers.
+numbers. `--page` writes a table into the page.
 """
 
 import argparse
@@ -21,10 +22,12 @@ import re
 import time
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.page import table, write_block
 from hdsp.base.errors import RefinementError
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning.planner import Planner
@@ -39,6 +42,7 @@ RISE, TREAD = (0.15, 0.2), (0.25, 0.32)  # m
 EASY_RISE, EASY_TREAD = 0.18, 0.28  # m
 ANGLE = math.radians(15)
 AWAY = 0.95  # m, from the base to the first and the last riser: all feet stand before or behind the stairs
+ENDS = "climbed", "proved", "undecided"
 _SIDE, _END = 1.2, 0.75  # m, of the map beside and beyond start and goal
 _ASIDE = 0.1  # m, largest lateral offset of the start
 _FAR = 20.0  # m, beyond every map
@@ -115,8 +119,9 @@ def main(argv=None) -> dict:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--robot", default="momaro", help="preset or YAML file")
     parser.add_argument("--heuristic", default="manual")
-    parser.add_argument("--weight", type=float, default=1.5)
+    parser.add_argument("--weight", type=float, default=1.25)
     parser.add_argument("--expansions", type=int, default=5_000_000)
+    parser.add_argument("--page", type=Path, help="docs page to update")
     arguments = parser.parse_args(argv)
     robot = Robot.load(arguments.robot)
     ends: dict[str, list[str]] = {name: [] for name in ("all", "easy", "up", "down", "straight", "angled")}
@@ -146,18 +151,28 @@ def main(argv=None) -> dict:
         "climbed": share(ends["all"], "climbed"),
         "proved": share(ends["all"], "proved"),
         "undecided": share(ends["all"], "undecided"),
-        "easy": len(ends["easy"]),
         "climbed_of_easy": share(ends["easy"], "climbed"),
         "refined": refined / climbed if climbed else None,
         "refused": refused,
-        "climbed_by": {group: share(ends[group], "climbed") for group in ("up", "down", "straight", "angled")},
+        "groups": {
+            group: {"staircases": len(ends[group]), **{end: share(ends[group], end) for end in ENDS}} for group in ends
+        },
         "reasons": dict(reasons.most_common()),
         "median_seconds": round(float(np.median(seconds)), 2),
         "most_seconds": round(max(seconds), 2),
         "most_expansions": max(expansions),
     }
+    if arguments.page:
+        write_block(arguments.page, "benchmarks.stairs", text(result))
     print(json.dumps(result))
     return result
+
+
+def text(result: dict) -> str:
+    """Formats the result for the page."""
+    names = {"easy": f"rise up to {EASY_RISE:g} m, tread from {EASY_TREAD:g} m"}
+    rows = [[names.get(group, group), *shares.values()] for group, shares in result["groups"].items()]
+    return table(["staircases", "number", *ENDS], rows)
 
 
 def solve(task: Task, robot: Robot, heuristic: str, weight: float, expansions: int) -> tuple[Plan, float]:
