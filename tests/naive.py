@@ -1,8 +1,8 @@
 """Textbook twin of the detailed planner: plain Python from the documented rules, slow and simple.
 
 Convention: lengths are in cells unless a name says metres. A state is a tuple (ix, iy, heading, f0, f1, f2, f3) in
-lattice units with signed foot offsets. An action is ("drive", dx, dy), ("turn", +-1), ("foot", i, +-1), ("shift", +-1)
-or ("step", i, length).
+lattice units with signed foot offsets. An action is ("drive", dx, dy), ("turn", +-1), ("arc", +-1 ahead or back,
++-1 left or right), ("foot", i, +-1), ("shift", +-1) or ("step", i, length).
 """
 
 import heapq
@@ -19,7 +19,7 @@ MOVES = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0) 
 INF = math.inf
 TOUCH = 1e-6  # m; a body that touches the ground by no more is free
 REMEMBERED = ["difference", "edge", "steep", "unevenness", "standable", "foot_cell", "contact_cell", "uneven_under",
-              "blocked", "cost_at", "lifted_over", "can_step", "deviation", "least_deviation"]  # fmt: skip
+              "blocked", "cost_at", "lifted_over", "can_step", "deviation", "least_deviation", "arc"]  # fmt: skip
 
 
 def angle(heading):
@@ -300,7 +300,7 @@ class Naive:
         if not any(state[3:]):
             yield from self.drives(state)
         if self.free(state):
-            yield from self.turns(state)
+            yield from self.turns(state) if self.robot.turn.on_the_spot else self.arcs(state)
         if not self.drive_only and (any(state[3:]) or self.any_foot_can_step(state)):
             yield from self.foot_moves(state)
             yield from self.base_shifts(state)
@@ -370,6 +370,47 @@ class Naive:
                 continue
             uneven = sum(self.uneven_under_foot(end, i) for end in (state, reached) for i in range(4))
             yield ("turn", way), reached, turn.cost * self.turn_factor * (1 + turn.unevenness_cost * uneven / 2)
+
+    def arcs(self, state):
+        turn = self.robot.turn
+        for ahead, way in itertools.product((1, -1), (1, -1)):
+            dx, dy, factor = self.arc(state[2], ahead, way)
+            new = (state[2] + way) % HEADINGS
+            if factor == INF or turned(new, self.center) > self.window:
+                continue
+            reached = (state[0] + dx, state[1] + dy, new, *state[3:])
+            samples = math.floor(math.hypot(dx, dy)) + 1
+            costs = [
+                self.cost_on_the_way(state if 2 * i < samples else (*state[:2], new, *state[3:]), dx * t, dy * t)
+                for i, t in ((i, i / samples) for i in range(1, samples + 1))
+            ]
+            if max(costs) < INF:
+                uneven = sum(self.uneven_under_foot(end, i) for end in (state, reached) for i in range(4))
+                drive = math.hypot(dx, dy) * CELL * factor * sum(costs) / samples
+                yield (
+                    ("arc", ahead, way),
+                    reached,
+                    self.turn_factor * (drive + turn.cost * (1 + turn.unevenness_cost * uneven / 2)),
+                )
+
+    def arc(self, heading, ahead, way):
+        """Displacement by an arc and its cost factor: the cell beyond the radius nearest to the circle's end."""
+        f, chord = self.robot.drive.deviation_cost, 2 * self.robot.turn.radius / CELL * math.sin(math.pi / HEADINGS)
+        mean = math.pi * (2 * heading + way) / HEADINGS
+        ux, uy = ahead * math.cos(mean), ahead * math.sin(mean)
+        reach = math.ceil(chord) + 3
+        found = []
+        for dx, dy in itertools.product(range(-reach, reach + 1), repeat=2):
+            along, across = dx * ux + dy * uy, abs(dy * ux - dx * uy)
+            off = math.atan2(across, along)
+            if math.hypot(dx, dy) >= max(chord - 1e-9, 0.5) and off <= self.robot.drive.straight_deviation + 1e-9:
+                found.append((round(math.hypot(along - chord, across), 9), dx, dy, off))
+        if not found:
+            return 0, 0, INF
+        _, dx, dy, off = min(found)
+        if self.robot.drive.sideways and f.side < INF:
+            return dx, dy, self.robot.drive.factor(off if ahead == 1 else math.pi - off)
+        return dx, dy, (f.ahead if ahead == 1 else f.behind) * (math.cos(off) + math.sin(off))
 
     def foot_moves(self, state):
         price = self.robot.foot_move.cost_per_metre * CELL
@@ -476,7 +517,11 @@ class Naive:
     # --- heuristic and feet -----------------------------------------------------------------------------------------
 
     def least_deviation(self):
-        return min(self.deviation(heading, dx, dy) for heading in range(HEADINGS) for dx, dy in MOVES)
+        drives = [self.deviation(heading, dx, dy) for heading in range(HEADINGS) for dx, dy in MOVES]
+        if self.robot.turn.on_the_spot:
+            return min(drives)
+        arcs = itertools.product(range(HEADINGS), (1, -1), (1, -1))
+        return min([*drives, *(self.arc(*which)[2] for which in arcs)])
 
     def geometric(self, state, goal):
         """Distance, heading difference and foot configuration difference, each with its least possible cost."""

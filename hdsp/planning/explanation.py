@@ -15,9 +15,11 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
 _TURNS = ActionKind.TURN_LEFT, ActionKind.TURN_RIGHT
+_ARCS = ActionKind.ARC_LEFT, ActionKind.ARC_RIGHT
+_DRIVES = ActionKind.DRIVE, *_ARCS
 #: Groups of actions in the sum of costs, in their order in the explanation.
 _GROUPS = {
-    "driving": (ActionKind.DRIVE,),
+    "driving": _DRIVES,
     "turning": _TURNS,
     "steps": (ActionKind.STEP,),
     "moving feet and base": (ActionKind.FOOT_MOVE, ActionKind.BASE_SHIFT),
@@ -71,8 +73,8 @@ def explain_ending(status: Status, stats: PlanStatistics, problems: Sequence[str
 
 def _way(terrain: HeightMap, robot: Robot, states: np.ndarray, actions: Sequence[Action]) -> str:
     moved = np.hypot(*np.diff(states[:, :2], axis=0).T)
-    driven = sum(length for length, action in zip(moved, actions, strict=True) if action.kind is ActionKind.DRIVE)
-    turned = sum(action.kind in _TURNS for action in actions) * 360 / HEADINGS
+    driven = sum(length for length, action in zip(moved, actions, strict=True) if action.kind in _DRIVES)
+    turned = sum(action.kind in (*_TURNS, *_ARCS) for action in actions) * 360 / HEADINGS
     parts = [f"drives {driven:.2f} m"]
     if turned:
         parts.append(f"turns by {turned:.0f} degrees")

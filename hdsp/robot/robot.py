@@ -245,15 +245,27 @@ class Slope:
 
 @checked
 class Turn:
-    """Rotation in place.
+    """Rotation, on the spot or while the robot drives.
 
     Attributes:
-        cost: cost per detailed heading step (5.625 degrees).
+        cost: cost per detailed heading step (5.625 degrees); on an arc in addition to the cost of driving.
         unevenness_cost: increase in the cost factor per metre of unevenness, summed over the feet.
+        on_the_spot: whether the robot turns on the spot; otherwise it drives arcs, ahead and back.
+        radius: least radius of an arc; null for a robot that turns on the spot.
     """
 
     cost: Positive
     unevenness_cost: Annotated[NotNegative, unit("1/m")]
+    on_the_spot: bool = True
+    radius: Annotated[PositiveMetres, Field(le=3.0)] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.on_the_spot and self.radius is not None:
+            raise fault("radius", self.radius, "null, or on_the_spot false")
+        if not self.on_the_spot and self.radius is None:
+            raise fault("radius", None, "the least radius of an arc (m), because on_the_spot is false")
+        return self
 
 
 @checked
@@ -367,7 +379,7 @@ class Robot:
         body: space for the body.
         drive: driving, and its ground limits.
         slope: steepest ground.
-        turn: rotation in place.
+        turn: rotation.
         foot_move: drive motion of one foot along x.
         base_shift: base motion over resting feet.
         step: steps with single feet.

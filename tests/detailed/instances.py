@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from hdsp.detailed.actions.action import BASE_FORWARD, FOOT_MOVE, STEP, TURN_LEFT
+from hdsp.detailed.actions.action import ARC, BASE_FORWARD, FOOT_MOVE, STEP, TURN_LEFT
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, successors
 from hdsp.detailed.states import pack_states, unpack_states
 from hdsp.detailed.world.world import World, build_world
@@ -75,6 +75,11 @@ AHEAD_ONLY = toy(
         "drive": {"deviation_cost": {**TOY["drive"]["deviation_cost"], "side": math.inf, "behind": math.inf}},
     }
 )
+
+#: Robots that do not turn on the spot, but drive arcs of a cell or two, or of several cells.
+ARC_CHANGES = {**NIMBLE_CHANGES, "drive": {"sideways": False}}
+WIDE_ARCS = toy(**ARC_CHANGES, turn={"on_the_spot": False, "radius": 0.9})
+SHORT_ARCS = toy(**NIMBLE_CHANGES, turn={"on_the_spot": False, "radius": 0.3})
 
 #: The obstacles in the paper's categories, scaled to the toy robot; it can step on and over many of them.
 SMALL_TERRAIN = TerrainSettings(
@@ -147,6 +152,8 @@ def action_tuple(code: int) -> tuple:
         return "foot", (code - FOOT_MOVE) // 2, 1 - 2 * ((code - FOOT_MOVE) % 2)
     if code < STEP:
         return "shift", 1 if code == BASE_FORWARD else -1
+    if code >= ARC:
+        return "arc", 1 - 2 * ((code - ARC) // 2), 1 - 2 * ((code - ARC) % 2)
     return "step", (code - STEP) // 32, (code - STEP) % 32 - 16
 
 

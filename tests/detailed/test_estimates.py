@@ -28,6 +28,7 @@ from tests.detailed.instances import blocky, near_edges, successor_arrays, toy, 
 from tests.naive import Naive, dijkstra
 
 costs = st.floats(0.01, 3.0)
+ways_to_turn = st.sampled_from([{}, {}, {"on_the_spot": False, "radius": 0.3}, {"on_the_spot": False, "radius": 0.8}])
 
 
 @st.composite
@@ -43,7 +44,7 @@ def robots(draw):
             },
             "sideways": draw(st.booleans()),
         },
-        turn={"cost": draw(st.floats(0.001, 0.2))},
+        turn={"cost": draw(st.floats(0.001, 0.2)), **draw(ways_to_turn)},
         foot_move={"cost_per_metre": draw(costs)},
         base_shift={"cost_per_metre": draw(costs), "backward": draw(st.booleans())},
         step={

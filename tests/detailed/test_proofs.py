@@ -28,15 +28,16 @@ MOMARO = Robot.load("momaro")
     seed=st.integers(0, 10_000),
     backward=st.booleans(),
     sideways=st.booleans(),
+    arcs=st.sampled_from([{}, {"on_the_spot": False, "radius": 0.3}]),
     window=st.sampled_from([2, 64]),
     neutral=st.booleans(),
 )
-def test_what_the_twin_reaches_is_never_called_unreachable(seed, backward, sideways, window, neutral):
+def test_what_the_twin_reaches_is_never_called_unreachable(seed, backward, sideways, arcs, window, neutral):
     rng = np.random.default_rng(seed)
     heights = blocky(rng, cells=10)
     behind = TOY["drive"]["deviation_cost"]["behind"] if backward else math.inf
     drive = {"sideways": sideways, "deviation_cost": {**TOY["drive"]["deviation_cost"], "behind": behind}}
-    robot = toy(base_shift={"backward": backward}, step={"backward": backward}, drive=drive)
+    robot = toy(base_shift={"backward": backward}, step={"backward": backward}, drive=drive, turn=arcs)
     states = valid_states(Naive(heights, robot), rng, 20, neutral=neutral)
     if not states:
         return

@@ -19,7 +19,9 @@ from tests.detailed.instances import (
     AHEAD_ONLY,
     FIXED_WHEELS,
     NIMBLE,
+    SHORT_ARCS,
     TASKS_PER_CATEGORY,
+    WIDE_ARCS,
     blocky,
     by_category,
     costs_to_go,
@@ -38,7 +40,9 @@ def planned(world, start, goal, **options):
 
 
 def test_robots_whose_wheels_do_not_steer_find_what_plain_dijkstra_finds():
-    for task in search_tasks("cuboid_wall", (FIXED_WHEELS, AHEAD_ONLY)):
+    tasks = search_tasks("cuboid_wall", (FIXED_WHEELS, AHEAD_ONLY, SHORT_ARCS, WIDE_ARCS))
+    assert any(action[0] == "arc" for task in tasks for action in task.way)
+    for task in tasks:
         for weight in (1.0, 2.0):
             result = planned(task.world, task.start, task.goal, weight=weight)
             assert result.status == [Status.SOLVED]

@@ -13,7 +13,9 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import CATEGORIES, random_map
 from tests.detailed.instances import (
+    SHORT_ARCS,
     TOY,
+    WIDE_ARCS,
     action_tuple,
     blocky,
     kernel_successors,
@@ -65,6 +67,27 @@ def test_successors_of_all_kinds_equal_the_twins():
     assert min(kinds[kind] for kind in ("drive", "turn", "foot", "shift", "step")) >= 30, kinds
 
 
+@pytest.mark.parametrize("robot", [SHORT_ARCS, WIDE_ARCS], ids=["short", "wide"])
+def test_arcs_equal_the_twins(robot):
+    kinds, most = Counter(), robot.drive.straight_deviation
+    rules = Rules(heading_center=10, heading_window=12, turn_cost_factor=1.5)
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        heights = blocky(rng, cells=18, blocks=1 + seed % 2)
+        center, window, factor = (10, 12, 1.5) if seed % 2 else (0, 64, 1.0)
+        world, twin = build_world(HeightMap(heights), robot), Naive(heights, robot, center, window, factor)
+        for state in valid_states(twin, rng, 12, headings=range(64) if seed % 2 == 0 else range(62, 87)):
+            state = (*state[:2], state[2] % 64, *state[3:])
+            kinds += assert_same_successors(world, twin, state, rules if seed % 2 else None)
+    assert kinds["arc"] >= 60 and kinds["turn"] == 0, kinds
+    arcs = build_world(HeightMap.flat((20, 20)), robot).tables.arcs
+    length = np.hypot(arcs[..., 0], arcs[..., 1])
+    assert (length * 0.025 >= 2 * robot.turn.radius * math.sin(math.pi / 64) - 1e-9).all()
+    mean = (np.arange(64)[:, None] + 0.5 * np.array([1, -1, 1, -1])) * math.pi / 32 + np.array([0, 0, 1, 1]) * math.pi
+    off = np.angle(np.exp(1j * (np.arctan2(arcs[..., 1], arcs[..., 0]) - mean)))
+    assert (abs(off) <= most + 1e-9).all()
+
+
 def test_rules_of_labelling_limit_and_price_turns():
     robot, rules = toy(), Rules(heading_center=62, heading_window=3, turn_cost_factor=1.5)
     heights = blocky(np.random.default_rng(3))
@@ -95,7 +118,7 @@ def test_state_costs_and_validity_equal_the_twins():
     assert min(checked.values()) > 100
 
 
-@pytest.mark.parametrize("robot", [toy(), Robot.load("momaro")], ids=lambda robot: robot.name)
+@pytest.mark.parametrize("robot", [toy(), WIDE_ARCS, Robot.load("momaro")], ids=["toy", "wide", "momaro"])
 def test_undo_inverts_every_action(robot):
     kinds, size = Counter(), 12 if robot.name == "toy" else 72
     for seed in range(4):
@@ -109,7 +132,7 @@ def test_undo_inverts_every_action(robot):
             key = int(pack_states(state, t.lowest)[0])
             keys, _, actions = successor_arrays(world, state)
             for reached, action in zip(keys, actions, strict=True):
-                back = undo(np.int64(reached), action, t.move_dx, t.move_dy, t.shifts)
+                back = undo(np.int64(reached), action, t.move_dx, t.move_dy, t.shifts, t.arcs)
                 assert back == key, f"{action_of(int(action))} from {state}"
                 kinds[action_tuple(int(action))[0]] += 1
     assert len(kinds) == 5, kinds

@@ -18,6 +18,7 @@ from hdsp.terrain.scenes import CATEGORIES, random_map
 from tests.detailed.instances import (
     FIXED_WHEELS,
     NIMBLE,
+    WIDE_ARCS,
     action_tuple,
     by_category,
     kernel_successors,
@@ -52,6 +53,8 @@ def mirrored_action(kind, *what):
         return kind, what[0], -what[1]
     if kind == "turn":
         return kind, -what[0]
+    if kind == "arc":
+        return kind, what[0], -what[1]
     return (kind, MIRRORED_FEET[what[0]], what[1]) if kind in ("foot", "step") else (kind, *what)
 
 
@@ -74,7 +77,11 @@ VIEWS = [(mirrored, mirrored_state, mirrored_action), (quarter_turned, quarter_t
 
 @pytest.mark.parametrize(
     "category, robot",
-    [(category, robot) for category in CATEGORIES for robot in (NIMBLE, FIXED_WHEELS, toy(step={"backward": False}))]
+    [
+        (category, robot)
+        for category in CATEGORIES
+        for robot in (NIMBLE, FIXED_WHEELS, WIDE_ARCS, toy(step={"backward": False}))
+    ]
     + [(category, MOMARO) for category in CATEGORIES[2::3]],
 )
 def test_actions_of_mirrored_and_turned_states(category, robot):
@@ -92,7 +99,8 @@ def test_actions_of_mirrored_and_turned_states(category, robot):
             for other, of_state, of_action in seen:
                 expected = {(of_action(*a), of_state(s, ny)): cost for (a, s), cost in original.items()}
                 assert kernel_successors(other, of_state(state, ny)) == pytest.approx(expected, rel=1e-5), state
-    assert min(kinds[kind] for kind in KINDS) >= 1, kinds
+    turning = "turn" if robot.turn.on_the_spot else "arc"
+    assert min(kinds[kind if kind != "turn" else turning] for kind in KINDS) >= 1, kinds
 
 
 @pytest.mark.parametrize("robot", [toy(), MOMARO], ids=["toy", "momaro"])

@@ -12,6 +12,7 @@ from hdsp.abstract import FlatCosts, ManualCosts, check_abstract_costs
 from hdsp.abstract.flat_table import cost_limit, flat_table
 from hdsp.abstract.oracle import LabelSettings
 from hdsp.base.errors import InputError
+from hdsp.detailed.actions.action import ActionKind
 from hdsp.detailed.search.outcome import Status
 from hdsp.labels.rules import label_map
 from hdsp.planning.heuristic_conformance import check_heuristic
@@ -29,10 +30,12 @@ def robot(size=1.0, **drive) -> Robot:
     factors = MOMARO["drive"]["deviation_cost"] | drive.pop("deviation_cost", {})
     feet = {key: size * value if key != "neutral_preference" else value for key, value in MOMARO["feet"].items()}
     boxes = [{key: size * value for key, value in vars(box).items()} for box in Robot.load("momaro").body.boxes]
+    turn = MOMARO["turn"] | drive.pop("turn", {})
     changed = {"drive": {**MOMARO["drive"], "deviation_cost": factors, **drive}, "feet": feet, "body": {"boxes": boxes}}
-    return Robot.load({**MOMARO, **changed, "name": "fixed"})
+    return Robot.load({**MOMARO, **changed, "turn": turn, "name": "fixed"})
 
 
+ARCS = robot(sideways=False, deviation_cost={"behind": 1.2}, turn={"on_the_spot": False, "radius": 0.6})
 AHEAD_ONLY = robot(sideways=False, deviation_cost={"behind": math.inf})
 
 
@@ -43,6 +46,7 @@ def robots(draw):
         draw(st.sampled_from([0.6, 1.0])),
         sideways=draw(st.booleans()),
         deviation_cost={"side": draw(factors), "behind": draw(factors)},
+        turn=draw(st.sampled_from([{}, {"cost": 0.05}])),
     )
 
 
@@ -88,6 +92,24 @@ def test_a_robot_that_drives_ahead_only_has_its_few_actions():
     assert (feasible == np.isfinite(flat[0])).all() and np.isfinite(cost[feasible]).all()
 
 
+def test_a_robot_that_does_not_turn_on_the_spot_turns_on_arcs():
+    flat, spot = flat_table(ARCS), flat_table(robot(sideways=False))
+    assert np.isfinite(flat).all()
+    assert (flat[:, -2:] > 2 * spot[:, -2:]).all()  # ahead and back
+    labels = label_map(HeightMap.flat((PATCH_CELLS, PATCH_CELLS)), ARCS)
+    np.testing.assert_allclose(labels.cost, flat[0], rtol=1e-6)
+    planner = Planner(HeightMap.flat((120, 120)), ARCS, heuristic="manual")
+    plan = planner.plan((1.0, 1.0, 0.0), (1.9, 1.6, 1.2), weight=1.5, refinable=True)
+    kinds = {action.kind for action in plan.actions}
+    assert plan.solved and kinds <= {ActionKind.DRIVE, ActionKind.ARC_LEFT, ActionKind.ARC_RIGHT} and len(kinds) > 1
+    turned = np.abs(np.angle(np.exp(1j * np.diff(plan.states[:, 2]))))
+    moved = np.hypot(*np.diff(plan.states[:, :2], axis=0).T)
+    assert (moved >= 2 * 0.6 * np.sin(turned / 2) - 1e-6).all() and turned.sum() >= 1.0
+    assert "turns by" in plan.explain() and "driving 100%" in plan.explain() and plan.refine().problems() == []
+    exact = planner.plan((1.0, 1.0, 0.0), (1.3, 1.1, 0.3))
+    assert planner.plan((1.0, 1.0, 0.0), (1.3, 1.1, 0.3), weight=2.0).cost >= exact.cost * (1 - 1e-6)
+
+
 def test_a_robot_that_cannot_drive_sideways_parks_like_a_car():
     flat = flat_table(robot(sideways=False))
     assert np.isfinite(flat).all()
@@ -95,10 +117,10 @@ def test_a_robot_that_cannot_drive_sideways_parks_like_a_car():
     assert (flat == flat_table(robot(deviation_cost={"side": math.inf}))).all()
 
 
-@pytest.mark.parametrize("costs", [FlatCosts, ManualCosts], ids=lambda kind: kind.__name__)
-def test_abstract_costs_keep_their_contract(costs):
-    assert "values" in check_abstract_costs(costs(AHEAD_ONLY))
-    assert check_heuristic(lambda world, terrain: AbstractHeuristic(world, terrain, costs(AHEAD_ONLY)), AHEAD_ONLY)
+@pytest.mark.parametrize("costs, each", [(FlatCosts, ARCS), (ManualCosts, AHEAD_ONLY)], ids=["flat arcs", "manual"])
+def test_abstract_costs_keep_their_contract(costs, each):
+    assert "values" in check_abstract_costs(costs(each))
+    assert check_heuristic(lambda world, terrain: AbstractHeuristic(world, terrain, costs(each)), each)
 
 
 def test_the_cost_limit_follows_from_the_prices_of_the_robot():

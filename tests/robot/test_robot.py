@@ -94,6 +94,14 @@ def test_a_robot_that_cannot_drive_backward_keeps_its_other_directions():
     assert_refused(changed("drive.deviation_cost.behind", math.nan), "behind", "positive")
 
 
+def test_a_robot_that_does_not_turn_on_the_spot_has_a_radius():
+    values = copy.deepcopy(TOY)
+    values["turn"] |= {"on_the_spot": False, "radius": 0.5}
+    assert Robot.load(values).turn.radius == 0.5
+    assert_refused(changed("turn.on_the_spot", False), "turn.radius is None", "least radius")
+    assert_refused(changed("turn.radius", 0.5), "turn.radius is 0.5", "on_the_spot false")
+
+
 def test_the_highest_edge_follows_from_the_wheel():
     values = changed("drive.max_height_difference", ...)
     values["drive"] |= {"wheel_radius": 0.08, "rolled_share": 0.5}

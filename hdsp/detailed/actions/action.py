@@ -20,6 +20,7 @@ TURN_LEFT, TURN_RIGHT = DRIVES, DRIVES + 1
 FOOT_MOVE = TURN_RIGHT + 1  # + 2 * foot + (0 forward, 1 backward)
 BASE_FORWARD, BASE_BACKWARD = FOOT_MOVE + 8, FOOT_MOVE + 9
 STEP = BASE_BACKWARD + 1  # + 32 * foot + 16 + length in cells
+ARC = STEP + 128  # + 2 * (0 ahead, 1 back) + (0 left, 1 right)
 START = 255  # marks the first state in a search
 
 _LENGTHS = 32  # step codes per foot
@@ -27,6 +28,8 @@ _NO_LENGTH = 16
 
 #: Number of actions between poses on neutral feet, i.e. driving and turning: codes 0 to 21.
 POSE_ACTIONS = FOOT_MOVE
+#: Number of arcs at a heading. A robot with arcs does not turn on the spot.
+ARCS = 4
 
 
 class ActionKind(StrEnum):
@@ -35,6 +38,8 @@ class ActionKind(StrEnum):
     DRIVE = "drive"
     TURN_LEFT = "turn_left"
     TURN_RIGHT = "turn_right"
+    ARC_LEFT = "arc_left"
+    ARC_RIGHT = "arc_right"
     FOOT_MOVE = "foot_move"
     BASE_SHIFT = "base_shift"
     STEP = "step"
@@ -47,8 +52,8 @@ class Action:
     Attributes:
         kind: kind of action.
         foot: name of the moving foot, one of ``hdsp.robot.robot.FEET``; None for other kinds.
-        length: way of the foot, m, forward positive; None for driving and turning. For a base shift only the sign
-            counts: the heading decides its length.
+        length: way of the foot, m, forward positive; None for driving and turning. For a base shift and an arc only the
+            sign counts: the heading decides its length.
     """
 
     kind: ActionKind
@@ -80,6 +85,9 @@ def action_of(code: int) -> Action:
         return Action(ActionKind.FOOT_MOVE, FEET[foot], metres(1 - 2 * backward))
     if code < STEP:
         return Action(ActionKind.BASE_SHIFT, None, metres(1 if code == BASE_FORWARD else -1))
+    if code >= ARC:
+        kind = ActionKind.ARC_RIGHT if (code - ARC) % 2 else ActionKind.ARC_LEFT
+        return Action(kind, None, metres(1 if code < ARC + 2 else -1))
     foot, length = divmod(code - STEP, _LENGTHS)
     return Action(ActionKind.STEP, FEET[foot], metres(length - _NO_LENGTH))
 
@@ -96,8 +104,14 @@ def step_code(foot, length):
     return STEP + _LENGTHS * foot + _NO_LENGTH + length
 
 
+@njit(inline="always")
+def arc_turn(arc):
+    """Heading steps of an arc 0 to 3, numbered as their codes after ``ARC``."""
+    return 1 - 2 * (arc % 2)
+
+
 @njit()
-def undo(key, action, move_dx, move_dy, shifts):
+def undo(key, action, move_dx, move_dy, shifts, arcs):
     """Packed state before an action that led to ``key``."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     if action < DRIVES:
@@ -113,5 +127,9 @@ def undo(key, action, move_dx, move_dy, shifts):
         n = sign * shifts[heading, 2]
         dx, dy = sign * shifts[heading, 0], sign * shifts[heading, 1]
         return pack(ix - dx, iy - dy, heading, o0 + n, o1 + n, o2 + n, o3 + n)
+    if action >= ARC:
+        before = (heading - arc_turn(action - ARC)) % HEADINGS
+        dx, dy = arcs[before, action - ARC, 0], arcs[before, action - ARC, 1]
+        return pack(ix - dx, iy - dy, before, o0, o1, o2, o3)
     foot, length = (action - STEP) // _LENGTHS, (action - STEP) % _LENGTHS - _NO_LENGTH
     return key - (np.int64(length) << foot_shift(foot))

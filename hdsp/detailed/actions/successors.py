@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
-from hdsp.detailed.actions.action import DRIVES, TURN_LEFT, TURN_RIGHT
+from hdsp.detailed.actions.action import ARC, ARCS, DRIVES, TURN_LEFT, TURN_RIGHT, arc_turn
 from hdsp.detailed.actions.manoeuvres import manoeuvres
 from hdsp.detailed.actions.state_costs import feet_cells
 from hdsp.detailed.states import FEET_MASK, HEADING_SHIFT, neutral_feet, unpack
@@ -28,7 +28,7 @@ class Rules(NamedTuple):
     Attributes:
         heading_center: middle heading in the window.
         heading_window: largest difference to the middle heading, in heading steps; 32 or more allows all headings.
-        turn_cost_factor: factor on turning costs.
+        turn_cost_factor: factor on turning costs, and on the costs of arcs.
         drive_only: only driving and turning, on neutral feet: a three-dimensional problem.
     """
 
@@ -97,8 +97,10 @@ def pose_successors(world, rules, key, out_key, out_cost, out_action):
     level = level or on_slope(world, heading, p)
     price = t.drive_price[0 if level else 1, heading]
     n = _drives(world, key, heading, p, rows, price, out_key, out_cost, out_action)
-    if level:
+    if level and world.constants.on_the_spot:
         n = _turns(world, rules, key, heading, p, rows, out_key, out_cost, out_action, n)
+    elif level:
+        n = _arcs(world, rules, key, heading, p, rows, out_key, out_cost, out_action, n)
     ways = steps[p0] | steps[p1] | steps[p2] | steps[p3]
     if not rules.drive_only and _can_step(ways, heading, world.constants.step_backward):
         p0, p1, p2, p3 = p + contacts[rows[0]], p + contacts[rows[1]], p + contacts[rows[2]], p + contacts[rows[3]]
@@ -178,6 +180,54 @@ def _turns(world, rules, key, heading, p, rows, out_key, out_cost, out_action, n
         out_action[n] = action
         n += 1
     return n
+
+
+@njit(allocates=False)
+def _arcs(world, rules, key, heading, p, rows, out_key, out_cost, out_action, n):
+    """Arcs by one heading step: the cost of driving, over its samples and the end, plus the cost of turning."""
+    t, c, uneven, k = world.tables, world.constants, world.uneven, world.constants.unevenness
+    here = _summed_unevenness(uneven, t.contacts, p, rows)
+    for arc in range(ARCS):
+        if t.arc_price[heading, arc] == _INF:
+            continue
+        new = (heading + arc_turn(arc)) % HEADINGS
+        off = (new - rules.heading_center + HEADINGS // 2) % HEADINGS - HEADINGS // 2
+        if abs(off) > rules.heading_window:
+            continue
+        q = p + t.arc_flat[heading, arc]
+        r0, r1, r2, r3 = neutral_rows(t, new)
+        s0, s1 = uneven[q + t.contacts[r0]], uneven[q + t.contacts[r1]]
+        s2, s3 = uneven[q + t.contacts[r2]], uneven[q + t.contacts[r3]]
+        there = np.float64(s0) + s1 + s2 + s3
+        if there == _INF or not _stands_free(world, new, q):
+            continue
+        total = there + max(max(s0, s1), max(s2, s3))
+        for s in range(t.arc_count[heading, arc]):
+            at = p + t.arc_base[heading, arc, s]
+            s0, s1 = uneven[p + t.arc_contacts[heading, arc, s, 0]], uneven[p + t.arc_contacts[heading, arc, s, 1]]
+            s2, s3 = uneven[p + t.arc_contacts[heading, arc, s, 2]], uneven[p + t.arc_contacts[heading, arc, s, 3]]
+            total += np.float64(max(max(s0, s1), max(s2, s3))) + s0 + s1 + s2 + s3
+            turned = 2 * (s + 1) >= t.arc_count[heading, arc] + 1
+            if total == _INF or not _stands_free(world, new if turned else heading, at):
+                total = _INF
+                break
+        if total == _INF:
+            continue
+        drive = t.arc_price[heading, arc] * (1.0 + k * total / (t.arc_count[heading, arc] + 1))
+        turn = c.turn * (1.0 + c.turn_unevenness * 0.5 * (here + there))
+        out_key[n] = key + t.arc_key[heading, arc] + ((new - heading) << HEADING_SHIFT)
+        out_cost[n] = rules.turn_cost_factor * (drive + turn)
+        out_action[n] = ARC + arc
+        n += 1
+    return n
+
+
+@njit(inline="always")
+def _stands_free(world, heading, p):
+    body = world.base[heading * len(world.standable) + p]
+    if body == 0:
+        body = look_at_body(world, heading, p)
+    return body == FREE
 
 
 @njit(inline="always")

@@ -63,6 +63,10 @@ class MaskTables(NamedTuple):
     shift_dx: np.ndarray  # int64 [n], displacements of base shifts
     shift_dy: np.ndarray
     shift_headings: np.ndarray  # uint64 [n], headings at which the shifts are possible
+    arc_dx: np.ndarray  # int64 [n], displacements of arcs
+    arc_dy: np.ndarray
+    arc_turn: np.ndarray  # int64 [n], heading steps of the arcs, 1 or -1
+    arc_headings: np.ndarray  # uint64 [n], headings at which the arcs begin
 
 
 _ONE = np.uint64(1)
@@ -81,7 +85,21 @@ def _mask_tables(world: World) -> MaskTables:
     found = np.unique(np.concatenate(ways), axis=0)
     headings = [_bits(np.any([(way == d).all(axis=1) for way in ways], axis=0)) for d in found]
     drives = _bits(np.isfinite(t.drive_price).transpose(0, 2, 1))
-    return MaskTables(drives, found[:, 0].copy(), found[:, 1].copy(), np.array(headings, np.uint64))
+    at = np.argwhere(np.isfinite(t.arc_price))
+    arcs = np.column_stack([t.arcs[at[:, 0], at[:, 1]], 1 - 2 * (at[:, 1] % 2)])
+    distinct, which = np.unique(arcs, axis=0, return_inverse=True)
+    arc_headings = np.zeros(len(distinct), np.uint64)
+    np.bitwise_or.at(arc_headings, which.ravel(), _ONE << at[:, 0].astype(np.uint64))
+    return MaskTables(
+        drives=drives,
+        shift_dx=found[:, 0].copy(),
+        shift_dy=found[:, 1].copy(),
+        shift_headings=np.array(headings, np.uint64),
+        arc_dx=distinct[:, 0].copy(),
+        arc_dy=distinct[:, 1].copy(),
+        arc_turn=distinct[:, 2].copy(),
+        arc_headings=arc_headings,
+    )
 
 
 def _new_masks(world: World) -> HeadingMasks:
@@ -124,7 +142,7 @@ def _flood(world, allowed, tables, masks, reached, x, y, drive_only):
         on_any = reached[1, x, y]
         on_neutral = reached[0, x, y] | (on_any & neutral[x, y])
         before = ~on_neutral
-        while before != on_neutral:
+        while world.constants.on_the_spot and before != on_neutral:
             before = on_neutral
             turning = on_neutral & free
             turning = (turning << _ONE) | (turning >> _LAST) | (turning >> _ONE) | (turning << _LAST)
@@ -135,6 +153,23 @@ def _flood(world, allowed, tables, masks, reached, x, y, drive_only):
         for m in range(len(move_dx)):
             u, v = x + move_dx[m], y + move_dy[m]
             moved = on_neutral & ((free & drives[0, m]) | drives[1, m])
+            if moved == 0 or not (0 <= u < nx and 0 <= v < ny) or moved & ~reached[0, u, v] == 0:
+                continue
+            if known[u, v] == 0:
+                _fill_neutral(world, allowed, masks, u, v)
+            new = moved & neutral[u, v] & ~reached[0, u, v]
+            if new != 0:
+                reached[0, u, v] |= new
+                if not waits[u, v]:
+                    waits[u, v] = True
+                    queue[last] = u * ny + v
+                    last = (last + 1) % room
+        for m in range(len(tables.arc_dx)):
+            moved = on_neutral & free & tables.arc_headings[m]
+            moved = (
+                (moved << _ONE) | (moved >> _LAST) if tables.arc_turn[m] == 1 else (moved >> _ONE) | (moved << _LAST)
+            )
+            u, v = x + tables.arc_dx[m], y + tables.arc_dy[m]
             if moved == 0 or not (0 <= u < nx and 0 <= v < ny) or moved & ~reached[0, u, v] == 0:
                 continue
             if known[u, v] == 0:

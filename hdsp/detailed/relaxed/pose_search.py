@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
-from hdsp.detailed.actions.action import DRIVES, TURN_LEFT, TURN_RIGHT
+from hdsp.detailed.actions.action import ARCS, DRIVES, TURN_LEFT, TURN_RIGHT, arc_turn
 from hdsp.detailed.relaxed.bucket_queue import BucketQueue, put, take
 from hdsp.detailed.relaxed.poses import look_at_feet, look_at_pose, stands_on_neutral
 from hdsp.robot.lattice import HEADINGS
@@ -75,7 +75,10 @@ def spread(world, rules, poses, wave, sources, initial, wanted, left):
                     left -= 1
                     last = left == 0
                 cut |= _drive(world, poses, wave, pose, slot, x, y, so_far)
-                cut |= _turn(world, rules, poses, wave, pose, slot, x, y, so_far)
+                if world.constants.on_the_spot:
+                    cut |= _turn(world, rules, poses, wave, pose, slot, x, y, so_far)
+                else:
+                    cut |= _drive_arcs(world, rules, poses, wave, pose, slot, x, y, so_far)
                 if not rules.drive_only:
                     cut |= _leave_neutral(poses, wave, pose, so_far)
             else:
@@ -139,6 +142,34 @@ def _turn(world, rules, poses, wave, pose, slot, x, y, so_far):
             if not _was_expanded(poses, wave, other):
                 continue
             edge, rest = poses.edge[other, action], wave.before[other]
+        if edge < np.inf:
+            cut |= _offer(wave, other, so_far + factor * edge, rest)
+    return cut
+
+
+@njit(allocates=False)
+def _drive_arcs(world, rules, poses, wave, pose, slot, x, y, so_far):
+    nx, ny, arcs = world.nx, world.ny, world.tables.arcs
+    factor = np.float32(rules.turn_cost_factor)
+    cut = False
+    for arc in range(ARCS):
+        sign = -1 if wave.backward else 1
+        to = slot + sign * arc_turn(arc)
+        if poses.slots == HEADINGS:
+            to %= HEADINGS
+        off = (poses.first + to - rules.heading_center + HEADINGS // 2) % HEADINGS - HEADINGS // 2
+        if not 0 <= to < poses.slots or abs(off) > rules.heading_window:
+            continue
+        begins = (poses.first + (to if wave.backward else slot)) % HEADINGS
+        u, v = x + sign * arcs[begins, arc, 0], y + sign * arcs[begins, arc, 1]
+        if not (0 <= u < nx and 0 <= v < ny):
+            continue
+        other = (to * nx + u) * ny + v
+        edge, rest = poses.edge[pose, TURN_LEFT + arc], _NOTHING
+        if wave.backward:
+            if not _was_expanded(poses, wave, other):
+                continue
+            edge, rest = poses.edge[other, TURN_LEFT + arc], wave.before[other]
         if edge < np.inf:
             cut |= _offer(wave, other, so_far + factor * edge, rest)
     return cut

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
-from hdsp.detailed.actions.action import POSE_ACTIONS
+from hdsp.detailed.actions.action import ARC, ARCS, POSE_ACTIONS, TURN_LEFT, TURN_RIGHT
 from hdsp.detailed.actions.state_costs import feet_cells, foot_row, state_cost
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, pose_successors
 from hdsp.detailed.states import pack
@@ -21,7 +21,8 @@ class Poses(NamedTuple):
     Attributes:
         first: heading in slot 0.
         slots: number of headings.
-        edge: float32 [poses, 22]; costs for driving and turning on neutral feet, turns at their normal cost.
+        edge: float32 [poses, 22]; costs for driving and turning on neutral feet, turns at their normal cost. The
+            columns of a robot with arcs are 20 drives and 4 arcs.
         known: bool [poses]; whether ``edge`` and ``stepping`` are filled in.
         stepping: bool [poses]; whether a foot can step while all are neutral.
         some: float32 [poses]; least state cost over all feet, inf if impossible, 0 before the first use.
@@ -44,7 +45,7 @@ def new_poses(world: World, center: int, window: int) -> Poses:
     return Poses(
         first=(center - window) % HEADINGS if slots < HEADINGS else 0,
         slots=slots,
-        edge=np.empty((n, POSE_ACTIONS), dtype=np.float32),
+        edge=np.empty((n, POSE_ACTIONS if world.constants.on_the_spot else TURN_LEFT + ARCS), dtype=np.float32),
         known=np.zeros(n, dtype=np.bool_),
         stepping=np.zeros(n, dtype=np.bool_),
         some=np.zeros(n, dtype=np.float32),
@@ -67,7 +68,8 @@ def look_at_pose(world, poses, pose, x, y, heading):
     poses.edge[pose] = np.inf
     key = pack(x, y, heading, zero, zero, zero, zero)
     for k in range(pose_successors(world, Rules(0, HEADINGS, 1.0, True), key, out_key, out_cost, out_action)):
-        poses.edge[pose, out_action[k]] = out_cost[k]
+        action = np.int64(out_action[k])
+        poses.edge[pose, action if action <= TURN_RIGHT else action - ARC + TURN_LEFT] = out_cost[k]
     poses.stepping[pose] = can_step_from_neutral(world, x, y, heading)
     poses.known[pose] = True
 

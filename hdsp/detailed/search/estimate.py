@@ -128,9 +128,11 @@ def geometric_estimate(world, goal) -> Estimate:
         world: terrain and robot.
         goal: int64 [7], lattice units.
     """
-    c = world.constants
+    c, t = world.constants, world.tables
+    length = np.maximum(np.hypot(t.arcs[..., 0], t.arcs[..., 1]), 1.0)
+    drive = min(metres(float(t.deviation.min())), float((t.arc_price / length).min()))
     return Estimate(
-        distance=min(metres(float(world.tables.deviation.min())), c.base_shift),
+        distance=min(drive, c.base_shift),
         turn=c.turn,
         goal_x=int(goal[0]),
         goal_y=int(goal[1]),

@@ -274,7 +274,7 @@ def trace(world, store, key):
     at = key
     action = store.action[find(store, at)]
     while action != START:
-        at = undo(at, action, t.move_dx, t.move_dy, t.shifts)
+        at = undo(at, action, t.move_dx, t.move_dy, t.shifts, t.arcs)
         action = store.action[find(store, at)]
         n += 1
     path, actions = np.empty(n, np.int64), np.empty(n - 1, np.uint8)
@@ -283,5 +283,5 @@ def trace(world, store, key):
         path[i] = at
         if i > 0:
             actions[i - 1] = store.action[find(store, at)]
-            at = undo(at, actions[i - 1], t.move_dx, t.move_dy, t.shifts)
+            at = undo(at, actions[i - 1], t.move_dx, t.move_dy, t.shifts, t.arcs)
     return path, actions

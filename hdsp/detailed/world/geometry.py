@@ -95,6 +95,77 @@ def _inward(turn: np.ndarray, y: float) -> np.ndarray:
     return turn @ np.array([2 * _NUDGE, -_NUDGE * np.sign(y)])
 
 
+class ArcMoves(NamedTuple):
+    """Arcs by one heading step: ahead to the left, ahead to the right, back to the left, back to the right.
+
+    "Left" raises the heading. Points between the ends are samples at ``t = 1/n .. (n - 1)/n`` with ``n = floor(length)
+    + 1``, at the former heading before the middle of the arc and at the new one from there on.
+
+    Attributes:
+        displacement: int64 [64, 4, 2], cells; 0 = none.
+        counts: int64 [64, 4], number of samples.
+        feet: int64 [64, 4, samples, 4, 2], cells under neutral feet at the samples, relative to the base's first cell.
+        contacts: int64, the same for the middle cells of the contacts.
+        base: int64 [64, 4, samples, 2], cells under the base.
+        factor: float64 [64, 4], cost factor of driving; inf = no arc.
+    """
+
+    displacement: np.ndarray
+    counts: np.ndarray
+    feet: np.ndarray
+    contacts: np.ndarray
+    base: np.ndarray
+    factor: np.ndarray
+
+
+@lru_cache(maxsize=8)
+def arc_moves(robot: Robot) -> ArcMoves:
+    """Arcs of a robot that does not turn on the spot; no arcs for other robots.
+
+    An arc ends in a cell at least as far away as on a circle with the least radius, and within ``straight_deviation``
+    of the mean heading; the nearest such cell to the end on the circle.
+    """
+    displacement, factor = np.zeros((HEADINGS, 4, 2), np.int64), np.full((HEADINGS, 4), np.inf)
+    if robot.turn.radius is not None:
+        for heading in range(HEADINGS):
+            for arc in range(4):
+                mean = heading_angle(heading) + (0.5 - arc % 2) * 2 * math.pi / HEADINGS
+                displacement[heading, arc], factor[heading, arc] = _arc(robot, mean, 1 - 2 * (arc // 2))
+    counts = np.floor(np.hypot(displacement[..., 0], displacement[..., 1]) + 1e-9).astype(np.int64)
+    feet, contacts = (np.zeros((HEADINGS, 4, counts.max(), 4, 2), np.int64) for _ in range(2))
+    base = np.zeros((HEADINGS, 4, counts.max(), 2), np.int64)
+    at_rest = contact_cells(robot)[:, :, -robot.offset_range()[0], 0]
+    neutral = cells(robot.neutral_feet())
+    for heading, arc in np.ndindex(HEADINGS, 4):
+        n = counts[heading, arc] + 1
+        for s in range(n - 1):
+            moved = displacement[heading, arc] * ((s + 1) / n)
+            now = heading if 2 * (s + 1) < n else (heading + 1 - 2 * (arc % 2)) % HEADINGS
+            turn = rotation(float(heading_angle(now)))
+            for foot, (x, y) in enumerate(neutral):
+                inward = _inward(turn, y)
+                feet[heading, arc, s, foot] = np.floor(turn @ (x, y) + inward + moved + 0.5)
+                contacts[heading, arc, s, foot] = at_rest[now, foot] + np.floor(moved + inward + 0.5).astype(np.int64)
+            base[heading, arc, s] = np.floor(moved + _NUDGE * np.sign(moved) + 0.5)
+    return ArcMoves(displacement, counts, feet, contacts, base, factor)
+
+
+def _arc(robot: Robot, mean: float, ahead: int) -> tuple[np.ndarray, float]:
+    """Displacement (cells) and cost factor of an arc with a mean heading (rad), ahead (1) or back (-1)."""
+    assert robot.turn.radius is not None
+    chord = 2 * cells(robot.turn.radius) * math.sin(math.pi / HEADINGS)
+    span = np.arange(-math.ceil(chord) - 3, math.ceil(chord) + 4)
+    grid = np.stack(np.meshgrid(span, span, indexing="ij"), axis=-1).reshape(-1, 2)
+    along, across = (grid @ rotation(mean)).T
+    off = np.arctan2(abs(across), ahead * along)
+    far = np.hypot(along, across) >= max(chord - 1e-9, 0.5)
+    chosen = np.flatnonzero(far & (off <= robot.drive.straight_deviation + 1e-9))
+    if not len(chosen):
+        return np.zeros(2, np.int64), math.inf
+    best = chosen[np.argmin(np.round(np.hypot(along[chosen] - ahead * chord, across[chosen]), 9))]
+    return grid[best], robot.drive.factor(float(off[best]) if ahead == 1 else math.pi - float(off[best]))
+
+
 @lru_cache(maxsize=8)
 def base_cells() -> np.ndarray:
     """Base cell at each sample, int64 [samples, 2]; halfway between two cells, the base counts as arrived."""

@@ -19,6 +19,7 @@ from hdsp.detailed.base_pose import ground_plane
 from hdsp.detailed.states import MAX_CELLS, pack_steps
 from hdsp.detailed.world.geometry import (
     MOVE_SAMPLES,
+    arc_moves,
     base_cells,
     base_shifts,
     contact_cells,
@@ -55,6 +56,13 @@ class Tables(NamedTuple):
     straight: np.ndarray  # bool [64, 20], whether the move leads ahead or back
     drive_price: np.ndarray  # float64 [2, 64, 20], length times factor; [1] for feet not level: inf unless straight
     base_sample: np.ndarray  # int64 [samples]
+    arcs: np.ndarray  # int64 [64, 4, 2], displacement of arcs
+    arc_flat: np.ndarray  # int64 [64, 4]
+    arc_key: np.ndarray  # int64 [64, 4], change of a packed state by the displacement
+    arc_price: np.ndarray  # float64 [64, 4], length times factor, inf without an arc
+    arc_count: np.ndarray  # int64 [64, 4], samples between the ends
+    arc_contacts: np.ndarray  # int32 [64, 4, samples, 4], as ``contacts``, of neutral feet
+    arc_base: np.ndarray  # int64 [64, 4, samples]
     shifts: np.ndarray  # int64 [64, 3]
     line: np.ndarray  # int64 [64, longest step + 1]
     box_cells: np.ndarray  # int64 [boxes, 64, n]
@@ -73,6 +81,7 @@ class Constants(NamedTuple):
     unevenness: float
     turn: float
     turn_unevenness: float
+    on_the_spot: bool  # whether the robot turns on the spot; otherwise it drives arcs
     level: float
     foot_move: float
     base_shift: float
@@ -145,7 +154,7 @@ def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) 
     if max(nx, ny) > MAX_CELLS:
         raise InputError(f"height map of {nx} x {ny} cells: a side may have at most {MAX_CELLS} cells")
     maps = maps or cost_maps(terrain, robot)
-    pad = math.ceil(cells(robot.reach())) + 4
+    pad = math.ceil(cells(robot.reach())) + 2 + max(2, int(abs(arc_moves(robot).displacement).max()))
     stride = ny + 2 * pad
     heights = np.where(np.isnan(terrain.heights), -np.inf, terrain.heights).astype(np.float32)
     window = 2 * math.ceil(_body_reach(robot)) + 1
@@ -213,6 +222,7 @@ def _constants(robot: Robot) -> Constants:
         unevenness=robot.drive.unevenness_cost,
         turn=robot.turn.cost,
         turn_unevenness=robot.turn.unevenness_cost,
+        on_the_spot=robot.turn.on_the_spot,
         level=robot.drive.level,
         foot_move=robot.foot_move.cost_per_metre * _CELL,
         base_shift=robot.base_shift.cost_per_metre * _CELL,
@@ -238,13 +248,17 @@ def _tables(robot: Robot, stride: int, size: int) -> Tables:
     def flat(offsets):
         return offsets[..., 0] * stride + offsets[..., 1]
 
-    feet = flat(foot_cells(robot))
+    feet, arcs = flat(foot_cells(robot)), arc_moves(robot)
     between = contact_cells(robot) - foot_cells(robot)
-    contact_offsets, layer = np.unique(between.reshape(-1, 2), axis=0, return_inverse=True)
+    offsets = np.concatenate([between.reshape(-1, 2), (arcs.contacts - arcs.feet).reshape(-1, 2)])
+    contact_offsets, layer = np.unique(offsets, axis=0, return_inverse=True)
+    layer = layer.ravel()
+    arc_feet = flat(arcs.feet)
     if len(contact_offsets) * size > np.iinfo(np.int32).max:
         most = np.iinfo(np.int32).max // len(contact_offsets)
         raise InputError(f"height map of {size} cells, border included: at most {most} cells fit for this robot")
-    contacts = feet + layer.reshape(feet.shape) * size
+    contacts = feet + layer[: feet.size].reshape(feet.shape) * size
+    arc_contacts = arc_feet + layer[feet.size :].reshape(arc_feet.shape) * size
     boxes = [[rectangle_cells(box, h) for h in range(HEADINGS)] for box in robot.body.boxes]
     widest = max((len(c) for box in boxes for c in box), default=0)
     box_offsets = np.zeros((len(boxes), HEADINGS, widest, 2), dtype=np.int64)
@@ -274,6 +288,15 @@ def _tables(robot: Robot, stride: int, size: int) -> Tables:
         straight=straight,
         drive_price=np.stack([length * factor, np.where(straight, length * factor, np.inf)]),
         base_sample=flat(base_cells()),
+        arcs=arcs.displacement,
+        arc_flat=flat(arcs.displacement),
+        arc_key=pack_steps(arcs.displacement.reshape(-1, 2)).reshape(HEADINGS, -1),
+        arc_price=metres(np.hypot(arcs.displacement[..., 0], arcs.displacement[..., 1])) * arcs.factor
+        if robot.turn.radius is not None
+        else arcs.factor,
+        arc_count=arcs.counts,
+        arc_contacts=arc_contacts.astype(np.int32),
+        arc_base=flat(arcs.base),
         shifts=base_shifts(),
         line=flat(step_line(robot)),
         box_cells=flat(box_offsets),
