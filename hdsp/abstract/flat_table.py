@@ -70,6 +70,6 @@ def cost_limit(robot: Robot, settings: LabelSettings) -> float:
 
 def _most(world: World, settings: LabelSettings) -> float:
     """A cost above that of any action on flat ground."""
-    price = np.concatenate([world.tables.drive_price[0], world.tables.arc_price], axis=1)
+    price = world.tables.drive_price[0]
     turn = world.constants.turn * max(settings.turn_cost_factor, 1.0)
     return _ACTIONS * (turn + float(price[np.isfinite(price)].max()))

@@ -188,13 +188,14 @@ def _arcs(world, rules, key, heading, p, rows, out_key, out_cost, out_action, n)
     t, c, uneven, k = world.tables, world.constants, world.uneven, world.constants.unevenness
     here = _summed_unevenness(uneven, t.contacts, p, rows)
     for arc in range(ARCS):
-        if t.arc_price[heading, arc] == _INF:
+        price, row = t.drive_price[0, heading, DRIVES + arc], t.arcs[heading, arc]
+        if price == _INF:
             continue
         new = (heading + arc_turn(arc)) % HEADINGS
         off = (new - rules.heading_center + HEADINGS // 2) % HEADINGS - HEADINGS // 2
         if abs(off) > rules.heading_window:
             continue
-        q = p + t.arc_flat[heading, arc]
+        q, change, count = p + row[2], row[3], row[4]
         r0, r1, r2, r3 = neutral_rows(t, new)
         s0, s1 = uneven[q + t.contacts[r0]], uneven[q + t.contacts[r1]]
         s2, s3 = uneven[q + t.contacts[r2]], uneven[q + t.contacts[r3]]
@@ -202,20 +203,20 @@ def _arcs(world, rules, key, heading, p, rows, out_key, out_cost, out_action, n)
         if there == _INF or not _stands_free(world, new, q):
             continue
         total = there + max(max(s0, s1), max(s2, s3))
-        for s in range(t.arc_count[heading, arc]):
-            at = p + t.arc_base[heading, arc, s]
-            s0, s1 = uneven[p + t.arc_contacts[heading, arc, s, 0]], uneven[p + t.arc_contacts[heading, arc, s, 1]]
-            s2, s3 = uneven[p + t.arc_contacts[heading, arc, s, 2]], uneven[p + t.arc_contacts[heading, arc, s, 3]]
+        for s in range(count):
+            first = 5 + 5 * s
+            s0, s1 = uneven[p + row[first + 1]], uneven[p + row[first + 2]]
+            s2, s3 = uneven[p + row[first + 3]], uneven[p + row[first + 4]]
             total += np.float64(max(max(s0, s1), max(s2, s3))) + s0 + s1 + s2 + s3
-            turned = 2 * (s + 1) >= t.arc_count[heading, arc] + 1
-            if total == _INF or not _stands_free(world, new if turned else heading, at):
+            turned = 2 * (s + 1) >= count + 1
+            if total == _INF or not _stands_free(world, new if turned else heading, p + row[first]):
                 total = _INF
                 break
         if total == _INF:
             continue
-        drive = t.arc_price[heading, arc] * (1.0 + k * total / (t.arc_count[heading, arc] + 1))
+        drive = price * (1.0 + k * total / (count + 1))
         turn = c.turn * (1.0 + c.turn_unevenness * 0.5 * (here + there))
-        out_key[n] = key + t.arc_key[heading, arc] + ((new - heading) << HEADING_SHIFT)
+        out_key[n] = key + change + ((new - heading) << HEADING_SHIFT)
         out_cost[n] = rules.turn_cost_factor * (drive + turn)
         out_action[n] = ARC + arc
         n += 1

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.detailed.actions.action import DRIVES
 from hdsp.detailed.actions.state_costs import feet_cells
 from hdsp.detailed.actions.successors import Rules, allowed_headings
 from hdsp.detailed.world.world import World, cell_index, collides, may_be_free, on_slope
@@ -84,9 +85,10 @@ def _mask_tables(world: World) -> MaskTables:
     ways = [shifts, -shifts] if world.constants.shift_backward else [shifts]
     found = np.unique(np.concatenate(ways), axis=0)
     headings = [_bits(np.any([(way == d).all(axis=1) for way in ways], axis=0)) for d in found]
-    drives = _bits(np.isfinite(t.drive_price).transpose(0, 2, 1))
-    at = np.argwhere(np.isfinite(t.arc_price))
-    arcs = np.column_stack([t.arcs[at[:, 0], at[:, 1]], 1 - 2 * (at[:, 1] % 2)])
+    possible = np.isfinite(t.drive_price)
+    drives = _bits(possible[..., :DRIVES].transpose(0, 2, 1))
+    at = np.argwhere(possible[0, :, DRIVES:])
+    arcs = np.column_stack([t.arcs[at[:, 0], at[:, 1], :2], 1 - 2 * (at[:, 1] % 2)])
     distinct, which = np.unique(arcs, axis=0, return_inverse=True)
     arc_headings = np.zeros(len(distinct), np.uint64)
     np.bitwise_or.at(arc_headings, which.ravel(), _ONE << at[:, 0].astype(np.uint64))

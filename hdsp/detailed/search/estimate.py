@@ -130,7 +130,7 @@ def geometric_estimate(world, goal) -> Estimate:
     """
     c, t = world.constants, world.tables
     length = np.maximum(np.hypot(t.arcs[..., 0], t.arcs[..., 1]), 1.0)
-    drive = min(metres(float(t.deviation.min())), float((t.arc_price / length).min()))
+    drive = min(metres(float(t.deviation.min())), float((t.drive_price[0, :, len(t.move_dx) :] / length).min()))
     return Estimate(
         distance=min(drive, c.base_shift),
         turn=c.turn,

@@ -8,6 +8,7 @@ first look and kept. For other feet, the lowest ground that leaves a level body 
 """
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from hdsp.detailed.base_pose import ground_plane
 from hdsp.detailed.states import MAX_CELLS, pack_steps
 from hdsp.detailed.world.geometry import (
     MOVE_SAMPLES,
+    ArcMoves,
     arc_moves,
     base_cells,
     base_shifts,
@@ -53,16 +55,15 @@ class Tables(NamedTuple):
     move_first: np.ndarray  # int64 [20]
     move_count: np.ndarray
     deviation: np.ndarray  # float64 [64, 20], factor on driving, inf if impossible
-    straight: np.ndarray  # bool [64, 20], whether the move leads ahead or back
-    drive_price: np.ndarray  # float64 [2, 64, 20], length times factor; [1] for feet not level: inf unless straight
+    drive_price: (
+        np.ndarray
+    )  # float64 [2, 64, 24], length times factor; [1] for feet not level: inf unless straight. The
+    # last four are arcs, inf for a robot that turns on the spot.
     base_sample: np.ndarray  # int64 [samples]
-    arcs: np.ndarray  # int64 [64, 4, 2], displacement of arcs
-    arc_flat: np.ndarray  # int64 [64, 4]
-    arc_key: np.ndarray  # int64 [64, 4], change of a packed state by the displacement
-    arc_price: np.ndarray  # float64 [64, 4], length times factor, inf without an arc
-    arc_count: np.ndarray  # int64 [64, 4], samples between the ends
-    arc_contacts: np.ndarray  # int32 [64, 4, samples, 4], as ``contacts``, of neutral feet
-    arc_base: np.ndarray  # int64 [64, 4, samples]
+    # One array, because each one costs time at every call: int64 [64, 4, 5 + 5 * samples], for each arc its displacement
+    # dx, dy, flat and as a change of a packed state, the number of its samples; then for each sample the base and the
+    # contacts of four neutral feet, as in ``base_sample`` and ``contacts``.
+    arcs: np.ndarray
     shifts: np.ndarray  # int64 [64, 3]
     line: np.ndarray  # int64 [64, longest step + 1]
     box_cells: np.ndarray  # int64 [boxes, 64, n]
@@ -271,6 +272,9 @@ def _tables(robot: Robot, stride: int, size: int) -> Tables:
     factor = np.vectorize(robot.drive.factor, otypes=[float])(np.round(deviation, 12))
     length = metres(np.hypot(DRIVE_MOVES[:, 0], DRIVE_MOVES[:, 1]))
     straight = np.minimum(deviation, math.pi - deviation) <= robot.drive.straight_deviation + 1e-9
+    drive_price = np.stack([length * factor, np.where(straight, length * factor, np.inf)])
+    # No arc has no length.
+    arc_price = np.maximum(metres(np.hypot(arcs.displacement[..., 0], arcs.displacement[..., 1])), 1e-9) * arcs.factor
     return Tables(
         feet=np.ascontiguousarray(feet.astype(np.int32).ravel()),
         contacts=np.ascontiguousarray(contacts.astype(np.int32).ravel()),
@@ -285,18 +289,9 @@ def _tables(robot: Robot, stride: int, size: int) -> Tables:
         move_first=MOVE_SAMPLES.first,
         move_count=MOVE_SAMPLES.counts,
         deviation=factor,
-        straight=straight,
-        drive_price=np.stack([length * factor, np.where(straight, length * factor, np.inf)]),
+        drive_price=np.concatenate([drive_price, np.stack([arc_price, np.full_like(arc_price, np.inf)])], axis=2),
         base_sample=flat(base_cells()),
-        arcs=arcs.displacement,
-        arc_flat=flat(arcs.displacement),
-        arc_key=pack_steps(arcs.displacement.reshape(-1, 2)).reshape(HEADINGS, -1),
-        arc_price=metres(np.hypot(arcs.displacement[..., 0], arcs.displacement[..., 1])) * arcs.factor
-        if robot.turn.radius is not None
-        else arcs.factor,
-        arc_count=arcs.counts,
-        arc_contacts=arc_contacts.astype(np.int32),
-        arc_base=flat(arcs.base),
+        arcs=_arc_table(arcs, flat, arc_contacts),
         shifts=base_shifts(),
         line=flat(step_line(robot)),
         box_cells=flat(box_offsets),
@@ -315,6 +310,15 @@ def _tables(robot: Robot, stride: int, size: int) -> Tables:
         ),
         outline=flat(outline_cells(robot)),
     )
+
+
+def _arc_table(arcs: ArcMoves, flat: Callable[[np.ndarray], np.ndarray], contacts: np.ndarray) -> np.ndarray:
+    """``Tables.arcs``."""
+    moved = arcs.displacement
+    keys = pack_steps(moved.reshape(-1, 2)).reshape(moved.shape[:2])
+    samples = np.concatenate([flat(arcs.base)[..., None], contacts], axis=3).reshape(*moved.shape[:2], -1)
+    own = np.stack([moved[..., 0], moved[..., 1], flat(moved), keys, arcs.counts], axis=2)
+    return np.ascontiguousarray(np.concatenate([own, samples], axis=2))
 
 
 @njit()
