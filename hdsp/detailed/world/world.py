@@ -55,14 +55,13 @@ class Tables(NamedTuple):
     move_first: np.ndarray  # int64 [20]
     move_count: np.ndarray
     deviation: np.ndarray  # float64 [64, 20], factor on driving, inf if impossible
-    drive_price: (
-        np.ndarray
-    )  # float64 [2, 64, 24], length times factor; [1] for feet not level: inf unless straight. The
-    # last four are arcs, inf for a robot that turns on the spot.
+    # float64 [2, 64, 24], length times factor; [1] for feet not level: inf unless straight. The last four columns are
+    # arcs, inf for a robot that turns on the spot.
+    drive_price: np.ndarray
     base_sample: np.ndarray  # int64 [samples]
-    # One array, because each one costs time at every call: int64 [64, 4, 5 + 5 * samples]. For each arc: displacement dx,
-    # dy, flat, as a change of a packed state; number of samples; then for each sample the base and the contacts of four
-    # neutral feet, as in ``base_sample`` and ``contacts``.
+    # One array, because each one costs time at every call: int64 [64, 4, 5 + 5 * samples]. For each arc: displacement
+    # dx, dy, flat, as a change of a packed state; number of samples; then for each sample the base and the contacts of
+    # four neutral feet, as in ``base_sample`` and ``contacts``.
     arcs: np.ndarray
     shifts: np.ndarray  # int64 [64, 3]
     line: np.ndarray  # int64 [64, longest step + 1]
