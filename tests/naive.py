@@ -18,7 +18,7 @@ HEADINGS = 64
 MOVES = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0) and not abs(x) == abs(y) == 2]
 INF = math.inf
 TOUCH = 1e-6  # m; a body that touches the ground by no more is free
-REMEMBERED = ["difference", "edge", "steep", "unevenness", "standable", "foot_cell", "contact_cell", "uneven_under",
+REMEMBERED = ["difference", "edge", "steep", "unevenness", "standable", "foot_cell", "contact_cell", "contact_height",
               "blocked", "cost_at", "lifted_over", "can_step", "deviation", "least_deviation", "arc"]  # fmt: skip
 
 
@@ -114,6 +114,21 @@ class Naive:
         neighbours = [other for other, _ in self.around(cell, 1.5) if self.known(other)]
         return max(float(abs(self.height(other) - self.height(cell))) for other in neighbours)
 
+    def contact_height(self, cell):
+        """Height at which a foot touches the ground in a known cell, m."""
+        half = math.floor(self.robot.feet.contact_half_width / CELL + 1e-9)
+        square = itertools.product(range(-half, half + 1), repeat=2)
+        cells = [(cell[0] + i, cell[1] + j) for i, j in square]
+        return max(self.height(other) for other in cells if self.known(other))
+
+    def foothold_difference(self, cell):
+        """Largest difference between the contact heights of a cell and its eight neighbours, m."""
+        if not self.known(cell):
+            return 0.0
+        neighbours = [other for other, _ in self.around(cell, 1.5) if self.known(other)]
+        here = self.contact_height(cell)
+        return max(float(abs(self.contact_height(other) - here)) for other in neighbours)
+
     def edge(self, cell):
         """Whether no wheel passes a map cell."""
         return not self.known(cell) or self.difference(cell) > np.float32(self.robot.drive.highest_edge)
@@ -155,7 +170,8 @@ class Naive:
     def unevenness(self, cell):
         """S of a cell, m."""
         radius = self.robot.drive.unevenness_radius / CELL
-        return sum(self.difference(other) * max(0.0, 1 - r / radius) for other, r in self.around(cell, radius))
+        near = self.around(cell, radius)
+        return sum(self.foothold_difference(other) * max(0.0, 1 - r / radius) for other, r in near)
 
     def standable(self, cell):
         if not self.inside(cell):
@@ -195,11 +211,8 @@ class Naive:
         return tuple(nearest(at[i], tie[i]) + nearest((dx, dy)[i], tie[i]) for i in range(2))
 
     def uneven_under(self, cell):
-        """S paid by a foot, m: the largest one in the square around the middle of its contact."""
-        half = math.floor(self.robot.feet.contact_half_width / CELL + 1e-9)
-        square = itertools.product(range(-half, half + 1), repeat=2)
-        cells = [(cell[0] + i, cell[1] + j) for i, j in square]
-        return max((self.unevenness(other) for other in cells if self.inside(other)), default=0.0)
+        """S paid by a foot with the middle of its contact in a cell, m."""
+        return self.unevenness(cell) if self.inside(cell) else 0.0
 
     def uneven_under_foot(self, state, foot):
         dx, dy = self.contact_cell(state[2], foot, state[3 + foot])

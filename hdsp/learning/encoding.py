@@ -40,7 +40,8 @@ def encode(encoding: HeightEncoding, heights: Tensor) -> Tensor:
         if channel in encoding.channels:
             encoded[channel] = _bounded(encoding, slope(known, axis)).nan_to_num(nan=0.0)
     if "unevenness" in encoding.channels:
-        encoded["unevenness"] = cone_sum(greatest_difference(known), encoding.unevenness_radius).log1p()
+        footholds = greatest_difference(highest_nearby(known, encoding.unevenness_contact))
+        encoded["unevenness"] = cone_sum(footholds, encoding.unevenness_radius).log1p()
     if len(encoding.channels) == 1:
         return encoded[encoding.channels[0]]
     return torch.cat([encoded[channel] for channel in encoding.channels], dim=1)
@@ -62,6 +63,17 @@ def cone_sum(values: Tensor, radius: int) -> Tensor:
     weights = (1 - torch.hypot(along[:, None], along) / radius).clamp_min(0)
     with torch.autocast(values.device.type, enabled=False):  # costs need the digits
         return functional.conv2d(values.float(), weights[None, None], padding=radius - 1)
+
+
+def highest_nearby(heights: Tensor, reach: int) -> Tensor:
+    """Highest known cell up to ``reach`` cells away along x and y; same shape [B, 1, nx, ny], NaN cells stay NaN."""
+    if not reach:
+        return heights
+    highest = functional.pad(heights.nan_to_num(nan=-math.inf), (reach,) * 4, value=-math.inf)
+    for axis in (-2, -1):
+        length = highest.shape[axis] - 2 * reach
+        highest = reduce(torch.maximum, [highest.narrow(axis, start, length) for start in range(2 * reach + 1)])
+    return torch.where(heights.isnan(), heights, highest)
 
 
 def greatest_difference(heights: Tensor) -> Tensor:

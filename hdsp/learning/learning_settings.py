@@ -38,10 +38,11 @@ class HeightEncoding:
             e is the greatest height difference between a cell and its eight neighbours; detailed costs are built from
             e, so the network need not learn it. ``slope_x``, ``slope_y``: d / (|d| + edge_scale) in (-1, 1), where d is
             the height difference between the two neighbours along an axis. ``unevenness``: log(1 + S), where S sums the
-            greatest height differences over all cells within ``unevenness_radius``, weighted by 1 - distance / radius;
-            foot costs consist of this sum. ``unknown``: 1 where the height is unknown.
+            greatest differences between footholds over all cells within ``unevenness_radius``, weighted by
+            1 - distance / radius; foot costs consist of this sum. ``unknown``: 1 where the height is unknown.
         edge_scale: height difference in metres at which ``edge`` is one half.
         unevenness_radius: in cells.
+        unevenness_contact: in cells; a foothold is as high as the highest ground this near.
     """
 
     reference: Literal["none", "base"] = "none"
@@ -51,6 +52,7 @@ class HeightEncoding:
     channels: Annotated[tuple[Channel, ...], Field(min_length=1)] = ("height",)
     edge_scale: Positive = 0.1
     unevenness_radius: Annotated[int, Field(ge=1, le=PATCH_CELLS)] = 12
+    unevenness_contact: Annotated[int, Field(ge=0, le=PATCH_CELLS)] = 0
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -68,7 +70,8 @@ class HeightEncoding:
 
     def radius(self, channel: str) -> int:
         """Returns the distance in cells, along x or y, within which an encoded cell reads heights."""
-        return CHANNELS[channel] + (self.unevenness_radius - 1 if channel == "unevenness" else 0)
+        further = self.unevenness_radius - 1 + self.unevenness_contact
+        return CHANNELS[channel] + (further if channel == "unevenness" else 0)
 
 
 @checked

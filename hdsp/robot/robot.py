@@ -52,7 +52,7 @@ class Feet:
         min_separation: least distance between front foot and rear foot on one side.
         neutral_preference: state cost per metre away from the neutral position, when feet are chosen.
         contact_inward: distance from a foot to the centre of its contact ground, toward the body, along x and along y.
-        contact_half_width: half the side of the square contact ground; its most uneven cell counts.
+        contact_half_width: half the side of the square contact ground; the foot stands on its highest cell.
     """
 
     neutral_x: PositiveMetres

@@ -3,10 +3,10 @@
 docs/cost-model.md describes the model and its evidence. ``dH`` is the height difference of a cell: the largest
 difference to its eight neighbours.
 
-- Unevenness ``S(c)`` is a weighted sum of ``dH`` over all cells within a radius. The weights fall linearly to zero.
+- A foot stands on the highest ground in its contact, a small square (``contact_heights``).
+- Unevenness ``S(c)`` is a weighted sum over all cells within a radius, with weights that fall linearly to zero. It sums
+  the height differences between footholds, i.e. ``dH`` of ``contact_heights``.
 - A foot can stand and roll on a cell if no cell within its clearance has ``dH`` above the drivable limit.
-- A foot pays for the most uneven cell in its contact, a small square on the inner side of the foot's cell
-  (``hdsp.robot.robot``).
 - Ground is too steep at a heading if its gradient in the robot frame leaves the ellipse of ``Slope``. The gradient is
   measured in eight directions, over the shortest length on which an edge below the drivable limit is no steeper than
   the limit; single such edges therefore count as no slope. No foot stands on a cell that is too steep at all headings.
@@ -59,11 +59,25 @@ def cost_maps(terrain: HeightMap, robot: Robot) -> CostMaps:
     """Computes the cost maps of a terrain for a robot."""
     heights = terrain.heights
     difference = _height_difference(heights)
-    unevenness = _unevenness(difference, _disc_weights(cells(robot.drive.unevenness_radius)))
+    between_footholds = _height_difference(contact_heights(heights, robot))
+    unevenness = _unevenness(between_footholds, _disc_weights(cells(robot.drive.unevenness_radius)))
     edge = np.isnan(heights) | (difference > np.float32(robot.drive.highest_edge))
     steep = _steep(heights, edge, steep_reach(robot), robot.drive.highest_edge, *_direction_limits(robot))
     standable = ~_near(edge, _disc(cells(robot.feet.clearance))) & (steep != EVERY_HEADING)
     return CostMaps(difference, unevenness, edge, steep, standable)
+
+
+def contact_heights(heights: np.ndarray, robot: Robot) -> np.ndarray:
+    """Height at which a foot touches the ground: that of the highest known cell in its contact.
+
+    Args:
+        heights: float32 [nx, ny], m, NaN = unknown.
+        robot: the robot; its ``feet.contact_half_width`` is half the side of the square contact.
+
+    Returns:
+        Float32 [nx, ny], m; unknown cells stay unknown.
+    """
+    return _highest_nearby(heights, math.floor(cells(robot.feet.contact_half_width) + 1e-9))
 
 
 def steep_reach(robot: Robot) -> int:
@@ -106,6 +120,20 @@ def _disc_weights(radius: float) -> np.ndarray:
     offsets = _disc(radius)
     weight = 1 - np.hypot(offsets[:, 0], offsets[:, 1]) / radius
     return np.column_stack([offsets, weight])[weight > 0]
+
+
+@njit()
+def _highest_nearby(heights, reach):
+    nx, ny = heights.shape
+    result = heights.copy()
+    for x in range(nx):
+        for y in range(ny):
+            if not np.isnan(heights[x, y]):
+                for i in range(max(x - reach, 0), min(x + reach + 1, nx)):
+                    for j in range(max(y - reach, 0), min(y + reach + 1, ny)):
+                        if heights[i, j] > result[x, y]:  # false for NaN
+                            result[x, y] = heights[i, j]
+    return result
 
 
 @njit()

@@ -37,14 +37,9 @@ def robot(request):
     return toy() if request.param == "toy" else Robot.load("momaro")
 
 
-def test_neutral_feet_of_momaro_are_13_and_10_cells_from_the_base():
-    cells = foot_cells(Robot.load("momaro"))[0, :, 12, 0]
-    assert cells.tolist() == [[13, 10], [-13, 10], [-13, -10], [13, -10]]
-
-
-def test_contacts_of_momaro_are_a_cell_nearer_to_the_body_than_its_feet():
-    cells = contact_cells(Robot.load("momaro"))[0, :, 12, 0]
-    assert cells.tolist() == [[12, 9], [-12, 9], [-12, -9], [12, -9]]
+def test_neutral_feet_of_momaro_and_their_contacts_are_12_and_9_cells_from_the_base():
+    for cells in (foot_cells(Robot.load("momaro")), contact_cells(Robot.load("momaro"))):
+        assert cells[0, :, 12, 0].tolist() == [[12, 9], [-12, 9], [-12, -9], [12, -9]]
 
 
 def test_contacts_turn_with_the_robot_and_follow_its_moves_by_whole_cells(robot):

@@ -93,13 +93,15 @@ def test_unevenness_is_that_of_the_cost_model():
     rng = np.random.default_rng(0)
     heights = rng.normal(0, 0.02, (72, 72)).astype(np.float32)
     heights[30:36, 50:] = np.nan
-    encoding = HeightEncoding(unknown=None, channels=("height", "unevenness"))
-    expected = cost_maps(HeightMap(heights), Robot.load("momaro")).unevenness
+    robot = Robot.load("momaro")
+    contact = int(cells(robot.feet.contact_half_width))
+    encoding = HeightEncoding(unknown=None, channels=("height", "unevenness"), unevenness_contact=contact)
+    expected = cost_maps(HeightMap(heights), robot).unevenness
     encoded = encode(encoding, torch.from_numpy(heights)[None, None])[0, 1]
-    inner = slice(13, 72 - 13)  # near the rim, the two methods assume different neighbours
+    inner = slice(14, 72 - 14)  # near the rim, the two methods assume different neighbours
     np.testing.assert_allclose(encoded[inner, inner].expm1(), expected[inner, inner], rtol=1e-4)
-    assert encoding.unevenness_radius == round(cells(Robot.load("momaro").drive.unevenness_radius))
-    assert encoding.radius("unevenness") == 12
+    assert encoding.unevenness_radius == round(cells(robot.drive.unevenness_radius))
+    assert encoding.radius("unevenness") == 12 + contact == 13
 
 
 def test_encoding_survives_its_mapping():

@@ -35,7 +35,7 @@ def assert_refused(source, *words):
 def test_the_preset_is_momaro():
     robot = Robot.load("momaro")
     assert robot.name == "momaro" and "momaro" in Robot.presets()
-    np.testing.assert_allclose(robot.neutral_feet(), [(0.325, 0.25), (-0.325, 0.25), (-0.325, -0.25), (0.325, -0.25)])
+    np.testing.assert_allclose(robot.neutral_feet(), [(0.3, 0.22), (-0.3, 0.22), (-0.3, -0.22), (0.3, -0.22)])
     assert robot.offset_range() == (-12, 12)
     assert len(FEET) == 4
 

@@ -47,7 +47,7 @@ def test_a_wall_marks_its_own_edge_and_the_ground_before_it():
     maps = cost_maps(HeightMap(heights), MOMARO)
     assert np.flatnonzero(maps.edge[:, 20]).tolist() == [29, 30]
     assert maps.height_difference[29, 20] == np.float32(0.4)
-    assert np.flatnonzero(~maps.standable[:, 20]).tolist() == list(range(26, 34))
+    assert np.flatnonzero(~maps.standable[:, 20]).tolist() == list(range(25, 35))
 
 
 def test_unevenness_is_proportional_to_height_and_ends_at_its_radius():
@@ -55,7 +55,9 @@ def test_unevenness_is_proportional_to_height_and_ends_at_its_radius():
     heights[30:] = 0.1
     single, double = (cost_maps(HeightMap(h), MOMARO).unevenness for h in (heights, 2 * heights))
     np.testing.assert_allclose(double, 2 * single, rtol=1e-6)
-    assert np.flatnonzero(single[:, 30]).tolist() == list(range(18, 42))
+    # A foot that touches the block stands on it: the edge between footholds is one cell before the block.
+    assert np.flatnonzero(single[:, 30]).tolist() == list(range(17, 41))
+    np.testing.assert_allclose(single[29:41, 30], single[28:16:-1, 30], rtol=1e-6)
 
 
 @pytest.mark.parametrize("ahead", [0.0, 0.4, 1.1, 2.5])
@@ -91,4 +93,4 @@ def test_unknown_ground_bears_no_foot_and_adds_no_unevenness():
     heights[20, 20] = np.nan
     maps = cost_maps(HeightMap(heights), MOMARO)
     assert not maps.unevenness.any()
-    assert maps.standable[24, 20] and not maps.standable[23, 20] and not maps.standable[22, 22]
+    assert maps.standable[25, 20] and not maps.standable[24, 20] and not maps.standable[23, 23]

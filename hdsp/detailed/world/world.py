@@ -204,15 +204,12 @@ def _body_reach(robot: Robot) -> float:
 
 def _uneven_under_feet(unevenness: np.ndarray, standable: np.ndarray, robot: Robot, offsets: np.ndarray) -> np.ndarray:
     """``World.uneven`` for S on the padded map, float32 [nx, ny]."""
-    from scipy.ndimage import maximum_filter
-
-    size = 2 * math.floor(cells(robot.feet.contact_half_width) + 1e-9) + 1
-    largest = maximum_filter(unevenness, size, mode="constant", cval=0.0).ravel()
+    under = unevenness.ravel()
     footholds = np.flatnonzero(standable)
     layers = np.full((len(offsets), len(standable)), np.inf, dtype=np.float32)
     # No foothold is so near the border that its contact would lie beyond it.
     for layer, (dx, dy) in zip(layers, offsets, strict=True):
-        layer[footholds] = largest[footholds + (dx * unevenness.shape[1] + dy)]
+        layer[footholds] = under[footholds + (dx * unevenness.shape[1] + dy)]
     return layers.ravel()
 
 
