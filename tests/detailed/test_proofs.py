@@ -71,8 +71,8 @@ def walled(opening: float, height: float, cells: int = 160) -> HeightMap:
     """A floor with a wall across its middle; the wall has an opening of a given width (m)."""
     heights = np.zeros((cells, cells), np.float32)
     wide = round(opening / 0.025)
-    heights[78:82] = height
-    heights[78:82, 60 : 60 + wide] = 0
+    heights[79:81] = height
+    heights[79:81, 60 : 60 + wide] = 0
     return HeightMap(heights)
 
 
@@ -84,7 +84,7 @@ def test_a_door_that_is_too_narrow_is_named_with_what_the_body_hits():
     world, start, goal = ends(walled(0.5, 1.0))
     proof = why_unreachable(world, start, goal)
     assert proof.proof == POSE and proof.foot == -1
-    assert proof.from_start[0] < 78 < 82 <= proof.from_goal[0]
+    assert proof.from_start[0] < 79 < 81 <= proof.from_goal[0]
     assert 55 <= proof.from_start[1] <= 85  # in front of the door, not elsewhere along the wall
     assert len(proof.blocked) == proof.from_goal[0] - proof.from_start[0] - 1
     assert len(proof.body_hits) and (world_heights(world)[tuple(proof.body_hits.T)] == 1).all()
@@ -98,7 +98,7 @@ def test_a_bar_that_is_too_high_stops_a_foot_and_a_lower_one_does_not():
     world, start, goal = ends(walled(0.0, 0.37))
     proof = why_unreachable(world, start, goal)
     assert proof.proof == FOOT and proof.footless == (proof.foot,)
-    assert proof.from_start[0] < 78 and proof.from_goal[0] >= 82
+    assert proof.from_start[0] < 79 and proof.from_goal[0] >= 81
     assert why_unreachable(*ends(walled(0.0, 0.15))) is None
 
 

@@ -123,7 +123,7 @@ def test_undo_inverts_every_action(robot):
     kinds, size = Counter(), 12 if robot.name == "toy" else 72
     for seed in range(4):
         rng = np.random.default_rng(seed)
-        heights = blocky(rng) if robot.name == "toy" else random_map(2, "staircase", seed).heights
+        heights = blocky(rng) if robot.name == "toy" else random_map(2, "cuboid_2", seed).heights
         world, twin = build_world(HeightMap(heights), robot), Naive(heights, robot)
         neutral = valid_states(twin, rng, size)
         states = near_edges(twin, neutral)[:4] + neutral[:3] + valid_states(twin, rng, 4, neutral=False)

@@ -86,7 +86,7 @@ VIEWS = [(mirrored, mirrored_state, mirrored_action), (quarter_turned, quarter_t
 )
 def test_actions_of_mirrored_and_turned_states(category, robot):
     kinds = Counter()
-    for index in range(6 if robot is not MOMARO else 3):
+    for index in range(6):
         heights = random_map(21, category, index).heights if robot is MOMARO else small_map(category, index)
         twin, rng = Naive(heights, robot), np.random.default_rng(index)
         states = valid_states(twin, rng, 25)

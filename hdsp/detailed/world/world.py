@@ -231,8 +231,8 @@ def _constants(robot: Robot) -> Constants:
         step_max_height=step.max_height,
         step_max_clearance=step.max_clearance,
         support_margin=cells(step.support_margin),
-        neutral_x=cells(robot.feet.neutral_x),
-        neutral_y=cells(robot.feet.neutral_y),
+        neutral_x=round(cells(robot.feet.neutral_x), 9),  # without it, 0.3 m is less than 12 cells
+        neutral_y=round(cells(robot.feet.neutral_y), 9),
         neutral_penalty=robot.feet.neutral_preference * _CELL / robot.drive.unevenness_cost,
         min_separation=math.ceil(cells(robot.feet.min_separation) - 1e-9),
         steepest_ahead=ahead * _CELL,
