@@ -123,9 +123,9 @@ def inconsistent(world, to_go, rng):
 def test_inconsistent_heuristics_lose_no_optimality_because_states_are_reopened(category):
     compared, reopened, worse = 0, 0, 0
     for world, _, rules, start, graph in exhausted(category):
-        rng = np.random.default_rng(len(graph))
+        rng = np.random.default_rng(len(graph) + 4)
         ends = sorted(graph)
-        for i in rng.permutation(len(ends))[:20]:
+        for i in rng.permutation(len(ends))[:40]:
             goal = ends[i]
             to_go = costs_to_go(graph, goal)
             heuristic, task = inconsistent(world, to_go, rng), (np.array(start), np.array(goal))
@@ -138,7 +138,7 @@ def test_inconsistent_heuristics_lose_no_optimality_because_states_are_reopened(
             compared += 1
             reopened += result.expansions > never.expansions
             worse += never.cost[0] > to_go[start] * (1 + 1e-4)
-    assert compared == 60
+    assert compared == 120
     assert reopened > 0 and worse > 0, "a search that never reopens should do worse: else this test shows nothing"
 
 
