@@ -80,10 +80,10 @@ def test_low_blocks_may_be_driven_over_and_the_base_rises_with_the_feet():
 
 
 def test_a_foot_may_not_hang_over_an_edge():
-    step = Block(2.0, 2.0, 0.0, 0.70, 3.0, 0.2)  # ends 2.5 cm beyond the front feet
+    step = Block(2.0, 2.0, 0.0, 0.65, 3.0, 0.2)  # ends 2.5 cm beyond the front feet
     result = check(drive((2.0, 2.0, 0.0)), step)
     assert any("drop" in collision.why for collision in result.collisions)
-    assert check(drive((2.0, 2.0, 0.0)), Block(2.0, 2.0, 0.0, 0.80, 3.0, 0.2)).free
+    assert check(drive((2.0, 2.0, 0.0)), Block(2.0, 2.0, 0.0, 0.75, 3.0, 0.2)).free
 
 
 def test_ramps_may_be_driven_up_but_not_into_from_the_side():
