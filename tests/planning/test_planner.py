@@ -106,7 +106,7 @@ def test_a_start_in_a_wall_is_explained_by_the_foot():
     plan = Planner(with_wall()).plan((1.12, 1.25, 0.0, 0, 0, 0, 0), (1.9, 1.25, 0.0))
     assert plan.status == Status.INVALID_START and not plan.solved
     assert np.isinf(plan.cost) and plan.states.shape == (0, 7) and plan.actions == ()
-    assert "start" in plan.explain() and "rear_left foot cannot stand at (0.79, 1.51) m" in plan.explain()
+    assert "start" in plan.explain() and "rear_left foot cannot stand at (0.81, 1.49) m" in plan.explain()
     assert "\n" not in plan.explain()
 
 
