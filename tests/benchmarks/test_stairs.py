@@ -29,8 +29,9 @@ def test_staircases_are_decided_and_the_page_says_so(tmp_path):
     copy = Path(shutil.copy(PAGE, tmp_path))
     result = stairs.main(["--count", "4", "--page", str(copy)])
     assert result["climbed"] + result["proved"] == 1 and result["refined"] == 1
-    assert result["groups"]["all"]["staircases"] == 4
-    assert "| all | 4 | 1.0 | 0.0 | 0.0 |" in copy.read_text()
+    shares = result["groups"]["all"]
+    assert shares["staircases"] == 4 and shares["climbed"] > 0
+    assert f"| all | 4 | {shares['climbed']} | {shares['proved']} | 0.0 |" in copy.read_text()
 
 
 def test_refused_steps_are_no_proof():

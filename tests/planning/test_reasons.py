@@ -77,12 +77,12 @@ def test_limits_named_for_random_staircases_are_the_cause(name):
 
 def test_the_words_give_the_measures_of_the_staircase():
     short = planned(stairs(rise=0.15, tread=0.2)).explain()
-    assert "the treads are 0.20 m deep; a foot that keeps 0.075 m from edges needs 0.225 m" in short
+    assert "the treads are 0.20 m deep; a foot that keeps 0.11 m from edges needs 0.275 m" in short
     high = planned(stairs(rise=0.31, tread=0.35)).explain()
     assert "a step there rises or falls by 0.310 m; the robot steps up to 0.3 m" in high
     assert "treads" not in high
     legs = with_step(MOMARO, max_length=0.2)
-    assert "a step there is 0.225 m long; the robot steps up to 0.2 m" in planned(stairs(0.15, 0.3), legs).explain()
+    assert "a step there is 0.275 m long; the robot steps up to 0.2 m" in planned(stairs(0.15, 0.3), legs).explain()
 
 
 def test_no_limit_is_blamed_beside_unknown_ground():
@@ -105,8 +105,8 @@ def narrow(task):
     ("robot", "words", "better"),
     [
         (
-            replace(MOMARO, feet=replace(MOMARO.feet, offset_min=-0.1, offset_max=0.1)),
-            "the feet reach -0.1 to 0.1 m from neutral",
+            replace(MOMARO, feet=replace(MOMARO.feet, offset_min=-0.125, offset_max=0.125)),
+            "the feet reach -0.125 to 0.125 m from neutral",
             MOMARO,
         ),
         (with_step(MOMARO, support_margin=0.2), "the base stays 0.2 m inside the triangle of three feet", MOMARO),
