@@ -9,6 +9,7 @@ from pathlib import Path
 import yaml
 
 from hdsp import Motion, Plan, Planner
+from hdsp.robot.schema import keys, robot_schema
 from tests import ROOT
 
 PAGES = [
@@ -124,7 +125,8 @@ def test_members_of_plans_planners_and_motions_exist():
 
 
 def test_settings_exist():
-    known = {f"{group}.{key}" for group in GROUPS for key in settings(group)} | settings("robot")
+    known = {f"{group}.{key}" for group in GROUPS for key in settings(group)}
+    known |= settings("robot") | {key.path for key in keys(robot_schema())}
     missing = []
     for page in PAGES:
         names = set(re.findall(rf"(?<![\w./-])(?:{'|'.join(GROUPS)})\.[a-z_.]+\w(?==)", page.read_text()))
