@@ -1,6 +1,7 @@
 """The detailed planner: seven-dimensional states, six kinds of action, weighted A* (paper, Sec. V-A).
 
 - `states`: a state as one integer
+- `base_pose`: height, pitch and roll of the base over given feet
 - `world`: terrain and robot, compiled for the kernels
 - `actions`: actions, their costs, the successors of a state
 - `search`: weighted A*, anytime and multi-heuristic search
