@@ -140,7 +140,8 @@ def test_steps_are_climbed_ahead_but_not_sideways(manual, flat):
     assert feasible[AHEAD]
     two_feet = 2 * manual.settings.step_cost
     assert cost[AHEAD] > flat.table[0, AHEAD] + two_feet
-    beside = np.swapaxes(patch, 1, 2)  # now 0.4 m to the left
+    patch[0, 49:] = 0.2
+    beside = np.swapaxes(patch, 1, 2)  # now 0.325 m to the left
     feasible, _ = (answer[0] for answer in manual.predict(beside, goals_of([0])))
     assert not feasible[LEFT]
     assert feasible[RIGHT]
