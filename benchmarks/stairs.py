@@ -32,7 +32,7 @@ from hdsp.base.errors import RefinementError
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning.planner import Planner
 from hdsp.planning.plans import Plan
-from hdsp.robot.lattice import RESOLUTION, rotation
+from hdsp.robot.lattice import cells, metres, rotation
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.obstacles import Scene, Staircase
@@ -78,7 +78,7 @@ class Task(NamedTuple):
         ends = (-AWAY - _END, self.run() + AWAY + _END)
         corners = np.array([(x, y) for x in ends for y in (-_SIDE, _SIDE)]) @ rotation(self.yaw).T
         low, high = corners.min(axis=0), corners.max(axis=0)
-        shape, centre = np.ceil((high - low) / RESOLUTION).astype(int), np.floor(-low / RESOLUTION).astype(int)
+        shape, centre = np.ceil(cells(high - low)).astype(int), np.floor(cells(-low)).astype(int)
         x, y = (float(v) for v in rotation(self.yaw) @ (self.phase, 0.0))
         stairs = Staircase(x, y, self.yaw, self.steps, self.rise, self.tread, width=_FAR, depth=_FAR)
         return Scene((stairs,)).rasterise(tuple(shape.tolist()), tuple(centre.tolist()))
@@ -109,7 +109,7 @@ def random_tasks(seed: int, count: int) -> Iterator[Task]:
             start_turn=float(angles[1]),
             goal_turn=float(angles[2]),
             aside=float(rng.uniform(-_ASIDE, _ASIDE)),
-            phase=float(rng.uniform(0, RESOLUTION)),
+            phase=float(rng.uniform(0, metres(1.0))),
         )
 
 

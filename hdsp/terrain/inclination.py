@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hdsp.robot.lattice import RESOLUTION, cells, metres
+from hdsp.robot.lattice import cells, metres
 from hdsp.robot.robot import Robot
 
 #: Heights (m) at points (x, y), with x's shape; NaN = unknown.
@@ -77,11 +77,12 @@ def inclination(
 
 def _crosses_edge(heights: Heights, feet: np.ndarray, unit: np.ndarray, half: float, robot: Robot) -> np.ndarray:
     """Whether an edge lies on the line between both ends of a measurement, or beside one of them; bool [n]."""
-    along = np.arange(-half - RESOLUTION, half + 1.5 * RESOLUTION, RESOLUTION)
+    cell = metres(1.0)
+    along = np.arange(-half - cell, half + 1.5 * cell, cell)
     across = np.stack([-unit[:, 1], unit[:, 0]], axis=-1)
     line = feet[:, None] + unit[:, None] * along[:, None]
     crossed = np.zeros(len(feet), bool)
-    for aside in (-RESOLUTION, 0.0, RESOLUTION):
+    for aside in (-cell, 0.0, cell):
         at = line + aside * across[:, None]
         jumps = np.abs(np.diff(heights(at[..., 0], at[..., 1]).astype(float), axis=1))
         # Beside the line, only the cells next to the ends matter.
