@@ -120,7 +120,7 @@ def main(argv=None) -> dict:
     parser.add_argument("--robot", default="momaro", help="preset or YAML file")
     parser.add_argument("--heuristic", default="manual")
     parser.add_argument("--weight", type=float, default=1.25)
-    parser.add_argument("--expansions", type=int, default=5_000_000)
+    parser.add_argument("--expansions", type=int, default=20_000_000)
     parser.add_argument("--page", type=Path, help="docs page to update")
     arguments = parser.parse_args(argv)
     robot = Robot.load(arguments.robot)
