@@ -27,7 +27,7 @@ from hdsp.learning.networks.requirements import (
     PoseRequirements,
     told,
 )
-from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER, cells
 
 #: Largest base displacement along an axis, in cells: the longest action at any heading residue.
 REACH = 9
@@ -35,9 +35,9 @@ REACH = 9
 POSES = 2 * REACH + 1
 #: Poses on the way to a goal, including start and goal.
 SAMPLES = 5
-#: Approximate foot positions at the start, in cells from the base. The network reads a wide strip around them, so the
-#: robot's feet may stand some cells away.
-FOOT_X, FOOT_Y = 13, 10
+#: Foot positions at the start for a network without stance, in cells from the base. The network reads a wide strip
+#: around them, so the robot's feet may stand some cells away.
+FOOT = (13, 10)
 #: Offsets in cells, ahead of each foot and behind it, at which features (LINE) and heights (PROFILE) are read; they
 #: cover the foot reach and the way to a goal.
 LINE = tuple(range(-15, 16, 3))
@@ -119,6 +119,8 @@ class Footprint(TaskNetwork):
         self.ground_channels = 3 if "unevenness" in names else 2
         self.tapped = slice(HIGHEST, HIGHEST + self.ground_channels)
         self.options = options
+        neutral = options.stance.neutral if options.stance else None
+        self.foot = (round(cells(neutral[0])), round(cells(neutral[1]))) if neutral else FOOT
         self.near = nn.Sequential(nn.Conv2d(len(self.trunk_channels), width, 2 * NEAR_RADIUS + 1), nn.ReLU())
         layers: list[nn.Module] = []
         for dilation in options.dilations:
@@ -151,7 +153,7 @@ class Footprint(TaskNetwork):
             if not {"unknown", "edge", "unevenness"} <= set(names):
                 raise InputError(f"model.encoding.channels: {list(names)}; stance needs unknown, edge and unevenness")
             self.requirements = PoseRequirements(options.stance, GROUND_RADIUS, self.turns)
-            reach = max(*self.requirements.reach(REACH).values(), FOOT_X + PROFILE[-1] + self.requirements.radius)
+            reach = max(*self.requirements.reach(REACH).values(), self.foot[0] + PROFILE[-1] + self.requirements.radius)
             if reach >= PATCH_CENTER:
                 raise InputError(f"model.options.stance: looks {reach} cells far, but a patch has {PATCH_CENTER}")
 
@@ -165,8 +167,9 @@ class Footprint(TaskNetwork):
         required = self._required(ground, [PATCH_CENTER - NEAR_RADIUS - REACH] * 2, (POSES, POSES))
         straight = self._footprints(local, under, required).permute(0, 2, 3, 1).flatten(1)
         turned = self._turned(local, under, centre - torch.tensor([x, y], device=centre.device)).flatten(1)
-        first = PATCH_CENTER - FOOT_X - LINE[-1]
-        strips = (_cut(near, first - LINE_RADIUS, PATCH_CENTER - FOOT_Y - LINE_RADIUS)[..., side] for side in SIDES)
+        first = PATCH_CENTER - self.foot[0] - LINE[-1]
+        aside = PATCH_CENTER - self.foot[1] - LINE_RADIUS
+        strips = (_cut(near, first - LINE_RADIUS, aside)[..., side] for side in SIDES)
         line = torch.cat([self.of_line(strip) for strip in strips], dim=-1)
         at = self._line_cells(centre)
         at = torch.stack([at[..., 0] - first, (at[..., 1] > PATCH_CENTER).long()], dim=-1)
@@ -178,13 +181,13 @@ class Footprint(TaskNetwork):
     def is_dense(self) -> bool:
         # Dense evaluation is exact if no value read in a patch depends on cells beyond its rim.
         footprint = max(self.margins) + REACH
-        line = FOOT_X + max(LINE[-1] + LINE_RADIUS + NEAR_RADIUS, PROFILE[-1] + GROUND_RADIUS)
+        line = self.foot[0] + max(LINE[-1] + LINE_RADIUS + NEAR_RADIUS, PROFILE[-1] + GROUND_RADIUS)
         within = dict.fromkeys(self.encoding.channels, max(footprint + self.radius + NEAR_RADIUS, line))
         within |= {"height": max(footprint + GROUND_RADIUS, line), "unevenness": footprint}
         if self.requirements:
             for name, reach in self.requirements.reach(REACH).items():
                 within[name] = max(within[name], reach + (GROUND_RADIUS if name == "height" else 0))
-            within["edge"] = max(within["edge"], FOOT_X + PROFILE[-1] + self.requirements.radius)
+            within["edge"] = max(within["edge"], self.foot[0] + PROFILE[-1] + self.requirements.radius)
         beyond = max(reach + self.encoding.radius(name) for name, reach in within.items())
         return self.encoding.reference == "none" and beyond < PATCH_CELLS - PATCH_CENTER
 
@@ -216,10 +219,9 @@ class Footprint(TaskNetwork):
             barred = [functional.pad(edges, [rim] * 4) if rim >= 0 else edges[..., -rim:rim, -rim:rim]]
         return near, torch.cat([own, highest, lowest, *unevenness, *barred], dim=1)
 
-    @staticmethod
-    def _line_cells(bases: Tensor, offsets: tuple[int, ...] = LINE) -> Tensor:
+    def _line_cells(self, bases: Tensor, offsets: tuple[int, ...] = LINE) -> Tensor:
         """Cells [n, 4, offsets, 2] ahead of the four feet and behind them, for bases [n, 2]."""
-        feet = bases[:, None] + bases.new_tensor([(i * FOOT_X, j * FOOT_Y) for i, j in FEET])
+        feet = bases[:, None] + bases.new_tensor([(i * self.foot[0], j * self.foot[1]) for i, j in FEET])
         along = torch.stack([bases.new_tensor(offsets), bases.new_zeros(len(offsets))], dim=-1)
         return feet[:, :, None] + along
 
