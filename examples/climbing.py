@@ -11,18 +11,19 @@ import itertools
 import json
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.page import write_block
 from hdsp import HeightMap, Planner
 from hdsp.planning.plans import Plan
 from hdsp.robot.lattice import Grid, cells
 from hdsp.terrain.obstacles import Block, Scene
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-BEGIN, END = "<!-- written by examples.climbing: begin -->", "<!-- written by examples.climbing: end -->"
 
 
 @dataclass(frozen=True)
@@ -154,15 +155,31 @@ def page(found: dict[str, dict]) -> str:
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    arguments.add_argument("--docs", type=Path, default=DOCS, help="folder of climbing.md and figures/")
+    write_page(__doc__, "examples.climbing", "climbing.md", run, page)
+
+
+def write_page(
+    about: str,
+    author: str,
+    name: str,
+    run: Callable[[Path], dict[str, dict]],
+    page: Callable[[dict[str, dict]], str],
+) -> None:
+    """Runs an example from the command line: its figures, its block on a page in docs/, and one line of JSON.
+
+    Args:
+        about: the example's documentation.
+        author: its name in the markers of the block.
+        name: file name of the page.
+        run: solves the tasks and writes the figures to a folder.
+        page: the block for the results.
+    """
+    arguments = argparse.ArgumentParser(description=about.split("\n")[0])
+    arguments.add_argument("--docs", type=Path, default=DOCS, help=f"folder of {name} and figures/")
     docs = arguments.parse_args().docs
     found = run(docs / "figures")
-    text_path = docs / "climbing.md"
-    if text_path.exists():
-        before, rest = text_path.read_text().split(BEGIN)
-        _, after = rest.split(END)
-        text_path.write_text(f"{before}{BEGIN}\n{page(found)}\n{END}{after}")
+    if (docs / name).exists():
+        write_block(docs / name, author, page(found))
     print(json.dumps(found))
 
 

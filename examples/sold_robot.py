@@ -6,19 +6,16 @@ The example plans each task and refines the plan to a motion. It writes the figu
 docs/own-robot.md, and prints one line of JSON.
 """
 
-import argparse
-import json
 import math
 import time
 from pathlib import Path
 
-from examples.climbing import DOCS, Task, facts
+from examples.climbing import DOCS, Task, facts, write_page
 from hdsp import Planner
 from hdsp.planning.plans import Plan
 from hdsp.terrain.obstacles import Block, Ramp
 
 ROBOT = "go2w"
-BEGIN, END = "<!-- written by examples.sold_robot: begin -->", "<!-- written by examples.sold_robot: end -->"
 WIDTH = 2.0  # m, of all maps: nothing leads around an obstacle
 
 
@@ -95,16 +92,7 @@ def page(found: dict[str, dict]) -> str:
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    arguments.add_argument("--docs", type=Path, default=DOCS, help="folder of own-robot.md and figures/")
-    docs = arguments.parse_args().docs
-    found = run(docs / "figures")
-    text_path = docs / "own-robot.md"
-    if text_path.exists():
-        before, rest = text_path.read_text().split(BEGIN)
-        _, after = rest.split(END)
-        text_path.write_text(f"{before}{BEGIN}\n{page(found)}\n{END}{after}")
-    print(json.dumps(found))
+    write_page(__doc__, "examples.sold_robot", "own-robot.md", run, page)
 
 
 if __name__ == "__main__":
