@@ -10,7 +10,7 @@ import math
 import time
 from pathlib import Path
 
-from examples.climbing import DOCS, Task, facts, write_page
+from examples.climbing import Task, facts, write_page
 from hdsp import Planner
 from hdsp.planning.plans import Plan
 from hdsp.terrain.obstacles import Block, Ramp

@@ -30,6 +30,17 @@ def test_the_cost_model_reproduces_the_published_labels(scores):
     assert "expansion_limit" not in scores["ended"]
 
 
+def test_the_documented_scores_of_the_other_stairs_are_those_of_the_benchmark(scores):
+    path = find_published(timeout=5)[0].with_name("simulated_stairs.txt")
+    if not path.is_file():
+        pytest.skip(f"{path} not found")
+    found = published_labels.main([str(path)])
+    documented = re.search(
+        r"feasibility agreement of ([\d.]+) and a mean cost error of (\d\.\d+)", COST_MODEL.read_text()
+    )
+    assert documented.groups() == (str(found["feasibility_agreement"]), str(found["cost_mae"]))
+
+
 def test_the_documented_scores_are_those_of_the_benchmark(scores):
     documented = json.loads(re.search(r"```json\n(.*?)```", COST_MODEL.read_text(), re.DOTALL).group(1))
     assert documented == {name: value for name, value in scores.items() if name != "seconds"}

@@ -126,7 +126,7 @@ def test_good_guides_help_and_wrong_ones_cost_something():
             result = found(task, [guide(task)], 1.5, 2.0)
             spent[guide] += result.expansions
             worse[guide] += result.cost[0] > task.cost * 1.01
-    assert spent[informed] < spent[all_cut_off] and worse[exaggerated] > 0
+    assert spent[informed] < spent[all_cut_off] and worse[exaggerated] > worse[informed]
 
 
 @by_category

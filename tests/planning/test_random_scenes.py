@@ -29,7 +29,7 @@ def scene(kind: str, rng: np.random.Generator):
     if kind == "platform":
         return (Block(1.85, y, yaw, 1.5, rng.uniform(1.2, 2.0), rng.uniform(0.08, 0.3)),), 1.75
     if kind == "bar":
-        thickness = rng.uniform(0.05, 0.3)
+        thickness = rng.uniform(0.05, 0.1)  # thicker ones leave a foot no place behind them, or on them
         return (Block(1.1, y, yaw, thickness, rng.uniform(0.8, 2.4), rng.uniform(0.08, 0.3)),), 1.7 + thickness
     if kind == "ramp":
         run, angle = rng.uniform(0.6, 1.2), rng.uniform(0.05, min(ROBOT.slope.max_pitch, ROBOT.slope.max_roll))
@@ -63,6 +63,6 @@ def test_plans_in_random_scenes_are_free(kind):
         assert min(verdict.body_clearance, verdict.foot_clearance) >= 0, (kind, number, verdict)
         if kind != "blocks":  # beside them a leg may be too short for a step
             assert not plan.refine().check(), (kind, number)
-    least = {"bar": 0.3, "blocks": 0.4}.get(kind, 0.9)  # most bars are too thick to step over and too thin to stand on
+    least = {"bar": 0.6, "blocks": 0.4}.get(kind, 0.9)
     assert solved >= least * SCENES
     assert stepped >= {"ramp": 0, "blocks": 1}.get(kind, 0.9 * solved)
