@@ -9,7 +9,8 @@ import numpy as np
 
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import foot_row
-from hdsp.detailed.world.world import World, body_is_free, cell_index
+from hdsp.detailed.world.body import body_is_free
+from hdsp.detailed.world.world import World, cell_index
 
 
 def feet_at(world: World, base) -> np.ndarray | None:

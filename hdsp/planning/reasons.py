@@ -5,7 +5,8 @@ import numpy as np
 from hdsp.detailed.actions.state_costs import foot_row, state_cost
 from hdsp.detailed.relaxed.proofs import FOOT, Unreachable, body_hits
 from hdsp.detailed.states import pack_states
-from hdsp.detailed.world.world import World, cell_index, is_steep
+from hdsp.detailed.world.body import is_steep
+from hdsp.detailed.world.world import World, cell_index
 from hdsp.robot.lattice import Grid, heading_angle, metres
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.cost_maps import slope_directions

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hdsp.detailed.world import world_update
-from hdsp.detailed.world.world import build_world, cell_index, neutral_is_free
+from hdsp.detailed.world.body import look_at_body
+from hdsp.detailed.world.world import build_world, cell_index
 from hdsp.detailed.world.world_update import influence, updated_world
 from hdsp.robot.lattice import HEADINGS
 from hdsp.robot.robot import Robot
@@ -35,7 +36,7 @@ def assert_same(found, expected):
         anew = np.zeros_like(found.base)
         p, heading = np.flatnonzero(known) % len(found.standable), np.flatnonzero(known) // len(found.standable)
         for at, h in zip(p.tolist(), heading.tolist(), strict=True):
-            neutral_is_free(expected, h, at)
+            look_at_body(expected, h, at)
         anew[known] = expected.base[known]
         np.testing.assert_array_equal(found.base, anew)
 
@@ -58,7 +59,7 @@ def test_an_updated_world_is_the_world_of_the_changed_map(seed, robot, shape, da
     changed = (before != after) & ~(np.isnan(before) & np.isnan(after))
     world = build_world(HeightMap(before), robot)
     for ix, iy, heading in zip(*(rng.integers(0, [[shape[0]], [shape[1]], [HEADINGS]], (3, 40))), strict=True):
-        neutral_is_free(world, heading, cell_index(world, ix, iy))
+        look_at_body(world, heading, cell_index(world, ix, iy))
     former = {name: getattr(world, name).copy() for name in world_update._MAPS}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(world_update, "LARGEST_SHARE", data.draw(st.sampled_from([0.5, 1.0])))

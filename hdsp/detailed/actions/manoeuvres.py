@@ -12,7 +12,8 @@ from hdsp.base.jit import njit
 from hdsp.detailed.actions.action import BASE_BACKWARD, BASE_FORWARD, foot_move_code, step_code
 from hdsp.detailed.actions.state_costs import foot_row, merged_cost, separated, supported
 from hdsp.detailed.states import foot_offset, foot_shift, pack, unpack
-from hdsp.detailed.world.world import body_is_free, cell_index, step_effort, step_fits
+from hdsp.detailed.world.body import body_is_free
+from hdsp.detailed.world.world import cell_index, step_effort, step_fits
 from hdsp.robot.lattice import HEADINGS
 
 _INF = np.inf

@@ -7,7 +7,8 @@ import numpy as np
 
 from hdsp.base.jit import njit
 from hdsp.detailed.states import unpack
-from hdsp.detailed.world.world import body_is_free, cell_index
+from hdsp.detailed.world.body import body_is_free
+from hdsp.detailed.world.world import cell_index
 
 
 @njit(allocates=False)

@@ -14,7 +14,8 @@ from hdsp.detailed.actions.action import ARC, ARCS, DRIVES, TURN_LEFT, TURN_RIGH
 from hdsp.detailed.actions.manoeuvres import manoeuvres
 from hdsp.detailed.actions.state_costs import feet_cells
 from hdsp.detailed.states import FEET_MASK, HEADING_SHIFT, neutral_feet, unpack
-from hdsp.detailed.world.world import FREE, cell_index, look_at_body, on_slope
+from hdsp.detailed.world.body import FREE, look_at_body, on_slope
+from hdsp.detailed.world.world import cell_index
 from hdsp.robot.lattice import HEADINGS
 
 MAX_SUCCESSORS = 160

@@ -9,7 +9,8 @@ from hdsp.base.jit import njit
 from hdsp.detailed.actions.action import DRIVES
 from hdsp.detailed.actions.state_costs import feet_cells
 from hdsp.detailed.actions.successors import Rules, allowed_headings
-from hdsp.detailed.world.world import World, cell_index, collides, may_be_free, on_slope
+from hdsp.detailed.world.body import collides, may_be_free, on_slope
+from hdsp.detailed.world.world import World, cell_index
 from hdsp.robot.lattice import HEADINGS
 
 

@@ -9,7 +9,8 @@ from hdsp.detailed.actions.action import ARC, ARCS, POSE_ACTIONS, TURN_LEFT, TUR
 from hdsp.detailed.actions.state_costs import feet_cells, foot_row, state_cost
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, pose_successors
 from hdsp.detailed.states import pack
-from hdsp.detailed.world.world import World, cell_index, may_be_free
+from hdsp.detailed.world.body import may_be_free
+from hdsp.detailed.world.world import World, cell_index
 from hdsp.robot.lattice import HEADINGS
 
 

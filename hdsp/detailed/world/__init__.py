@@ -2,6 +2,7 @@
 
 - `geometry`: cells under feet, contacts and body, by heading
 - `world`: `World` and its construction
+- `body`: whether the base is free over its feet
 - `world_update`: a `World` after a change in the map
 """
 

@@ -58,7 +58,8 @@ def describe_labels(run: LabelRun, place: Place, explained_maps: int = 2000) -> 
 def why_dropped(run: LabelRun, number: int) -> str:
     """Reason why map ``number`` has no valid start state in its middle."""
     from hdsp.detailed.actions.state_costs import foot_row
-    from hdsp.detailed.world.world import build_world, cell_index, collides
+    from hdsp.detailed.world.body import collides
+    from hdsp.detailed.world.world import build_world, cell_index
 
     terrain, heading = run.terrain_of(number), run.map_of(number)[2]
     world = build_world(terrain, run.robot)
