@@ -7,7 +7,7 @@ resolution`` (the same in y), and its centre is at ``+ 0.5``. Heights are float3
 
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import overload
 
@@ -17,6 +17,7 @@ from hdsp.base.errors import InputError
 from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS, RESOLUTION
 from hdsp.terrain.map_files import is_map, read_map, write_map
+from hdsp.terrain.map_frame import MapFrame
 from hdsp.terrain.patches import TIE, checked_side, gather, nearest_cell, patch_offsets
 from hdsp.terrain.pointcloud.cloud_files import read_points
 from hdsp.terrain.pointcloud.cloud_mapping import MapSettings, map_points
@@ -30,6 +31,7 @@ class HeightMap:
         heights: float32 [nx, ny], metres, NaN = unknown; a read-only copy of the argument.
         origin: world position (x, y) of the lower corner of cell (0, 0), metres.
         resolution: cell size, metres.
+        frame: relation between the map and the file or cloud from which it was made.
 
     Raises:
         InputError: if the heights are not a 2D array of finite or NaN numbers, or the resolution is not positive.
@@ -38,6 +40,7 @@ class HeightMap:
     heights: np.ndarray
     origin: tuple[float, float] = (0.0, 0.0)
     resolution: float = RESOLUTION
+    frame: MapFrame = field(default_factory=MapFrame)
 
     def __post_init__(self):
         try:
@@ -109,7 +112,7 @@ class HeightMap:
         Raises:
             InputError: if no format has the suffix, or the path is not writable.
         """
-        write_map(path, self.heights, self.origin, self.resolution)
+        write_map(path, self.heights, self.origin, self.resolution, self.frame)
         return Path(path)
 
     @property

@@ -1,6 +1,10 @@
-"""Height map files: .npz and HDF5 (.h5, .hdf5), both with the entries heights, origin and resolution."""
+"""Height map files: .npz and HDF5 (.h5, .hdf5), both with the entries heights, origin and resolution.
+
+A map with a frame of its own also has the entry frame, a JSON text with the fields of `MapFrame`.
+"""
 
 import io
+import json
 import os
 import zipfile
 import zlib
@@ -12,6 +16,10 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file, replacing
+from hdsp.terrain.map_frame import MapFrame
+
+_ENTRIES = "heights", "origin", "resolution"
+_FRAME = "frame"
 
 
 class MapFields(NamedTuple):
@@ -20,6 +28,7 @@ class MapFields(NamedTuple):
     heights: np.ndarray
     origin: tuple[float, float]
     resolution: float
+    frame: MapFrame = MapFrame()
 
 
 def is_map(path: str | os.PathLike) -> bool:
@@ -36,16 +45,24 @@ def read_map(path: str | os.PathLike) -> MapFields:
     read, _ = _format(path)
     path = existing_file(path, "height map")
     try:
-        return MapFields(**read(path))
+        entries = read(path)
+        frame = _frame_of(entries.pop(_FRAME, None))
+        return MapFields(**entries, frame=frame)
     except KeyError as error:
-        missing = [name for name in MapFields._fields if name in str(error)] or MapFields._fields
+        missing = [name for name in _ENTRIES if name in str(error)] or _ENTRIES
         raise InputError(f"height map {path}: entry {missing[0]} is missing") from None
     except (OSError, EOFError, ValueError, TypeError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"height map {path} cannot be read: {reason}") from error
 
 
-def write_map(path: str | os.PathLike, heights: np.ndarray, origin: tuple[float, float], resolution: float) -> None:
+def write_map(
+    path: str | os.PathLike,
+    heights: np.ndarray,
+    origin: tuple[float, float],
+    resolution: float,
+    frame: MapFrame | None = None,
+) -> None:
     """Writes a height map file; the suffix selects the format.
 
     Raises:
@@ -54,21 +71,38 @@ def write_map(path: str | os.PathLike, heights: np.ndarray, origin: tuple[float,
     _, write = _format(path)
     # The buffer turns a full disk into an ordinary OSError; HDF5 itself reports a full disk in several ways.
     buffer = io.BytesIO()
-    write(buffer, heights=heights, origin=np.asarray(origin, float), resolution=np.asarray(resolution, float))
+    entries = {"heights": heights, "origin": np.asarray(origin, float), "resolution": np.asarray(resolution, float)}
+    if frame is not None and (frame.name or frame.crs or frame.notes or not frame.is_source):
+        entries[_FRAME] = np.frombuffer(_text_of(frame).encode(), np.uint8)
+    write(buffer, **entries)
     with replacing(path) as temporary:
         temporary.write_bytes(buffer.getvalue())
 
 
+def _text_of(frame: MapFrame) -> str:
+    return json.dumps({**vars(frame), "to_source": frame.to_source.tolist()})
+
+
+def _frame_of(text: np.ndarray | None) -> MapFrame:
+    if text is None:
+        return MapFrame()
+    try:
+        values = json.loads(np.asarray(text, np.uint8).tobytes())
+        return MapFrame(**{name: values[name] for name in MapFrame.__dataclass_fields__})
+    except (KeyError, TypeError, InputError) as error:
+        raise ValueError(f"entry {_FRAME} is damaged: {error}") from None
+
+
 def _read_npz(path: Path) -> dict[str, np.ndarray]:
     with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in MapFields._fields}
+        return {name: file[name] for name in (*_ENTRIES, *({_FRAME} & set(file.files)))}
 
 
 def _read_hdf5(path: Path) -> dict[str, np.ndarray]:
     import h5py
 
     with h5py.File(path) as file:
-        return {name: file[name][()] for name in MapFields._fields}
+        return {name: file[name][()] for name in (*_ENTRIES, *({_FRAME} & set(file)))}
 
 
 def _write_hdf5(buffer: io.BytesIO, **entries: np.ndarray) -> None:
