@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -25,7 +26,7 @@ from hdsp.planning.query import Query, locate, now
 from hdsp.planning.refinable import refinable_plan
 from hdsp.robot.lattice import RESOLUTION, Grid, is_detailed
 from hdsp.robot.robot import Robot
-from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.height_map import HeightMap, as_height_map
 
 
 class Planner:
@@ -36,25 +37,30 @@ class Planner:
     forgets the last query.
 
     Args:
-        terrain: height map at the detailed resolution.
+        terrain: height map at the detailed resolution, an array [nx, ny] of heights in m with ``resolution``, or the
+            path of a map file.
         robot: a ``Robot``, the name of a preset, or the path to a YAML file.
         heuristic: ``"geometric"``, ``"manual"``, ``"learned"`` (the shipped abstraction for this robot),
             ``"learned:FOLDER"`` (a trained abstraction), any ``AbstractCosts``, or a ``Heuristic`` for the same terrain
             and robot.
         margin: distance between body and obstacles, m; see ``with_margin``.
+        resolution: cell size of an array, or of a file without one, m.
 
     Raises:
-        InputError: another resolution, an unknown robot or heuristic, an abstraction for another robot, or a margin
-            below 0.
+        InputError: a terrain that is no map, another resolution, an unknown robot or heuristic, an abstraction for
+            another robot, or a margin below 0.
     """
 
     def __init__(
         self,
-        terrain: HeightMap,
+        terrain: HeightMap | np.ndarray | str | os.PathLike,
         robot: str | Path | dict | Robot = "momaro",
         heuristic: str | AbstractCosts | Heuristic = "geometric",
         margin: float = 0.0,
+        *,
+        resolution: float | None = None,
     ):
+        terrain = as_height_map(terrain, resolution)
         self.robot = Robot.load(robot)
         self._wider = with_margin(self.robot, margin)
         self.terrain = _checked(terrain)
@@ -262,6 +268,8 @@ class Planner:
 
 
 def _checked(terrain: HeightMap) -> HeightMap:
+    if not isinstance(terrain, HeightMap):
+        raise InputError(f"terrain is a {type(terrain).__name__}; need a HeightMap")
     if not is_detailed(terrain.resolution):
         raise InputError(f"terrain has cells of {terrain.resolution:g} m; the planner needs {RESOLUTION:g} m")
     return terrain

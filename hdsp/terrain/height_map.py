@@ -28,7 +28,8 @@ class HeightMap:
     """A rectangular grid of heights.
 
     Attributes:
-        heights: float32 [nx, ny], metres, NaN = unknown; a read-only copy of the argument.
+        heights: float32 [nx, ny], metres, NaN = unknown; a read-only copy of the argument. The masked cells of a masked
+            array are unknown.
         origin: world position (x, y) of the lower corner of cell (0, 0), metres.
         resolution: cell size, metres.
         frame: relation between the map and the file or cloud from which it was made.
@@ -45,7 +46,7 @@ class HeightMap:
     def __post_init__(self):
         try:
             with np.errstate(over="ignore"):  # a float64 too large for float32 becomes inf and is rejected below
-                heights = np.array(self.heights, dtype=np.float32, order="C")
+                heights = np.array(_unmasked(self.heights), dtype=np.float32, order="C")
             origin = tuple(float(value) for value in self.origin)
             resolution = float(self.resolution)
         except (TypeError, ValueError) as error:
@@ -194,6 +195,37 @@ class HeightMap:
     def _patch(self, heights: np.ndarray) -> "HeightMap":
         corner = -(len(heights) // 2 + 0.5) * self.resolution
         return HeightMap(heights, (corner, corner), self.resolution)
+
+
+def as_height_map(terrain: "HeightMap | np.ndarray | str | os.PathLike", resolution: float | None = None) -> HeightMap:
+    """Returns terrain in any form as a height map.
+
+    Args:
+        terrain: a height map, an array [nx, ny] of heights in m (NaN or masked = unknown), or the path of a file for
+            `HeightMap.load`.
+        resolution: cell size, m. An array needs it, and a file without a cell size of its own.
+
+    Raises:
+        InputError: an array without a resolution, a resolution beside a map that has one, or an invalid map.
+    """
+    if isinstance(terrain, HeightMap):
+        if resolution is not None and resolution != terrain.resolution:
+            raise InputError(f"resolution is {resolution}, but the height map has cells of {terrain.resolution:g} m")
+        return terrain
+    if isinstance(terrain, str | os.PathLike):
+        return HeightMap.load(terrain, **({} if resolution is None else {"resolution": resolution}))
+    if not isinstance(terrain, np.ndarray | list | tuple):
+        raise InputError(f"terrain is a {type(terrain).__name__}; need a HeightMap, an array of heights, or a path")
+    if resolution is None:
+        raise InputError("terrain is an array, which has no cell size; need resolution=, the side of a cell in metres")
+    return HeightMap(terrain, resolution=resolution)
+
+
+def _unmasked(heights):
+    """Heights with NaN in masked cells."""
+    if not isinstance(heights, np.ma.MaskedArray):
+        return heights
+    return np.ma.filled(heights.astype(float), math.nan)
 
 
 def _pose(pose) -> tuple[float, float, float]:

@@ -53,6 +53,33 @@ def test_a_plan_leads_from_start_to_goal_and_its_costs_add_up(flat):
     assert f"cost {plan.cost:.3f} (driving " in plan.explain()
 
 
+def test_m18_a_planner_takes_a_map_an_array_with_its_cell_size_or_a_path(tmp_path, flat):
+    heights = with_wall().heights
+    with_wall().save(tmp_path / "map.npz")
+    for terrain, resolution in ((heights, RESOLUTION), (str(tmp_path / "map.npz"), None), (tmp_path / "map.npz", None)):
+        planner = Planner(terrain, resolution=resolution)
+        np.testing.assert_array_equal(planner.terrain.heights, heights)
+    for terrain, resolution, words in (
+        (heights, None, "need resolution="),
+        (with_wall(), 0.05, "resolution is 0.05, but the height map has cells of 0.025 m"),
+        (7, None, "terrain is a int"),
+        ([[0.0], [0.0, 1.0]], 0.025, "need a 2D array"),
+    ):
+        with pytest.raises(InputError, match=words):
+            Planner(terrain, resolution=resolution)
+    with pytest.raises(InputError, match="terrain is a ndarray; need a HeightMap"):
+        flat.update(flat.terrain.heights)
+
+
+def test_m6_masked_cells_are_unknown_ground_to_the_planner():
+    heights = np.zeros((100, 100))
+    masked = np.ma.masked_array(heights, mask=np.zeros(heights.shape, bool))
+    masked[40:60] = np.ma.masked
+    planner = Planner(masked, resolution=RESOLUTION)
+    assert np.isnan(planner.terrain.heights[40:60]).all() and not np.isnan(planner.terrain.heights[:40]).any()
+    assert not planner.plan(*FAR).solved
+
+
 def test_all_heuristics_solve_what_can_be_solved(flat):
     terrain, least = flat.terrain, flat.plan(START, GOAL).cost
     for heuristic in ("manual", FlatCosts("momaro"), CutsEverythingOff("momaro"), GeometricHeuristic(flat.world)):

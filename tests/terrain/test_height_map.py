@@ -51,6 +51,13 @@ def test_heights_cannot_be_changed_and_do_not_follow_what_they_were_made_from():
         terrain.heights[0, 0] = 1
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.int16])
+def test_m6_masked_cells_are_unknown(dtype):
+    heights = np.ma.masked_array(np.arange(6).reshape(2, 3).astype(dtype), mask=[[0, 1, 0], [0, 0, 1]])
+    heights.data[0, 1] = 99 if dtype == np.int16 else np.inf
+    np.testing.assert_array_equal(HeightMap(heights).heights, [[0, math.nan, 2], [3, 4, math.nan]])
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
