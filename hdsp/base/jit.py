@@ -5,7 +5,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numba
 
-from hdsp.base.kernel_cache import key_by_content
+from hdsp.base.kernel_cache import keep_on_disk
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
@@ -14,7 +14,7 @@ Result = TypeVar("Result")
 def njit(
     allocates: bool = True, **options: Any
 ) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """Decorator: ``numba.njit(cache=True, error_model="numpy", **options)`` with keys from `hdsp.base.kernel_cache`.
+    """Decorator: ``numba.njit(error_model="numpy", **options)`` with a disk cache from `hdsp.base.kernel_cache`.
 
     Args:
         allocates: whether the kernel creates or returns arrays. A kernel without new arrays needs no reference counts
@@ -26,8 +26,8 @@ def njit(
         options["_nrt"] = False  # numba's option for code without run-time memory management
 
     def decorate(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-        kernel = numba.njit(cache=True, error_model="numpy", **options)(function)
-        key_by_content(kernel)
+        kernel = numba.njit(error_model="numpy", **options)(function)
+        keep_on_disk(kernel)
         return kernel
 
     return decorate

@@ -1,17 +1,27 @@
-"""Keys for kernels in Numba's disk cache: a key covers all code and every constant that a kernel freezes.
+"""Numba's disk cache: its keys cover all code and every constant that a kernel freezes, and its folder can be written.
 
 Numba's own key is a source file's time stamp. A kernel with functions or constants from other files would keep their
 old versions after an edit. The key in this module comes from the kernel itself at its first call: its bytecode and
 options, its named functions and constants, and everything they name in turn. Edits of comments or unused code cause no
 compilation.
+
+Numba keeps machine code beside the source or in the user's home. In a read-only installation without a home, a private
+folder for temporary files takes their place, and a warning names it.
 """
 
+import atexit
 import dis
 import enum
 import hashlib
+import logging
+import os
 import re
+import shutil
+import stat
+import tempfile
 from collections.abc import Iterator
 from functools import cache, cached_property
+from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
@@ -20,13 +30,66 @@ import numpy as np
 from numba.core.caching import IndexDataCacheFile
 
 _CONFIG: Any = numba.config  # numba sets its members at run time
+_LOG = logging.getLogger(__name__)
 
 
-def key_by_content(kernel: Any) -> None:
-    """Gives a cached Numba kernel a key from its content."""
-    cache: Any = getattr(kernel, "_cache", None)
-    if hasattr(cache, "_cache_file"):  # missing without the JIT
-        cache._cache_file = _Index(kernel, cache)
+def keep_on_disk(kernel: Any) -> None:
+    """Gives a Numba kernel a disk cache with a key from its content."""
+    if not hasattr(kernel, "enable_caching"):  # missing without the JIT
+        return
+    try:
+        kernel.enable_caching()
+    except RuntimeError:  # no folder of Numba's choice can be written
+        if not _enable_in_spare_folder(kernel):
+            return
+    cache: Any = kernel._cache
+    cache._cache_file = _Index(kernel, cache)
+
+
+def _enable_in_spare_folder(kernel: Any) -> bool:
+    folder, before = _spare_folder(), _CONFIG.CACHE_DIR
+    if folder is None:
+        return False
+    _CONFIG.CACHE_DIR = str(folder)
+    try:
+        kernel.enable_caching()
+    except RuntimeError:  # the disk is full
+        return False
+    finally:
+        _CONFIG.CACHE_DIR = before
+    return True
+
+
+@cache
+def _spare_folder() -> Path | None:
+    """Folder among the temporary files in which only this user writes; None without one. Warns once."""
+    try:
+        folder = Path(tempfile.gettempdir()) / f"hdsp-kernels-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
+        folder.mkdir(mode=stat.S_IRWXU, exist_ok=True)
+        if not _is_private(folder):  # machine code from others could run any command
+            folder = Path(tempfile.mkdtemp(prefix="hdsp-kernels-"))
+            atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    except OSError:
+        _LOG.warning("no folder for compiled kernels can be written; each process compiles its own (NUMBA_CACHE_DIR)")
+        return None
+    _LOG.warning(
+        "the folder of hdsp cannot be written; compiled kernels are in %s (NUMBA_CACHE_DIR changes it)", folder
+    )
+    return folder
+
+
+def _is_private(folder: Path) -> bool:
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode):
+        return False
+    return not hasattr(os, "getuid") or (
+        found.st_uid == os.getuid() and not found.st_mode & (stat.S_IRWXG | stat.S_IRWXO)
+    )
+
+
+@cache
+def _warn_unsaved(reason: str) -> None:
+    _LOG.warning("compiled kernels cannot be kept: %s (NUMBA_CACHE_DIR names another folder)", reason)
 
 
 class _Index(IndexDataCacheFile):
@@ -60,6 +123,12 @@ class _Index(IndexDataCacheFile):
             return super().load(key)
         except Exception:  # as above
             return None
+
+    def save(self, key: Any, data: Any) -> None:
+        try:
+            super().save(key, data)
+        except OSError as error:  # the disk is full, or the folder became read-only
+            _warn_unsaved(error.strerror or str(error))
 
 
 def content_of(kernel: Any) -> str:

@@ -160,3 +160,44 @@ def test_all_kernels_of_the_package_have_this_key():
         if path.name not in ("jit.py", "kernel_cache.py"):
             assert "numba" not in modules, f"{path}: use hdsp.base.jit.njit"
         assert not taken & {"njit", "jit", "vectorize", "guvectorize", "cfunc", "stencil"}, f"{path}: use njit of hdsp"
+
+
+@pytest.fixture
+def read_only(run, tmp_path, monkeypatch):
+    """The package of `run` in folders in which nobody keeps machine code, for a user without a home."""
+    for folder in {path.parent for path in (tmp_path / "hdsp").rglob("*.py")}:
+        (folder / "__pycache__").touch()  # no folder has this name any more; even root cannot write into it
+    (tmp_path / "spare").mkdir()
+    places = {"HOME": os.devnull, "NUMBA_CACHE_DIR": os.devnull, "TMPDIR": str(tmp_path / "spare")}
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path), **places}
+    environment.pop("XDG_CACHE_HOME", None)
+
+    def start(script=SCRIPT) -> subprocess.CompletedProcess:
+        command = [sys.executable, "-c", script]
+        return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+
+    return start
+
+
+def test_q5_kernels_of_a_read_only_installation_are_kept_among_the_temporary_files(read_only, tmp_path):
+    first, second = read_only(), read_only()
+    assert first.stdout.split() == ["93.0", "0"] and second.stdout.split() == ["93.0", "1"]
+    (folder,) = (tmp_path / "spare").iterdir()
+    assert folder.stat().st_mode & 0o077 == 0
+    for done in (first, second):
+        assert done.returncode == 0 and done.stderr.count("\n") == 1 and str(folder) in done.stderr
+
+
+def test_q5_a_folder_that_others_may_write_is_not_trusted(read_only, tmp_path):
+    open_to_all = tmp_path / "spare" / f"hdsp-kernels-{os.getuid()}"
+    open_to_all.mkdir(mode=0o777)
+    open_to_all.chmod(0o777)
+    assert read_only().stdout.split() == ["93.0", "0"]
+    assert not list(open_to_all.iterdir())
+
+
+def test_q5_without_any_folder_each_process_compiles(read_only, tmp_path):
+    shutil.rmtree(tmp_path / "spare")
+    script = SCRIPT.replace("\nfrom", "\nimport tempfile; tempfile.tempdir = '/dev/null'\nfrom", 1)
+    done = read_only(script)
+    assert done.stdout.split() == ["93.0", "0"] and done.stderr.count("\n") == 1
