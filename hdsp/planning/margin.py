@@ -3,9 +3,8 @@
 import math
 from dataclasses import replace
 
-import numpy as np
-
 from hdsp.base.errors import InputError
+from hdsp.planning.arguments import number
 from hdsp.robot.robot import Box, Robot
 
 
@@ -19,8 +18,7 @@ def with_margin(robot: Robot, margin: float) -> Robot:
     Raises:
         InputError: the margin is not a number >= 0, or brings the body down to the ground.
     """
-    if not (np.isfinite(margin) and margin >= 0):
-        raise InputError(f"margin is {margin}; it must be a finite number >= 0, in m")
+    margin = number("margin", margin, 0.0)
     # The lower side of the body rises and falls with the ground under the feet.
     deeper = margin * math.hypot(*robot.slope.steepest())
     lowest = min((box.above for box in robot.body.boxes), default=math.inf)

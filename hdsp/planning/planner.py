@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from hdsp.abstract.abstract_costs import AbstractCosts, Region
 from hdsp.base.errors import InputError
+from hdsp.base.settings import shown
 from hdsp.detailed.search.life_cycle import Progress
 from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.world.world import build_world
 from hdsp.detailed.world.world_update import updated_world
 from hdsp.learning.loading import abstraction_of, load_abstraction
+from hdsp.planning.arguments import callback, choice, falling_weights, limits_of, number
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
 from hdsp.planning.improving import improving_plans
 from hdsp.planning.map_changes import changed_cells
@@ -70,24 +71,28 @@ class Planner:
 
     def _make_heuristic(self, heuristic: str | AbstractCosts | Heuristic) -> Heuristic:
         if isinstance(heuristic, Heuristic):
+            if (heuristic.world.nx, heuristic.world.ny) != self.grid.shape:
+                cells = f"{heuristic.world.nx} x {heuristic.world.ny}"
+                raise InputError(f"heuristic {heuristic.name} belongs to another terrain, of {cells} cells")
             return heuristic
-        if isinstance(heuristic, AbstractCosts):
+        if isinstance(heuristic, AbstractCosts) and not isinstance(heuristic, type):
             return AbstractHeuristic(self.world, self.terrain, heuristic, type(heuristic).__name__)
-        if heuristic == "geometric":
+        name = heuristic if isinstance(heuristic, str) else ""
+        if name == "geometric":
             return GeometricHeuristic(self.world)
-        if heuristic == "manual":
+        if name == "manual":
             from hdsp.abstract.manual import ManualCosts
 
             return AbstractHeuristic(self.world, self.terrain, ManualCosts(self.robot), "manual")
-        if isinstance(heuristic, str) and (heuristic == "learned" or heuristic.startswith("learned:")):
-            folder = heuristic.removeprefix("learned").removeprefix(":")
+        if name == "learned" or (name.startswith("learned:") and name != "learned:"):
+            folder = name.removeprefix("learned").removeprefix(":")
             abstraction = load_abstraction(folder, self.robot) if folder else abstraction_of(self.robot)
             from hdsp.learning.learned_costs import LearnedCosts
 
             return AbstractHeuristic(self.world, self.terrain, LearnedCosts(abstraction), "learned")
         raise InputError(
-            f"heuristic {heuristic!r}: need 'geometric', 'manual', 'learned', 'learned:FOLDER', an AbstractCosts or a "
-            "Heuristic"
+            f"heuristic {shown(heuristic)}: need 'geometric', 'manual', 'learned', 'learned:FOLDER', an AbstractCosts "
+            "or a Heuristic"
         )
 
     def prepare(self) -> Planner:
@@ -173,19 +178,19 @@ class Planner:
             InputError: a value is not a number, a pose lies off the map, or a weight is < 1.
             RefinementError: ``refinable``, and an action before the first step cannot be carried out.
         """
-        _check_weight(weight)
-        if anchor_weight is not None:
-            _check_weight(anchor_weight, "anchor_weight")
+        weight = number("weight", weight, 1.0)
+        anchored = None if anchor_weight is None else number("anchor_weight", anchor_weight, 1.0)
+        limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
         began = now()
-        query = self._query(start, goal, weight, Limits(cost, expansions, memory, time), progress)
+        query = self._query(start, goal, weight, limits, callback("progress", progress))
         if isinstance(query, Plan):
             return query
         prepared = now() - began
 
         def search(query: Query) -> Plan:
-            if anchor_weight is None or self.heuristic.admissible:
+            if anchored is None or self.heuristic.admissible:
                 return query.weighted(weight)
-            return query.anchored(weight, anchor_weight)
+            return query.anchored(weight, anchored)
 
         plan = query.search_or_prove(search)
         if refinable:
@@ -229,13 +234,10 @@ class Planner:
                 falling.
             RefinementError: as in ``plan``.
         """
-        weights = tuple(weights)
-        for weight in weights:
-            _check_weight(weight)
-        if not weights or any(after >= before for before, after in pairwise(weights)):
-            raise InputError(f"weights are {weights}; each must be smaller than the one before it")
+        weights = falling_weights(weights)
+        limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
         began = now()
-        query = self._query(start, goal, weights[0], Limits(cost, expansions, memory, time), progress)
+        query = self._query(start, goal, weights[0], limits, callback("progress", progress))
         if isinstance(query, Plan):
             query.stats.end(str(query.status))
             return iter([query])
@@ -273,8 +275,3 @@ def _checked(terrain: HeightMap) -> HeightMap:
     if not is_detailed(terrain.resolution):
         raise InputError(f"terrain has cells of {terrain.resolution:g} m; the planner needs {RESOLUTION:g} m")
     return terrain
-
-
-def _check_weight(weight, name: str = "weight") -> None:
-    if not (np.isfinite(weight) and weight >= 1):
-        raise InputError(f"{name} is {weight}; it must be a finite number >= 1")

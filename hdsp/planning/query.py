@@ -10,7 +10,6 @@ from functools import partial
 import numpy as np
 
 from hdsp.abstract.transform import feet_at
-from hdsp.base.errors import InputError
 from hdsp.detailed.actions.action import action_of
 from hdsp.detailed.relaxed.proofs import FOOT, Unreachable, why_unreachable
 from hdsp.detailed.search.estimate import Estimate, geometric_estimate
@@ -19,6 +18,7 @@ from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import World
+from hdsp.planning.arguments import lattice_state, pose_values
 from hdsp.planning.decisive_limits import decisive_limits
 from hdsp.planning.foot_limits import stopping_limits
 from hdsp.planning.heuristics import Heuristic
@@ -48,13 +48,8 @@ def locate(world: World, grid: Grid, robot: Robot, pose, name: str) -> tuple[np.
     Raises:
         InputError: the pose has other values, or lies off the map.
     """
-    try:
-        values = np.asarray(pose, dtype=float)
-    except (TypeError, ValueError):
-        values = np.empty(0)
-    if values.shape not in ((3,), (7,)) or not np.isfinite(values).all():
-        raise InputError(f"{name} {pose!r}: need (x, y, theta) or these and 4 foot offsets, all finite numbers")
-    state = grid.to_lattice(values[:3], values[3:] if len(values) == 7 else (0.0,) * 4)
+    values = pose_values(pose, name, robot)
+    state = lattice_state(grid, values, name)
     if len(values) == 3:
         chosen = feet_at(world, (int(state[0]), int(state[1]), int(heading_index(values[2]))))
         if chosen is not None:

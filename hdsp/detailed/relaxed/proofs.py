@@ -145,16 +145,17 @@ def _gap(one: np.ndarray, other: np.ndarray, start: np.ndarray, goal: np.ndarray
 def body_hits(world: World, state: np.ndarray) -> np.ndarray:
     """Map cells that the body hits in a state int64 [7], int64 [n, 2], the highest first.
 
-    Feet over unknown ground count as high as the mean of the others.
+    Feet over unknown ground count as high as the mean of the others; feet out of reach count as far as they reach.
     """
     t, c, (ix, iy, heading) = world.tables, world.constants, (int(v) for v in state[:3])
     p = int(cell_index(world, ix, iy))
-    rows = [foot_row(t, heading, foot, int(state[3 + foot]) - t.lowest) for foot in range(4)]
+    offsets = np.clip(state[3:], t.lowest, t.lowest + t.n_offsets - 1)
+    rows = [foot_row(t, heading, foot, int(offsets[foot]) - t.lowest) for foot in range(4)]
     heights = world.height[p + t.feet[rows]].astype(float)
     known = np.isfinite(heights)
     heights[~known] = heights[known].mean() if known.any() else 0.0
     ground, ahead, left = ground_plane(
-        c.neutral_x, c.neutral_y, c.steepest_ahead, c.steepest_left, tuple(state[3:].tolist()), tuple(heights.tolist())
+        c.neutral_x, c.neutral_y, c.steepest_ahead, c.steepest_left, tuple(offsets.tolist()), tuple(heights.tolist())
     )
     cos, sin = t.ahead[heading]
     slope = ahead * cos - left * sin, ahead * sin + left * cos
