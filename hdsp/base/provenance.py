@@ -35,7 +35,7 @@ EXEMPT = {
     "hdsp.base.workers": "decides which process works; a map is a function of its number",
     "hdsp.labels.run.cluster": "decides which process works; a map is a function of its number",
     "hdsp.labels.run.progress": "shows progress",
-    "hdsp.terrain.map_files": "formats of height maps; a map has the same heights in each",
+    "hdsp.terrain.map_formats": "formats of height maps; a map has the same heights in each",
     "hdsp.viz": "draws results",
     "pipeline.config": "composes settings; their values are parameters of each stage",
     "pipeline.config_types": "checks settings; their values are parameters of each stage",

@@ -27,7 +27,7 @@ from hdsp.labels.shards import is_shard, read_shard
 from hdsp.labels.tasks import TaskSet
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.map_files import is_map
+from hdsp.terrain.map_formats import is_self_contained
 from hdsp.terrain.pointcloud import FORMATS
 from hdsp.terrain.scans import FOLDER, Scan, build_map, find_files
 
@@ -139,5 +139,5 @@ def _files(scan: Scan, beside: Path, data_dir: str | os.PathLike | None) -> tupl
 def _maps(folder: Path, named: set[Path]) -> Iterator[Path]:
     for path in sorted(path for path in folder.rglob("*") if path.is_file() and path.resolve() not in named):
         suffixes = path.suffixes[:-1] if path.suffix in _PACKED else path.suffixes
-        if not path.name.startswith(".") and (is_map(path) or (suffixes and suffixes[-1] in FORMATS)):
+        if not path.name.startswith(".") and (is_self_contained(path) or (suffixes and suffixes[-1] in FORMATS)):
             yield path

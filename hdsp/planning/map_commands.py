@@ -10,7 +10,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.map_files import is_map
+from hdsp.terrain.map_formats import is_map
 from hdsp.terrain.pointcloud import FORMATS, FloorSettings, MapSettings, fit_floor, map_points, read_points
 
 _POINT_FILES = f"points ({', '.join(FORMATS)}; also with .gz or .bz2)"

@@ -1,6 +1,6 @@
 """The ground, from files, scans, sensors and random scenes, and its costs for a robot.
 
-- `height_map`, `patches`, `map_files`: height maps, squares of them in the robot frame, their files
+- `height_map`, `patches`, `map_formats`: height maps, squares of them in the robot frame, their files
 - `cost_maps`: edges, unevenness, and cells on which a foot can stand
 - `obstacles`, `scenes`: obstacles on level or tilted ground, random scenes by category
 - `arenas`, `random_arenas`: walled squares with obstacles, from a description or a seed

@@ -9,17 +9,17 @@ import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS, RESOLUTION
-from hdsp.terrain.map_files import is_map, read_map, write_map
+from hdsp.terrain.map_formats import MAP_SUFFIXES, MapFields, ReadOptions, is_map, read_map, write_map
 from hdsp.terrain.map_frame import MapFrame
 from hdsp.terrain.patches import TIE, checked_side, gather, nearest_cell, patch_offsets
-from hdsp.terrain.pointcloud.cloud_files import read_points
+from hdsp.terrain.pointcloud.cloud_files import FORMATS, read_points
 from hdsp.terrain.pointcloud.cloud_mapping import MapSettings, map_points
 
 
@@ -70,22 +70,50 @@ class HeightMap:
         return cls(np.zeros(shape, np.float32), origin, resolution)
 
     @classmethod
-    def load(cls, path: str | os.PathLike) -> "HeightMap":
-        """Loads a map written by `save` (.npz, .h5, .hdf5), or makes a map from a point file in metres, z up.
+    def load(cls, path: str | os.PathLike, **options: Any) -> "HeightMap":
+        """Loads a height map file, or makes a map from a point file in metres, z up. The suffix selects the format.
 
-        Point files (.pcd, .ply, .las, ...: `hdsp.terrain.pointcloud.FORMATS`) are levelled on their floor. For other
-        units, other axes or a cut, use `hdsp.terrain.pointcloud.read_points` and `from_points`.
+        - .npz, .h5, .hdf5 (from `save`, or other arrays [nx, ny]), .npy: numpy and h5py
+        - .tif, .tiff, .asc, .dem, .img: rasters by rasterio; CRS, masks and no-data values count
+        - .png, .pgm: grey values as heights; the first row is the upper edge (largest y)
+        - .bag, .db3, .mcap, the folder of a ROS 2 bag: messages of grid_map_msgs/GridMap
+        - point files (`hdsp.terrain.pointcloud.FORMATS`): levelled on their floor. For other units, other axes or a
+          cut, use `hdsp.terrain.pointcloud.read_points` and `from_points`.
+
+        Infinite heights and obvious no-data values become unknown; ``frame.notes`` says so.
+
+        Args:
+            path: a file, or the folder of a ROS 2 bag.
+            options: facts that the file lacks, and choices (`hdsp.terrain.map_formats.ReadOptions`): ``resolution`` (m)
+                and ``origin`` (x, y) for arrays and images; ``scale`` (m per unit or grey step), ``offset`` (m) and
+                ``nodata`` for all; ``layer`` (layer, band or entry), ``topic``, ``message`` (index, default the last).
 
         Raises:
-            InputError: if the file is missing or damaged, has another format, or contains no valid map.
+            InputError: if the file is missing or damaged, has another format, needs an option or a library, or contains
+                no valid map.
         """
+        chosen = ReadOptions.of(options)
         if not is_map(path):
-            return cls.from_points(read_points(path))
-        fields = read_map(path)
+            return cls._of_points(path, chosen)
+        fields = read_map(path, chosen)
         try:
             return cls(*fields)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
+
+    @classmethod
+    def _of_points(cls, path: str | os.PathLike, options: ReadOptions) -> "HeightMap":
+        suffixes = [suffix.lower() for suffix in Path(path).suffixes[-2:]]
+        if not {*suffixes} & {*FORMATS}:
+            raise InputError(
+                f"{path}: suffix {Path(path).suffix!r}; need one of {', '.join(MAP_SUFFIXES)} (height maps) or "
+                f"{', '.join(FORMATS)} (point clouds)"
+            )
+        for name in options.given:
+            if name != "resolution":
+                raise InputError(f"point cloud {path}: option {name} does not apply; need resolution or none")
+        resolution = RESOLUTION if options.resolution is None else options.resolution
+        return cls.from_points(read_points(path), resolution=resolution)
 
     @classmethod
     def from_points(
@@ -108,12 +136,12 @@ class HeightMap:
         return cls(mapped.heights, mapped.origin, mapped.resolution)
 
     def save(self, path: str | os.PathLike) -> Path:
-        """Saves the map; the suffix selects the format: .npz, or .h5 / .hdf5.
+        """Saves the map; the suffix selects the format: .npz, .h5 / .hdf5, or .tif / .tiff (GeoTIFF).
 
         Raises:
-            InputError: if no format has the suffix, or the path is not writable.
+            InputError: if no writer has the suffix, a library is missing, or the path is not writable.
         """
-        write_map(path, self.heights, self.origin, self.resolution, self.frame)
+        write_map(path, MapFields(self.heights, self.origin, self.resolution, self.frame))
         return Path(path)
 
     @property

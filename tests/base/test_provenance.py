@@ -256,7 +256,7 @@ def test_what_decides_labels_is_in_their_hash(project, old, new, concerned):
 
 def test_what_decides_no_label_is_in_no_hash_of_labels(project):
     edit(project, "RESOLUTION = 0.025  #", "RESOLUTION = 0.025  # a comment;")
-    edit(project, '".h5": (', '".hf5": (_read_hdf5, _write_hdf5),\n    ".h5": (')
+    edit(project, '".h5": _HDF5', '".hf5": _HDF5,\n    ".h5": _HDF5')
     for path in (project / "hdsp/viz").glob("*.py"):
         path.write_text("raise SystemExit\n")
     for path in (project / "hdsp/planning").glob("*.py"):

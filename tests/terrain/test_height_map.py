@@ -88,18 +88,20 @@ def test_damaged_files_end_in_one_line_that_names_them(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".h5"])
-def test_flipped_bytes_never_give_other_heights_silently_or_another_error(tmp_path, suffix):
+def test_h9_flipped_bytes_never_give_another_map_silently_or_another_error(tmp_path, suffix):
     path = tmp_path / f"map{suffix}"
-    terrain = HeightMap(np.random.default_rng(0).random((12, 12)))
+    terrain = HeightMap(np.random.default_rng(0).random((12, 12)), (3.5, -2.25), 0.05)
     terrain.save(path)
     content = path.read_bytes()
-    for place in range(0, len(content), max(1, len(content) // 120)):
+    small = [content.index(np.float64(value).tobytes()) for value in (3.5, 0.05)] if suffix == ".h5" else []
+    for place in [*range(0, len(content), max(1, len(content) // 120)), *(at + k for at in small for k in range(8))]:
         path.write_bytes(content[:place] + bytes([content[place] ^ 0x55]) + content[place + 1 :])
         try:
             loaded = HeightMap.load(path)
         except InputError:
             continue
         np.testing.assert_array_equal(loaded.heights, terrain.heights)
+        assert (loaded.origin, loaded.resolution) == (terrain.origin, terrain.resolution)
 
 
 def test_files_that_are_no_maps_are_refused(tmp_path):
@@ -108,8 +110,8 @@ def test_files_that_are_no_maps_are_refused(tmp_path):
         HeightMap.load(tmp_path / "other.npz")
     with pytest.raises(InputError, match=r"none\.npz: no such file"):
         HeightMap.load(tmp_path / "none.npz")
-    with pytest.raises(InputError, match=r"suffix '\.png'"):
-        HeightMap.load(tmp_path / "map.png")
+    with pytest.raises(InputError, match=r"suffix '\.docx'; need one of \.npz, .*\(height maps\) or \.pcd, "):
+        HeightMap.load(tmp_path / "map.docx")
     with pytest.raises(InputError, match=r"suffix '\.txt'"):
         numbered(2, 2).save(tmp_path / "map.txt")
     (tmp_path / "file").touch()

@@ -1,0 +1,219 @@
+"""Arrays in files: .npz and HDF5 with the entries heights, origin and resolution, and bare .npy arrays.
+
+A map with a frame of its own also has the entry frame, a JSON text with the fields of `MapFrame`. HDF5 has no checksum
+for small entries, so it gets the entry digest, the SHA-256 of all others. Files of other programs may have other
+entries: the option layer names the heights, and the options resolution and origin stand for missing entries.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from collections.abc import Callable, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.terrain.map_formats.fields import MapFields, ReadOptions, check_cells, frame_of_text, frame_text
+
+_HEIGHTS, _ORIGIN, _RESOLUTION, _FRAME, _DIGEST = "heights", "origin", "resolution", "frame", "digest"
+
+#: Access to an entry: its shape and type, and a function that reads it.
+_Entry = tuple[tuple[int, ...], np.dtype, Callable[[], np.ndarray]]
+
+
+def read_npz(path: Path, options: ReadOptions) -> MapFields:
+    """Reads an .npz file."""
+    with _npz_entries(path) as entries:
+        return _fields(entries, options)
+
+
+def read_hdf5(path: Path, options: ReadOptions) -> MapFields:
+    """Reads an HDF5 file."""
+    with _hdf5_entries(path) as entries:
+        return _fields(entries, options)
+
+
+def read_npy(path: Path, options: ReadOptions) -> MapFields:
+    """Reads a bare array [nx, ny]; its cell size is an option."""
+    resolution = options.cell_size("a bare array has no cell size")
+    with path.open("rb") as file:
+        shape, dtype = _array_header(file, path.stat().st_size)
+        _check_heights("the array", shape, dtype)
+        file.seek(0)
+        heights = np.lib.format.read_array(file, allow_pickle=False)
+    return MapFields(heights, options.origin or (0.0, 0.0), resolution)
+
+
+def npz_contents(path: Path) -> str:
+    """Entries of an .npz file."""
+    with _npz_entries(path) as entries:
+        return _listed(entries)
+
+
+def hdf5_contents(path: Path) -> str:
+    """Entries of an HDF5 file."""
+    with _hdf5_entries(path) as entries:
+        return _listed(entries)
+
+
+def npy_contents(path: Path) -> str:
+    """Shape and type of a bare array."""
+    with path.open("rb") as file:
+        return "array " + _of_kind(*_array_header(file, path.stat().st_size))
+
+
+def npz_bytes(fields: MapFields) -> bytes:
+    """File contents of a map in .npz."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **_arrays(fields))
+    return buffer.getvalue()
+
+
+def hdf5_bytes(fields: MapFields) -> bytes:
+    """File contents of a map in HDF5."""
+    import h5py
+
+    arrays = _arrays(fields)
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", libver=("v110", "v110")) as file:  # metadata with checksums
+        for name, array in {**arrays, _DIGEST: _digest(arrays)}.items():
+            layout: dict[str, Any] = {"compression": "lzf", "fletcher32": True} if array.ndim == 2 else {}
+            file.create_dataset(name, data=array, **layout)
+    return buffer.getvalue()
+
+
+def _arrays(fields: MapFields) -> dict[str, np.ndarray]:
+    arrays = {
+        _HEIGHTS: fields.heights,
+        _ORIGIN: np.asarray(fields.origin, float),
+        _RESOLUTION: np.asarray(fields.resolution, float),
+    }
+    if text := frame_text(fields.frame):
+        arrays[_FRAME] = np.frombuffer(text.encode(), np.uint8)
+    return arrays
+
+
+def _digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    state = hashlib.sha256()
+    for name in sorted(arrays):
+        array = arrays[name]
+        state.update(f"{name} {array.dtype.str} {array.shape}".encode() + array.tobytes())
+    return np.frombuffer(state.digest(), np.uint8)
+
+
+def _fields(entries: Mapping[str, _Entry], options: ReadOptions) -> MapFields:
+    layer = _HEIGHTS if options.layer is None else str(options.layer)
+    if layer not in entries:
+        known = f"it has {_names(entries)}" if entries else "it has no array"
+        raise InputError(f"entry {layer} is missing, {known}; the option layer names another entry with heights")
+    shape, dtype, read = entries[layer]
+    _check_heights(f"entry {layer}", shape, dtype)
+    small = {name: _small(name, entries) for name in (_ORIGIN, _RESOLUTION, _FRAME, _DIGEST) if name in entries}
+    heights = read()
+    if _DIGEST in small:
+        others = {name: array for name, array in small.items() if name != _DIGEST}
+        if layer == _HEIGHTS and _digest({_HEIGHTS: heights, **others}).tolist() != small[_DIGEST].tolist():
+            raise InputError("it is damaged: its checksum differs")
+    return MapFields(
+        heights,
+        _own(_ORIGIN, small, options.origin, options),
+        _own(_RESOLUTION, small, options.resolution, options),
+        frame_of_text(np.asarray(small[_FRAME], np.uint8).tobytes()) if _FRAME in small else frame_of_text(""),
+    )
+
+
+def _own(name: str, small: Mapping[str, np.ndarray], option: Any, options: ReadOptions) -> Any:
+    """Value of an entry, or of the option with its name."""
+    if name not in small:
+        if option is None:
+            raise InputError(f"entry {name} is missing; give the option {name}, in metres")
+        return option
+    options.refuse([name], f"the file has its own {name}, {small[name].tolist()}")
+    return small[name] if name == _ORIGIN else small[name][()]
+
+
+def _small(name: str, entries: Mapping[str, _Entry]) -> np.ndarray:
+    shape, dtype, read = entries[name]
+    if np.prod(shape, dtype=float) > 10_000_000 or dtype.kind not in "iuf":
+        raise InputError(f"entry {name} is {_of_kind(shape, dtype)}; need a few numbers")
+    return np.asarray(read())
+
+
+def _check_heights(name: str, shape: tuple[int, ...], dtype: np.dtype) -> None:
+    if len(shape) != 2 or dtype.kind not in "iuf":
+        raise InputError(f"{name} is {_of_kind(shape, dtype)}; need numbers in two axes [nx, ny]")
+    check_cells(*shape)
+
+
+def _of_kind(shape: tuple[int, ...], dtype: np.dtype) -> str:
+    return f"{dtype.name} [{', '.join(str(length) for length in shape)}]"
+
+
+def _names(entries: Mapping[str, _Entry]) -> str:
+    names = sorted(entries)
+    return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+
+
+def _listed(entries: Mapping[str, _Entry]) -> str:
+    return "entries " + ", ".join(f"{name} {_of_kind(*entries[name][:2])}" for name in sorted(entries)[:20])
+
+
+@contextmanager
+def _npz_entries(path: Path):
+    with zipfile.ZipFile(path) as archive:
+        entries: dict[str, _Entry] = {}
+        for info in archive.infolist():
+            if info.filename.endswith(".npy"):
+                with archive.open(info) as file:
+                    shape, dtype = _array_header(file, info.file_size)
+                entries[info.filename.removesuffix(".npy")] = shape, dtype, _npz_reader(archive, info)
+        yield entries
+
+
+def _npz_reader(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Callable[[], np.ndarray]:
+    def read() -> np.ndarray:
+        with archive.open(info) as file:
+            array = np.lib.format.read_array(file, allow_pickle=False)
+            file.read()  # the checksum is compared at the end
+        return array
+
+    return read
+
+
+@contextmanager
+def _hdf5_entries(path: Path):
+    import h5py
+
+    with h5py.File(path) as file:
+        entries: dict[str, _Entry] = {}
+
+        def collect(name: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset) and item.shape is not None:
+                entries[name] = tuple(item.shape), item.dtype, lambda: _dataset(item)
+
+        file.visititems(collect)  # follows no link into another file
+        yield entries
+
+
+def _dataset(item: Any) -> np.ndarray:
+    if item.external or item.is_virtual:
+        raise InputError(f"entry {item.name} refers to other files; need the heights in this file")
+    if item.chunks:
+        check_cells(1, int(np.prod(item.chunks, dtype=float)))
+    return item[()]
+
+
+def _array_header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], np.dtype]:
+    """Shape and type of an array in .npy format; a claim that does not fit the size of the file is an error."""
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(file)
+    claimed = int(np.prod([float(length) for length in shape])) * dtype.itemsize
+    if not dtype.hasobject and claimed != size - file.tell():
+        raise InputError(f"it is damaged: an array of {claimed:,} bytes in {max(size - file.tell(), 0):,} bytes")
+    return shape, dtype

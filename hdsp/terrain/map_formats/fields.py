@@ -1,0 +1,146 @@
+"""Contents of a height map file before validation, and the options for reading a file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.terrain.map_frame import MapFrame
+
+#: Largest number of cells in a file. A damaged header may claim any size.
+MAX_CELLS = 100_000_000
+
+
+class MapFields(NamedTuple):
+    """Contents of a height map file.
+
+    Attributes:
+        heights: [nx, ny] numbers, heights[ix, iy], in the file's units; masked or NaN = unknown.
+        origin: position (x, y) of the lower corner of cell (0, 0), m.
+        resolution: cell size, m.
+        frame: frame of the map, with notes on the file.
+    """
+
+    heights: np.ndarray
+    origin: tuple[float, float]
+    resolution: float
+    frame: MapFrame = MapFrame()
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """Facts that a file lacks, and choices between its parts. None: the file has them, or needs none.
+
+    Attributes:
+        resolution: cell size, m, for files without one.
+        origin: position (x, y) of the lower corner of cell (0, 0), m, for files without one (default there: 0, 0).
+        scale: m per unit of the file's heights, e.g. 0.001 for millimetres, or m per grey step.
+        offset: height of the file's zero, m.
+        nodata: value of unknown cells, in the file's units.
+        layer: name or number of a layer, band or entry.
+        topic: topic of a bag.
+        message: index of a message in its topic; -1 is the last.
+
+    Raises:
+        InputError: an unknown option, or a value of another kind.
+    """
+
+    resolution: float | None = None
+    origin: tuple[float, float] | None = None
+    scale: float | None = None
+    offset: float | None = None
+    nodata: float | None = None
+    layer: str | int | None = None
+    topic: str | None = None
+    message: int | None = None
+
+    def __post_init__(self):
+        for name in ("resolution", "scale"):
+            value = getattr(self, name)
+            if value is not None and not (_is_number(value) and math.isfinite(value) and value > 0):
+                raise InputError(f"option {name} is {value!r}; need a positive number")
+        if self.offset is not None and not (_is_number(self.offset) and math.isfinite(self.offset)):
+            raise InputError(f"option offset is {self.offset!r}; need a number of metres")
+        if self.nodata is not None and not _is_number(self.nodata):
+            raise InputError(f"option nodata is {self.nodata!r}; need a number")
+        if self.message is not None and (isinstance(self.message, bool) or not isinstance(self.message, int)):
+            raise InputError(f"option message is {self.message!r}; need a whole number")
+        if self.origin is not None:
+            object.__setattr__(self, "origin", _point(self.origin))
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any]) -> ReadOptions:
+        """Makes options from keywords; an unknown keyword is an error that lists all."""
+        names = [option.name for option in fields(cls)]
+        unknown = sorted(set(options) - set(names))
+        if unknown:
+            raise InputError(f"option {unknown[0]}: unknown; need one of {', '.join(names)}")
+        return cls(**options)
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of the options that have a value."""
+        return tuple(option.name for option in fields(self) if getattr(self, option.name) is not None)
+
+    def cell_size(self, why: str) -> float:
+        """Cell size for a file without one, m; an error that gives the reason if the option is missing."""
+        if self.resolution is None:
+            raise InputError(f"{why}; give the option resolution, the side of a cell in metres")
+        return self.resolution
+
+    def refuse(self, names: Sequence[str], why: str) -> None:
+        """Refuses options by name, with the reason."""
+        for name in names:
+            if getattr(self, name) is not None:
+                raise InputError(f"option {name} does not apply: {why}")
+
+
+def check_cells(nx: int, ny: int) -> None:
+    """Refuses a claimed size before memory is taken for it."""
+    if nx < 1 or ny < 1:
+        raise InputError(f"the file has {nx} x {ny} cells; need at least one")
+    if nx * ny > MAX_CELLS:
+        raise InputError(f"the file claims {nx} x {ny} cells; at most {MAX_CELLS:,} are read, so cut a part out")
+
+
+def frame_text(frame: MapFrame | None) -> str:
+    """JSON text with the fields of a frame; "" for a map without a frame of its own."""
+    if frame is None or not (frame.name or frame.crs or frame.notes or not frame.is_source):
+        return ""
+    return json.dumps({**vars(frame), "to_source": frame.to_source.tolist()})
+
+
+def frame_of_text(text: str | bytes) -> MapFrame:
+    """Frame from the text of `frame_text`.
+
+    Raises:
+        ValueError: the text is damaged.
+    """
+    if not text:
+        return MapFrame()
+    try:
+        values = json.loads(text)
+        frame = MapFrame(**{name: values[name] for name in MapFrame.__dataclass_fields__})
+        return replace(frame, name=str(frame.name), crs=str(frame.crs))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"entry frame is damaged: {error}") from None
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
+def _point(value: Any) -> tuple[float, float]:
+    try:
+        x, y = (float(part) for part in value)
+    except (TypeError, ValueError):
+        raise InputError(f"option origin is {value!r}; need two numbers (x, y) in metres") from None
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise InputError(f"option origin is {value!r}; need two finite numbers (x, y) in metres")
+    return x, y

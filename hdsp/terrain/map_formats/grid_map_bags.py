@@ -1,0 +1,241 @@
+"""Messages of the type grid_map_msgs/GridMap in ROS bags by rosbags, without ROS.
+
+ROS 1 (.bag) and ROS 2 (a folder with metadata.yaml, or its .db3 or .mcap file). The message definitions are here, as
+many ROS 2 bags have none.
+
+A layer is a matrix with a ring buffer: row and column 0 are at the start indices. Its rows run against x, its columns
+against y, and the pose in the message is the middle of the map. Heights are positions in the frame of the message;
+grid_map itself ignores the pose's z.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.terrain.map_formats.fields import MapFields, ReadOptions, check_cells
+from hdsp.terrain.map_frame import MapFrame
+
+_TYPE = "grid_map_msgs/msg/GridMap"
+_DEFAULT_LAYER = "elevation"
+_FILES = ("*.db3", "*.mcap")
+
+_INFO = """
+float64 resolution
+float64 length_x
+float64 length_y
+geometry_msgs/Pose pose
+"""
+_MAP = """
+grid_map_msgs/GridMapInfo info
+string[] layers
+string[] basic_layers
+std_msgs/Float32MultiArray[] data
+uint16 outer_start_index
+uint16 inner_start_index
+"""
+_HEADER = "std_msgs/Header header\n"
+
+#: Nanoseconds at the end of a bag in which its last message is looked for first.
+_END = 5_000_000_000
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Whether a folder is a ROS 2 bag."""
+    return path.is_dir() and ((path / "metadata.yaml").is_file() or _only_file(path) is not None)
+
+
+def read_grid_map(path: Path, options: ReadOptions) -> MapFields:
+    """Reads one layer of one message."""
+    with _opened(path) as reader:
+        topic, connections = _topic(reader, options.topic)
+        index = -1 if options.message is None else options.message
+        raw, place = _message(reader, connections, index)
+    message = _decoded(raw, path)
+    return _fields(message, options.layer, f"topic {topic}, {place}")
+
+
+def bag_contents(path: Path) -> str:
+    """Topics of a bag; of each topic with grid maps the layers in its last message."""
+    with _opened(path) as reader:
+        parts = []
+        for topic in sorted({connection.topic for connection in reader.connections})[:20]:
+            connections = [connection for connection in reader.connections if connection.topic == topic]
+            count = sum(connection.msgcount for connection in connections)
+            text = f"topic {topic} ({connections[0].msgtype}, {count} messages)"
+            if connections[0].msgtype == _TYPE and count:
+                message = _decoded(_message(reader, connections, -1)[0], path)
+                text += f" with layers {', '.join(message.layers)}"
+            parts.append(text)
+    return "; ".join(parts) or "no topics"
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    if path.suffix.lower() == ".bag" and path.is_file():
+        from rosbags.rosbag1 import Reader as Reader1
+
+        with Reader1(path) as reader:
+            yield reader
+        return
+    from rosbags.rosbag2 import Reader as Reader2
+
+    # The link has a suffix that rosbags knows, and no character with a meaning in SQLite's addresses.
+    with TemporaryDirectory() as folder:
+        source = path.resolve()
+        if path.is_dir() and not (path / "metadata.yaml").is_file():
+            source = _only_file(source) or source
+        link = Path(folder) / f"bag{source.suffix.lower() if source.is_file() else ''}"
+        link.symlink_to(source)
+        with Reader2(link) as reader:
+            yield reader
+
+
+def _only_file(folder: Path) -> Path | None:
+    found = [path for pattern in _FILES for path in folder.glob(pattern)] if folder.is_dir() else []
+    return found[0] if len(found) == 1 else None
+
+
+def _topic(reader: Any, wanted: str | None) -> tuple[str, list[Any]]:
+    kinds = {connection.topic: connection.msgtype for connection in reader.connections}
+    topics = sorted(topic for topic, kind in kinds.items() if kind == _TYPE)
+    if not topics:
+        others = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(kinds.items())[:12]) or "none"
+        raise InputError(f"no topic has messages of {_TYPE}; its topics: {others}")
+    if wanted is None and len(topics) > 1:
+        raise InputError(
+            f"it has {len(topics)} topics with grid maps: {', '.join(topics)}; name one with the option topic"
+        )
+    names = {topic.strip("/"): topic for topic in topics}
+    if wanted is not None and str(wanted).strip("/") not in names:
+        raise InputError(f"option topic is {wanted!r}; need one of {', '.join(topics)}")
+    topic = topics[0] if wanted is None else names[str(wanted).strip("/")]
+    return topic, [connection for connection in reader.connections if connection.topic == topic]
+
+
+def _message(reader: Any, connections: list[Any], index: int) -> tuple[bytes, str]:
+    """Raw message at an index, and its place in words."""
+    if index == -1:
+        for start in (reader.end_time - _END, None):
+            last = deque(reader.messages(connections, start=start), maxlen=1)
+            if last:
+                return last[0][2], "last message"
+        raise InputError(f"topic {connections[0].topic} has no message")
+    messages = reader.messages(connections)
+    if index < 0:
+        ending = deque(messages, maxlen=-index)
+        found = ending[0] if len(ending) == -index else None
+    else:
+        found = next(islice(messages, index, None), None)
+    if found is None:
+        count = sum(connection.msgcount for connection in connections)
+        raise InputError(f"option message is {index}; need an index from {-count} to {count - 1}")
+    return found[2], f"message {index}"
+
+
+def _decoded(raw: bytes, path: Path) -> Any:
+    # Definitions in a bag are text from strangers of which rosbags makes code, so the known definitions are used.
+    if path.suffix.lower() == ".bag" and path.is_file():
+        return _types(1).deserialize_ros1(raw, _TYPE)
+    return _types(2).deserialize_cdr(raw, _TYPE)
+
+
+@cache
+def _types(version: int) -> Any:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
+    info, whole = (_HEADER + _INFO, _MAP) if version == 1 else (_INFO, _HEADER + _MAP)
+    store.register({
+        **get_types_from_msg(info, "grid_map_msgs/msg/GridMapInfo"),
+        **get_types_from_msg(whole, _TYPE),
+    })  # fmt: skip
+    return store
+
+
+def _fields(message: Any, layer: str | int | None, place: str) -> MapFields:
+    header = message.header if hasattr(message, "header") else message.info.header
+    info = message.info
+    name = _layer(list(message.layers), layer)
+    if len(message.data) != len(message.layers):
+        raise InputError(f"the message has {len(message.layers)} layers, but {len(message.data)} matrices")
+    resolution, lengths = float(info.resolution), (float(info.length_x), float(info.length_y))
+    if not (math.isfinite(resolution) and resolution > 0 and all(math.isfinite(v) and v > 0 for v in lengths)):
+        raise InputError(f"the message claims {lengths[0]} x {lengths[1]} m with cells of {resolution} m")
+    matrix = _matrix(message.data[list(message.layers).index(name)])
+    expected = tuple(round(min(length / resolution, 1e9)) for length in lengths)
+    if matrix.shape != expected:
+        raise InputError(f"layer {name} has {matrix.shape} cells, but the message claims {expected}")
+    matrix = np.roll(matrix, (-int(message.outer_start_index), -int(message.inner_start_index)), axis=(0, 1))
+    notes = [f"layer {name} of {place}"]
+    center, yaw = _pose(info.pose, notes)
+    half = np.array(matrix.shape) * resolution / 2
+    frame = MapFrame(name=str(header.frame_id), notes=tuple(notes))
+    if yaw == 0.0:
+        corner = center - half
+        return MapFields(matrix[::-1, ::-1], (float(corner[0]), float(corner[1])), resolution, frame)
+    motion = np.eye(4)
+    motion[:2, :2] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
+    motion[:2, 3] = center
+    turned = MapFrame(frame.name, frame.crs, motion, (*notes, f"axes rotated by {math.degrees(yaw):.2f} degrees"))
+    return MapFields(matrix[::-1, ::-1], (-float(half[0]), -float(half[1])), resolution, turned)
+
+
+def _layer(layers: list[str], wanted: str | int | None) -> str:
+    if wanted is not None and str(wanted) in layers:
+        return str(wanted)
+    if wanted is None and _DEFAULT_LAYER in layers:
+        return _DEFAULT_LAYER
+    if wanted is None and len(layers) == 1:
+        return layers[0]
+    listed = ", ".join(layers[:30]) or "none"
+    if wanted is None:
+        raise InputError(f"its layers are {listed}; name one with the option layer")
+    raise InputError(f"option layer is {wanted!r}; need one of {listed}")
+
+
+def _matrix(array: Any) -> np.ndarray:
+    """Matrix [rows, columns] of a layer."""
+    dimensions = [(str(dimension.label), int(dimension.size)) for dimension in array.layout.dim]
+    if len(dimensions) != 2:
+        raise InputError(f"a layer has {len(dimensions)} axes; need column_index and row_index")
+    (first, outer), (second, inner) = dimensions
+    check_cells(outer, inner)
+    values = np.asarray(array.data, np.float32)[int(array.layout.data_offset) :]
+    if values.size != outer * inner:
+        raise InputError(f"a layer has {values.size} values for {outer} x {inner} cells")
+    matrix = values.reshape(outer, inner)
+    if (first, second) == ("column_index", "row_index"):
+        return matrix.T
+    if (first, second) == ("row_index", "column_index"):
+        return matrix
+    raise InputError(f"a layer has the axes {first!r} and {second!r}; need column_index and row_index")
+
+
+def _pose(pose: Any, notes: list[str]) -> tuple[np.ndarray, float]:
+    """Middle (x, y) in m and yaw in rad; the pose's z is noted."""
+    position, turn = pose.position, pose.orientation
+    x, y, z, w = (float(value) for value in (turn.x, turn.y, turn.z, turn.w))
+    center = np.array((position.x, position.y), float)
+    norm = math.hypot(x, y, z, w)
+    if not (np.isfinite(center).all() and math.isfinite(norm)):
+        raise InputError("the pose of the map is not finite")
+    if position.z:
+        notes.append(f"z of the map's pose, {position.z:g} m, ignored as in grid_map")
+    if norm < 1e-6:  # an orientation that was never set
+        return center, 0.0
+    if math.hypot(x, y) > 1e-3 * norm:
+        raise InputError("the pose of the map is tilted; need a rotation about z only")
+    yaw = 2 * math.atan2(z, w)
+    yaw = math.remainder(yaw, 2 * math.pi)
+    return center, 0.0 if abs(yaw) < 1e-6 else yaw

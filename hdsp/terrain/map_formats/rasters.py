@@ -1,0 +1,220 @@
+"""Rasters of geographic information systems by rasterio: GeoTIFF, ASCII grids, USGS DEM, Erdas Imagine.
+
+The transform of a raster places it: a raster with north up has its first row at the upper edge (largest y). A rotated
+raster keeps its axes, and the frame has the rotation. Masks, no-data values, and scale and offset of a band count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.terrain.map_formats.fields import MapFields, ReadOptions, check_cells, frame_of_text, frame_text
+from hdsp.terrain.map_frame import MapFrame
+
+#: Drivers by suffix. Drivers whose files refer to other files or addresses are left out.
+_DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".asc": "AAIGrid", ".dem": "USGSDEM", ".img": "HFA"}
+_GRASS = "GRASSASCIIGrid"
+
+#: Metres per vertical unit.
+_UNITS = {
+    **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("ft", "foot", "feet", "international foot"), 0.3048),
+    **dict.fromkeys(("us survey foot", "us-ft", "ftus", "us_survey_foot", "foot_us", "us survey feet"), 1200 / 3937),
+    **dict.fromkeys(("cm", "centimetre", "centimeter", "centimetres", "centimeters"), 0.01),
+    **dict.fromkeys(("mm", "millimetre", "millimeter", "millimetres", "millimeters"), 0.001),
+    **dict.fromkeys(("dm", "decimetre", "decimeter", "decimetres", "decimeters"), 0.1),
+    **dict.fromkeys(("km", "kilometre", "kilometer", "kilometres", "kilometers"), 1000.0),
+}
+
+#: Tag with the frame of a map that this package wrote.
+_TAG = "HDSP_FRAME"
+
+_REPROJECT = "reproject it to metres, e.g. gdalwarp -t_srs EPSG:25832 IN OUT"
+
+_BYTE_ORDER_MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+
+
+def read_raster(path: Path, options: ReadOptions) -> MapFields:
+    """Reads one band of a raster."""
+    with _opened(path) as raster:
+        check_cells(raster.width, raster.height)
+        band = _band(raster, options.layer)
+        kind = np.dtype(raster.dtypes[band - 1]).kind
+        if kind not in "iuf":
+            raise InputError(f"band {band} has the type {raster.dtypes[band - 1]}; need numbers")
+        _check_crs(raster.crs)
+        heights, notes = _heights(raster, band)
+        if raster.count > 1:
+            notes.append(f"band {band} of {raster.count}")
+        crs = raster.crs.to_string() if raster.crs else ""
+        written = raster.tags().get(_TAG, "")
+        if raster.transform.is_identity:
+            resolution = options.cell_size("it has no transform, so no cell size")
+            frame = MapFrame(crs=crs, notes=tuple(notes))
+            return MapFields(heights.T[:, ::-1], options.origin or (0.0, 0.0), resolution, frame)
+        options.refuse(("resolution", "origin"), "the file has its own transform")
+        fields = _placed(heights, raster.transform, crs, tuple(notes))
+    return fields._replace(frame=frame_of_text(written)) if written else fields
+
+
+def raster_contents(path: Path) -> str:
+    """Size, bands, CRS, transform and no-data value of a raster."""
+    with _opened(path) as raster:
+        bands = ", ".join(
+            f"{number} ({kind}{f', {name}' if name else ''})"
+            for number, kind, name in zip(raster.indexes, raster.dtypes, raster.descriptions, strict=True)
+        )
+        units = " / ".join(sorted({str(unit) for unit in raster.units if unit})) or "not named"
+        return (
+            f"{raster.width} x {raster.height} pixels, bands {bands}, CRS {raster.crs or 'none'}, "
+            f"no-data value {'none' if raster.nodata is None else f'{raster.nodata:g}'}, vertical units {units}"
+        )
+
+
+def geotiff_bytes(fields: MapFields) -> bytes:
+    """File contents of a map in GeoTIFF: float32, NaN = unknown, in the map frame; a tag keeps the frame."""
+    from affine import Affine
+    from rasterio.io import MemoryFile
+
+    heights = np.asarray(fields.heights, np.float32)
+    (nx, ny), (x, y) = heights.shape, fields.origin
+    transform = Affine(fields.resolution, 0.0, x, 0.0, -fields.resolution, y + ny * fields.resolution)
+    with MemoryFile(ext=".tif") as memory:
+        with memory.open(
+            driver="GTiff", width=nx, height=ny, count=1, dtype="float32", nodata=math.nan, transform=transform,
+            crs=_known_crs(fields.frame), compress="deflate",
+        ) as raster:  # fmt: skip
+            raster.write(heights.T[::-1], 1)
+            raster.set_band_description(1, "elevation")
+            if text := frame_text(fields.frame):
+                raster.update_tags(**{_TAG: text})
+        return memory.read()
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    import rasterio
+    from rasterio.io import MemoryFile
+
+    suffix = path.suffix.lower()
+    driver = _DRIVERS[suffix]
+    with ExitStack() as stack:
+        stack.enter_context(rasterio.Env())
+        if suffix != ".asc":
+            yield stack.enter_context(rasterio.open(path, driver=driver))
+            return
+        with path.open("rb") as file:
+            begin = file.read(100)
+        encoding = next((name for mark, name in _BYTE_ORDER_MARKS.items() if begin.startswith(mark)), None)
+        if begin.decode(encoding or "latin-1", "replace").lstrip().lower().startswith(("north", "south")):
+            driver = _GRASS
+        if encoding is None:
+            yield stack.enter_context(rasterio.open(path, driver=driver))
+        else:  # GDAL knows no byte-order marks
+            text = path.read_text(encoding).encode()
+            yield stack.enter_context(stack.enter_context(MemoryFile(text, ext=".asc")).open(driver=driver))
+
+
+def _band(raster: Any, layer: str | int | None) -> int:
+    names = [name or "" for name in raster.descriptions]
+    if layer is None and raster.count == 1:
+        return 1
+    if layer is None and names.count("elevation") == 1:
+        return names.index("elevation") + 1
+    if layer is not None and str(layer) in names:
+        return names.index(str(layer)) + 1
+    if layer is not None and str(layer).isdecimal() and 1 <= int(layer) <= raster.count:
+        return int(layer)
+    listed = ", ".join(f"{k + 1}{f' ({name})' if name else ''}" for k, name in enumerate(names[:20]))
+    if layer is None:
+        raise InputError(f"it has {raster.count} bands: {listed}; name one with the option layer")
+    raise InputError(f"option layer is {layer!r}; need a band: {listed}")
+
+
+def _check_crs(crs: Any) -> None:
+    if not crs:
+        return
+    if crs.is_geographic:
+        raise InputError(f"its CRS {_short(crs)} is in degrees; {_REPROJECT}")
+    unit, factor = "metre", 1.0
+    if crs.is_projected:
+        unit, factor = crs.linear_units_factor
+    if not math.isclose(factor, 1.0):
+        raise InputError(f"its CRS {_short(crs)} is in units of {unit}; {_REPROJECT}")
+
+
+def _short(crs: Any) -> str:
+    text = crs.to_string()
+    return text if len(text) < 60 else text[:57] + "..."
+
+
+def _heights(raster: Any, band: int) -> tuple[np.ma.MaskedArray, list[str]]:
+    """Heights [rows, columns] in m, in the units that the file names, and notes."""
+    heights, notes = raster.read(band, masked=True), []
+    scale, offset = raster.scales[band - 1], raster.offsets[band - 1]
+    if (scale, offset) != (1.0, 0.0):
+        heights = heights.astype(float) * scale + offset
+        notes.append(f"heights times {scale:g} plus {offset:g}, as the band says")
+    unit = str(raster.units[band - 1] or "").strip()
+    factor = _UNITS.get(unit.lower())
+    if factor is None:
+        notes.append(f"unknown vertical units {unit!r}, taken as metres")
+    elif factor != 1.0:
+        heights = heights.astype(float) * factor
+        notes.append(f"heights converted from {unit} to metres")
+    return heights, notes
+
+
+def _placed(heights: np.ma.MaskedArray, transform: Any, crs: str, notes: tuple[str, ...]) -> MapFields:
+    """Map with its lower left corner first, from rows and columns and their transform to world positions."""
+    rows, columns = heights.shape
+    along, down = np.array((transform.a, transform.d)), np.array((transform.b, transform.e))
+    sides = np.hypot(*along), np.hypot(*down)
+    if not (np.isfinite(transform).all() and min(sides) > 0):
+        raise InputError(f"its transform {tuple(transform)[:6]} is none")
+    resolution = math.sqrt(sides[0] * sides[1])
+    if abs(sides[0] - sides[1]) * max(rows, columns) > resolution / 2:
+        side = f"{min(sides):g}"
+        raise InputError(
+            f"its pixels are {sides[0]:g} x {sides[1]:g} m; need squares, e.g. gdalwarp -tr {side} {side} IN OUT"
+        )
+    if abs(along @ down) > 1e-6 * resolution**2:
+        raise InputError("its pixels are sheared; need squares, e.g. from gdalwarp IN OUT")
+    grid = heights.T
+    if along[0] * down[1] - along[1] * down[0] < 0:  # rows run against y
+        corner = np.array((transform.c, transform.f)) + rows * down
+        grid, down = grid[:, ::-1], -down
+    else:
+        corner = np.array((transform.c, transform.f))
+    if along[0] < 0 and abs(along[1]) < 1e-9 * resolution:  # half a turn needs no rotated frame
+        corner = corner + columns * along + rows * down
+        grid, along = grid[::-1, ::-1], -along
+    frame = MapFrame(crs=crs, notes=notes)
+    if abs(along[1]) < 1e-9 * resolution:
+        return MapFields(grid, (float(corner[0]), float(corner[1])), resolution, frame)
+    yaw = math.atan2(along[1], along[0])
+    motion = np.eye(4)
+    motion[:2, :2] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
+    motion[:2, 3] = corner
+    turned = replace(frame, to_source=motion, notes=(*notes, f"axes rotated by {math.degrees(yaw):.2f} degrees"))
+    return MapFields(grid, (0.0, 0.0), resolution, turned)
+
+
+def _known_crs(frame: MapFrame) -> Any:
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+
+    if not frame.crs or not frame.is_source:
+        return None
+    try:
+        return CRS.from_string(frame.crs)
+    except CRSError:
+        return None  # the tag keeps the text
