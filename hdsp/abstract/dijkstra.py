@@ -1,6 +1,6 @@
-"""Dijkstra search backward from a goal over the abstract graph (paper, Sec. V-D).
+"""Dijkstra search backward from goals over the abstract graph (paper, Sec. V-D).
 
-One search from the goal over predecessors gives every abstract state the cost of its cheapest path to the goal. The
+One search from the goals over predecessors gives every abstract state the cost of its cheapest path to any of them. The
 kernel uses a ring of buckets instead of a heap. If buckets are no wider than the cheapest edge, no state in a bucket
 can improve another state in it, so a bucket needs no order. If this takes too many buckets, they are made wider, and a
 state that improves after its visit is visited again; the distances are the same.
@@ -40,13 +40,14 @@ class BucketRing(NamedTuple):
     current: np.ndarray  # int64 [1], the bucket being emptied
 
     @classmethod
-    def starting_at(cls, goal: int, states: int, margin: int, buckets: int) -> BucketRing:
+    def starting_at(cls, goals: np.ndarray, states: int, margin: int, buckets: int) -> BucketRing:
+        n = len(goals)
         distance = np.full(states + 2 * margin, np.inf)
-        distance[goal + margin] = 0.0
-        entries = np.empty((buckets, max(2 * N_ABSTRACT_ACTIONS, 2 * states // buckets)), np.uint32)
-        entries[0, 0] = goal + margin
+        distance[goals + margin] = 0.0
+        entries = np.empty((buckets, max(2 * N_ABSTRACT_ACTIONS + n, 2 * states // buckets)), np.uint32)
+        entries[0, :n] = goals + margin
         filled = np.zeros(buckets, np.int64)
-        filled[0] = 1
+        filled[0] = n
         return cls(distance, np.zeros(len(distance), np.bool_), entries, filled, np.zeros(1, np.int64))
 
     def with_more_room(self) -> BucketRing:

@@ -121,19 +121,26 @@ class PreparedGraph:
             return self.distances(goal_abstract)
         return flat[self._margin : len(flat) - self._margin].reshape(distances.shape)
 
-    def distances(self, goal_abstract: tuple[int, int, int]) -> np.ndarray:
-        """Like method `cost_to_go`, before rounding: float64 [16, nx, ny]."""
-        ix, iy, heading = (int(value) for value in goal_abstract)
+    def distances(self, goals_abstract: tuple[int, int, int] | np.ndarray) -> np.ndarray:
+        """Costs to the nearest of several goals, before rounding: float64 [16, nx, ny].
+
+        Args:
+            goals_abstract: one goal `(ix, iy, heading)`, or several, int64 [n, 3].
+
+        Raises:
+            InputError: a goal lies outside the map.
+        """
+        goals = np.atleast_2d(np.asarray(goals_abstract, dtype=np.int64))
         nx, ny = self.shape
-        if not (0 <= ix < nx and 0 <= iy < ny and 0 <= heading < ABSTRACT_HEADINGS):
+        outside = ((goals < 0) | (goals >= (nx, ny, ABSTRACT_HEADINGS))).any(axis=1)
+        if outside.any():
             raise InputError(
-                f"abstract goal {(ix, iy, heading)} lies outside the map: allowed are ix < {nx}, iy < {ny}, "
-                f"heading < {ABSTRACT_HEADINGS}, none negative"
+                f"abstract goal {tuple(goals[outside][0].tolist())} lies outside the map: allowed are ix < {nx}, "
+                f"iy < {ny}, heading < {ABSTRACT_HEADINGS}, none negative"
             )
         width, buckets = bucket_sizes(self.cheapest, self.most_expensive)
-        queue = BucketRing.starting_at(
-            (heading * nx + ix) * ny + iy, ABSTRACT_HEADINGS * nx * ny, self._margin, buckets
-        )
+        flat = np.unique((goals[:, 2] * nx + goals[:, 0]) * ny + goals[:, 1])
+        queue = BucketRing.starting_at(flat, ABSTRACT_HEADINGS * nx * ny, self._margin, buckets)
         while not search(self.incoming.reshape(-1), self._offsets, queue, self._margin, 1.0 / width):
             queue = queue.with_more_room()
         inside = queue.distance[self._margin : len(queue.distance) - self._margin]

@@ -26,6 +26,15 @@ def state_cost(world, key):
     return cost
 
 
+@njit()
+def state_costs(world, keys):
+    """State costs, float64 [n], for packed states int64 [n]."""
+    result = np.empty(len(keys))
+    for i in range(len(keys)):
+        result[i] = state_cost(world, keys[i])
+    return result
+
+
 @njit(inline="always")
 def merged_cost(k, s0, s1, s2, s3):
     """State cost C (unitless) for S under the feet."""

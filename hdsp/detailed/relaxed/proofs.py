@@ -52,31 +52,39 @@ class Unreachable(NamedTuple):
 
 
 def why_unreachable(
-    world: World, start: np.ndarray, goal: np.ndarray, rules: Rules | None = None
+    world: World, start: np.ndarray, goals: np.ndarray, rules: Rules | None = None
 ) -> Unreachable | None:
-    """Tries to prove that a goal is unreachable.
+    """Tries to prove that a goal, or each of several goals, is unreachable.
 
     Args:
         world: terrain and robot.
-        start, goal: int64 [7], valid states in lattice units.
+        start: int64 [7], a valid state in lattice units.
+        goals: int64 [7] or [n, 7], valid states.
         rules: restrictions of the search.
 
     Returns:
-        The proof, or None without a proof; a plan may then exist or not.
+        The proof, or None without a proof; a plan may then exist or not. Its gap lies between the start and the goal
+        nearest to it in a straight line.
     """
     rules = rules or Rules()
-    start, goal = np.asarray(start, dtype=np.int64), np.asarray(goal, dtype=np.int64)
+    start, goals = np.asarray(start, dtype=np.int64), np.atleast_2d(np.asarray(goals, dtype=np.int64))
+    goal = nearest_state(start, goals)
     regions = find_foothold_regions(world, rules, 0.0)
-    efforts = efforts_to(regions, world, goal[None])
+    efforts = efforts_to(regions, world, goals)
     foot = _stopped_foot(world, regions, efforts, start)
     if foot is not None:
         return _gap_of_foot(world, regions, efforts[foot], start, goal, foot)
     flood = PoseFlood(world, rules)
     reached = flood.reached_from(start, rules.drive_only)
-    if holds(reached, goal):
+    if any(holds(reached, each) for each in goals):
         return None
     around_goal = flood.reached_from(goal, drive_only=True)
     return _gap_of_base(world, (reached != 0).any(axis=0), (around_goal != 0).any(axis=0), start, goal)
+
+
+def nearest_state(start: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """Returns the state, int64 [7], among [n, 7] whose base is nearest to the start's in a straight line."""
+    return states[np.argmin(np.hypot(*(states[:, :2] - start[:2]).T))]
 
 
 def is_foot_stopped(world: World, start: np.ndarray, goal: np.ndarray) -> bool:

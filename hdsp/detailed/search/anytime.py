@@ -42,7 +42,7 @@ class Improvement:
 def improve(
     world: World,
     start: np.ndarray,
-    goal: np.ndarray,
+    goals: np.ndarray,
     weights: Sequence[float],
     admissible: Estimate,
     guide: Estimate | None = None,
@@ -59,9 +59,10 @@ def improve(
 
     Args:
         world: terrain and robot.
-        start, goal: int64 [7], lattice units.
+        start: int64 [7], lattice units.
+        goals: int64 [7] or [n, 7]; the nearest counts.
         weights: one W >= 1 per round, falling.
-        admissible: heuristic that never exceeds the cost to the goal; all bounds rest on it.
+        admissible: heuristic that never exceeds the cost to the nearest goal; all bounds rest on it.
         guide: heuristic for the rounds. One more round follows, with the admissible heuristic and the last weight.
             None = the admissible heuristic guides all rounds.
         limits: for all rounds together; time counts from the first ``next``.
@@ -72,9 +73,8 @@ def improve(
         The best result so far, possibly without a plan. Costs never rise, lower bounds never fall. Only the last
         improvement has ``ended``.
     """
-    search = Search(world, start, goal, limits=limits, progress=progress)
-    (invalid,) = search.invalid
-    if invalid is not None:
+    search = Search(world, start, goals, limits=limits, progress=progress, nearest=True)
+    if (invalid := search.impossible) is not None:
         yield Improvement(SearchResult.of([invalid], [None]), weights[0], invalid)
         return
     rounds = [(admissible if guide is None else guide, weight, guide is None, False) for weight in weights]
@@ -108,10 +108,11 @@ class _Found:
     """Best plan in a running search, and a lower bound on the cost of any plan."""
 
     def __init__(self, search: Search, admissible: Estimate):
-        self.search, self.goal, self.admissible = search, int(search.goals[0]), admissible
+        self.search, self.admissible = search, admissible
         self.rounding = rounding(search.world)
         self.cost, self.lower_bound = np.inf, 0.0
         self.plan: Path | None = None
+        self.reached: int | None = None
 
     def look(self, thorough: bool = False) -> bool:
         """Takes over a better plan, and returns whether there is one.
@@ -120,14 +121,15 @@ class _Found:
         """
         # The cost in the store may exceed the cost of the stored path, because states on the path became cheaper later.
         # Only the cost of the path itself shows whether the plan is better.
-        store = self.search.store
-        seen = float(store.g[find(store, self.goal)])
+        store, goals = self.search.store, self.search.goals
+        nearest = kernel.cheapest_goal(store, goals)
+        seen = np.inf if nearest < 0 else float(store.g[find(store, goals[nearest])])
         better = False
         if np.isfinite(seen) and (thorough or seen < self.cost * (1 - LEAST_GAIN)):
-            plan = self.search.path(self.goal)
+            plan = self.search.path(int(goals[nearest]))
             better = self.plan is None or plan.cost < self.cost * (1 - LEAST_GAIN)
             if better:
-                self.plan, self.cost = plan, plan.cost
+                self.plan, self.cost, self.reached = plan, plan.cost, nearest
         if better or thorough:
             least = kernel.least_f(store, self.admissible)
             if store.counts[CUT]:
@@ -143,6 +145,7 @@ class _Found:
     def improvement(self, weight: float, ended: Status | None = None) -> Improvement:
         status = Status.SOLVED if self.plan else ended or Status.TIME_LIMIT
         result = SearchResult.of([status], [self.plan])
+        result.reached = self.reached
         result.lower_bound, result.bound = self.lower_bound, self.bound() if self.plan else np.inf
         self.search.count(result)
         return Improvement(result, weight, ended)

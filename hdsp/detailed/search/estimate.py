@@ -16,9 +16,11 @@ class Estimate(NamedTuple):
     """Parameters of ``estimate``.
 
     Attributes:
-        distance: cost per cell of straight distance to the goal's base position.
-        turn: cost per heading step to the goal's heading.
-        goal_x, goal_y, goal_heading: base pose at the goal, lattice units.
+        distance: cost per cell of straight distance to the nearest disc.
+        turn: cost per heading step to the headings of this disc.
+        discs: int64 [n, 4], discs that contain all goals: base pose in the middle (ix, iy, heading), and the largest
+            difference in heading.
+        radius: float64 [n], radius of each disc, cells. A single goal is a disc of radius 0.
         foot: cost per cell by which the feet differ from the goal's configuration, up to a common shift.
         goal_feet: int64 [n, 4], foot offsets at one or several goals, counted from the lowest; the nearest goal counts.
         table: float32 [layers, headings, nx, ny] flattened, costs-to-go; empty = none.
@@ -36,9 +38,8 @@ class Estimate(NamedTuple):
 
     distance: float
     turn: float
-    goal_x: int
-    goal_y: int
-    goal_heading: int
+    discs: np.ndarray
+    radius: np.ndarray
     foot: float
     goal_feet: np.ndarray
     table: np.ndarray
@@ -59,6 +60,8 @@ class Estimate(NamedTuple):
     stride: int
 
 
+#: Most foot configurations at the goals that the foot term compares; its time grows with their number.
+MOST_FEET = 16
 NO_TABLE = np.empty(0, dtype=np.float32)
 NO_REGION = np.empty(0, dtype=np.int32)
 
@@ -77,12 +80,23 @@ def _feet(goal_feet, o0, o1, o2, o3):
 
 
 @njit(inline="always")
+def _way(e, ix, iy, heading):
+    """Least cost of distance and turns to a disc."""
+    discs, radius = e.discs, e.radius
+    least = np.inf
+    for i in range(len(radius)):
+        dx, dy = np.float64(ix - discs[i, 0]), np.float64(iy - discs[i, 1])
+        turned = abs((heading - discs[i, 2] + HEADINGS // 2) % HEADINGS - HEADINGS // 2)
+        away, off = max(np.sqrt(dx * dx + dy * dy) - radius[i], 0.0), max(turned - discs[i, 3], 0)
+        least = min(least, e.distance * away + e.turn * off)
+    return least
+
+
+@njit(inline="always")
 def estimate(e, key):
     """Estimated cost from a packed state to the goal, float64."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
-    dx, dy = np.float64(ix - e.goal_x), np.float64(iy - e.goal_y)
-    turned = abs((heading - e.goal_heading + HEADINGS // 2) % HEADINGS - HEADINGS // 2)
-    h = e.distance * np.sqrt(dx * dx + dy * dy) + e.turn * turned
+    h = _way(e, ix, iy, heading)
     if len(e.table) > 0:
         a, b = ix // e.cells, iy // e.cells
         k = ((heading + e.heading_steps // 2) // e.heading_steps) % (HEADINGS // e.heading_steps)
@@ -119,26 +133,31 @@ def _steps(e, ix, iy, heading, o0, o1, o2, o3):
     return steps + (np.float64(e.effort[2 * n + r2]) + e.effort[3 * n + r3])
 
 
-def geometric_estimate(world, goal) -> Estimate:
+def geometric_estimate(world, goals, groups=None) -> Estimate:
     """Admissible geometric heuristic: distance, heading difference and foot difference (paper, Sec. VI-B).
 
-    Each part counts the least possible cost on even ground.
+    Each part counts the least possible cost on even ground. For several goals, the nearest counts, separately for the
+    base and for the feet. The heuristic stays consistent: the minimum over consistent heuristics is consistent.
 
     Args:
         world: terrain and robot.
-        goal: int64 [7], lattice units.
+        goals: int64 [7] or [n, 7], lattice units.
+        groups: int64 [n], number of the disc around each goal, 0, 1, ...; None = each goal by itself.
     """
+    goals = np.atleast_2d(np.asarray(goals, dtype=np.int64))
+    groups = np.arange(len(goals)) if groups is None else np.asarray(groups)
+    around = [disc_around(goals[groups == group, :3]) for group in range(int(groups.max()) + 1)]
+    feet = np.unique(goals[:, 3:], axis=0)
     c, t = world.constants, world.tables
     length = np.maximum(np.hypot(t.arcs[..., 0], t.arcs[..., 1]), 1.0)
     drive = min(metres(float(t.deviation.min())), float((t.drive_price[0, :, len(t.move_dx) :] / length).min()))
     return Estimate(
         distance=min(drive, c.base_shift),
         turn=c.turn,
-        goal_x=int(goal[0]),
-        goal_y=int(goal[1]),
-        goal_heading=int(goal[2]),
-        foot=least_foot_cost(world),
-        goal_feet=np.asarray(goal[None, 3:], dtype=np.int64) - world.tables.lowest,
+        discs=np.array([disc for disc, _ in around], dtype=np.int64),
+        radius=np.array([radius for _, radius in around], dtype=float),
+        foot=least_foot_cost(world) if len(feet) <= MOST_FEET else 0.0,
+        goal_feet=feet - world.tables.lowest,
         table=NO_TABLE,
         layered=False,
         follow=0.0,
@@ -156,6 +175,20 @@ def geometric_estimate(world, goal) -> Estimate:
         pad=world.pad,
         stride=world.stride,
     )
+
+
+def disc_around(poses: np.ndarray) -> tuple[tuple[int, int, int, int], float]:
+    """Returns the disc around base poses int64 [n, 3]: its middle and difference in heading, and its radius (cells)."""
+    low, high = poses[:, :2].min(axis=0), poses[:, :2].max(axis=0)
+    x, y = (int(value) for value in (low + high) // 2)
+    radius = float(np.hypot(poses[:, 0] - x, poses[:, 1] - y).max())
+    # The middle of the shortest arc that contains all headings lies opposite the largest gap between them.
+    headings = np.unique(poses[:, 2])
+    gaps = np.diff(headings, append=headings[0] + HEADINGS)
+    widest = int(np.argmax(gaps))
+    span = HEADINGS - int(gaps[widest])
+    first = int(headings[(widest + 1) % len(headings)])
+    return (x, y, (first + span // 2) % HEADINGS, span - span // 2), radius
 
 
 def pose_estimate(world, to_go: np.ndarray, follow: float, feet: np.ndarray) -> Estimate:

@@ -22,6 +22,7 @@ from hdsp.detailed.search.store import (
     GOAL,
     GOALS_LEFT,
     VISITED,
+    find,
     has_room,
     key_of,
     node_of,
@@ -32,9 +33,29 @@ RUNNING, SOLVED, EXHAUSTED, OVER_COST_LIMIT, FULL = range(5)
 
 
 @njit(allocates=False)
-def mark_goal(store, goal):
-    """Marks a packed state as a goal, so that ``run`` notices when it settles the state."""
-    store.flags[node_of(store, goal)] |= GOAL
+def mark_goals(store, goals, valid, first):
+    """Marks packed states as goals, so that a search notices when it settles one.
+
+    Returns:
+        Index of the first goal for which the store has no room; ``len(goals)`` if all are marked.
+    """
+    for k in range(first, len(goals)):
+        if not has_room(store):
+            return k
+        if valid[k]:
+            store.flags[node_of(store, goals[k])] |= GOAL
+    return len(goals)
+
+
+@njit(allocates=False)
+def cheapest_goal(store, goals):
+    """Index of the goal (packed) with the least cost in the store; -1 if none was seen."""
+    best, least = -1, np.float32(np.inf)
+    for k in range(len(goals)):
+        node = find(store, goals[k])
+        if node >= 0 and store.g[node] < least:
+            best, least = k, store.g[node]
+    return best
 
 
 @njit(allocates=False)
@@ -77,7 +98,7 @@ def run(world, rules, heuristic, store, open_list, weight, goals, goal_cost, cos
         heuristic: estimated cost to the goals.
         store, open_list: the search so far; changed in place.
         weight: W >= 1.
-        goals: int64 [n], packed goal states, each marked by ``mark_goal``.
+        goals: int64 [n], packed goal states, marked by ``mark_goals``.
         goal_cost: float32 [n], inf where a goal is not settled; changed in place.
         cost_limit: states with a higher cost from the start are left out.
         f_limit: the search stops when all remaining states have a larger ``g + W h``.
@@ -86,7 +107,7 @@ def run(world, rules, heuristic, store, open_list, weight, goals, goal_cost, cos
             for the next round of an anytime search.
 
     Returns:
-        RUNNING, SOLVED (all goals settled), EXHAUSTED (no state left to expand), OVER_COST_LIMIT or FULL.
+        RUNNING, SOLVED (enough goals settled, ``GOALS_LEFT`` is 0), EXHAUSTED (no state left to expand), OVER_COST_LIMIT or FULL.
     """
     flags, count = store.flags, store.counts
     until = count[EXPANDED] + expansions

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hdsp.detailed.actions.state_costs import state_cost
+from hdsp.detailed.actions.state_costs import state_cost, state_costs
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, successors
 from hdsp.detailed.search import kernel, open_list
 from hdsp.detailed.search.estimate import Estimate
@@ -40,7 +40,7 @@ _ENDS = {
 
 
 class Search:
-    """A running search from one start to one or several goals.
+    """A running search from one start to one or several goals, to each or to the nearest of them.
 
     Args:
         world: terrain and robot.
@@ -49,12 +49,14 @@ class Search:
         rules: restrictions; default: none.
         limits: limits that end the search.
         progress: callback, called regularly.
+        nearest: whether the first settled goal ends the search.
 
     Attributes:
         goals: int64 [n], packed.
         goal_cost: float32 [n], inf where a goal is not settled.
         invalid: per goal, the status for an invalid start or goal, None if both are valid. A search may begin if one
             entry is None.
+        impossible: the status of ``invalid`` if no search may begin, else None.
     """
 
     def __init__(
@@ -65,19 +67,25 @@ class Search:
         rules: Rules | None = None,
         limits: Limits | None = None,
         progress: Progress | None = None,
+        nearest: bool = False,
     ):
         self.began = time.perf_counter()
         self.world, self.rules, self.limits, self.progress = world, rules or Rules(), limits or Limits(), progress
         self.start = int(pack_states(start, world.tables.lowest)[0])
         self.goals = pack_states(goals, world.tables.lowest)
         self.goal_cost = np.full(len(self.goals), np.inf, dtype=np.float32)
+        self.nearest = nearest
         self.invalid = self._invalid_ends()
 
     def _invalid_ends(self) -> list[Status | None]:
         if not np.isfinite(state_cost(self.world, self.start)):
             return [Status.INVALID_START] * len(self.goals)
-        valid = [np.isfinite(state_cost(self.world, int(goal))) for goal in self.goals]
+        valid = np.isfinite(state_costs(self.world, self.goals))
         return [None if each else Status.INVALID_GOAL for each in valid]
+
+    @property
+    def impossible(self) -> Status | None:
+        return None if None in self.invalid else self.invalid[0]
 
     def begin(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool = True) -> Status | None:
         """Puts the start into the open list.
@@ -99,6 +107,8 @@ class Search:
     def begin_round(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool) -> Status | None:
         """Fills the open list again with all waiting states, in another order; arguments and result as in ``begin``."""
         self._set_order(heuristic, weight, admissible, reopen)
+        if self.nearest:  # the round may settle another goal
+            self.goal_cost[:], self.store.counts[GOALS_LEFT] = np.inf, 1
         open_list.clear(self.lists[0])
         if not self._grow(count_waiting(self.store)):
             return Status.MEMORY_LIMIT
@@ -110,12 +120,11 @@ class Search:
         # The only reference to the store: an array is freed when a larger one replaces it.
         self.store = new_store((self.world.nx, self.world.ny), neutral_feet(self.world.tables.lowest))
         self.lists: list[OpenList] = [open_list.new_open_list() for _ in range(lists)]
-        valid = [goal for goal, wrong in zip(self.goals, self.invalid, strict=True) if wrong is None]
-        for key in valid:
-            if not has_room(self.store):
-                self.store = grown(self.store)
-            kernel.mark_goal(self.store, key)
-        self.store.counts[GOALS_LEFT] = len(valid)
+        valid = np.array([wrong is None for wrong in self.invalid])
+        marked = 0
+        while (marked := kernel.mark_goals(self.store, self.goals, valid, marked)) < len(valid):
+            self.store = grown(self.store)
+        self.store.counts[GOALS_LEFT] = 1 if self.nearest else valid.sum()
 
     def _set_order(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool) -> None:
         self._heuristic, self._weight, self._reopen = heuristic, float(weight), reopen
@@ -177,6 +186,8 @@ class Search:
 
     def result(self, ended: Status, paths: bool = True) -> SearchResult:
         """Returns the result, given the final status; ``paths`` adds states and actions."""
+        if self.nearest:
+            return self._result_of_nearest(ended, paths)
         settled = np.isfinite(self.goal_cost)
         status = [Status.SOLVED if found else ended for found in settled]
         status = [of if wrong is None else wrong for of, wrong in zip(status, self.invalid, strict=True)]
@@ -185,6 +196,18 @@ class Search:
             result = SearchResult.of(status, found)
         else:
             result = SearchResult(status, self.goal_cost.astype(float))
+        self.count(result)
+        return result
+
+    def _result_of_nearest(self, ended: Status, paths: bool) -> SearchResult:
+        k = int(np.argmin(self.goal_cost))
+        solved = bool(np.isfinite(self.goal_cost[k]))
+        status = [Status.SOLVED if solved else ended]
+        if paths:
+            result = SearchResult.of(status, [self.path(int(self.goals[k])) if solved else None])
+        else:
+            result = SearchResult(status, self.goal_cost[k : k + 1].astype(float))
+        result.reached = k if solved else None
         self.count(result)
         return result
 

@@ -38,7 +38,7 @@ from hdsp.detailed.world.world import World
 def solve_multi(
     world: World,
     start: np.ndarray,
-    goal: np.ndarray,
+    goals: np.ndarray,
     anchor: Estimate,
     guides: list[Estimate],
     *,
@@ -48,12 +48,13 @@ def solve_multi(
     limits: Limits | None = None,
     progress: Progress | None = None,
 ) -> SearchResult:
-    """Searches with shared multi-heuristic A* from one detailed state to another.
+    """Searches with shared multi-heuristic A* from one detailed state to the nearest of one or several goals.
 
     Args:
         world: terrain and robot.
-        start, goal: int64 [7], lattice units (ix, iy, heading, 4 foot offsets).
-        anchor: consistent heuristic, 0 at the goal; all proofs rest on it.
+        start: int64 [7], lattice units (ix, iy, heading, 4 foot offsets).
+        goals: int64 [7] or [n, 7]. Goals in which the robot cannot stand are left out.
+        anchor: consistent heuristic, 0 at each goal; all proofs rest on it.
         guides: heuristics that may overestimate; a guide leaves states with the value inf to the other heuristics.
         weight: W1 >= 1, factor on all heuristics.
         anchor_weight: W2 >= 1, largest ratio between a guide's key and the anchor's least key.
@@ -70,9 +71,8 @@ def solve_multi(
             raise InputError(f"{name} is {value}; it must be a finite number >= 1")
     if not guides:
         raise InputError("a multi-heuristic search needs one guide at least")
-    search = _MultiSearch(world, start, goal, rules, limits, progress)
-    (invalid,) = search.invalid
-    if invalid is not None:
+    search = _MultiSearch(world, start, goals, rules, limits, progress, nearest=True)
+    if (invalid := search.impossible) is not None:
         return SearchResult.of([invalid], [None])
     ended = search.begin_guided(anchor, guides, weight, anchor_weight)
     while ended is None:
@@ -86,7 +86,7 @@ def solve_multi(
 
 
 class _MultiSearch(Search):
-    """A running search for one goal; the first open list belongs to the anchor, the others to the guides."""
+    """A running search for the nearest goal; the first open list belongs to the anchor, the others to the guides."""
 
     def begin_guided(
         self, anchor: Estimate, guides: list[Estimate], weight: float, anchor_weight: float
@@ -97,7 +97,8 @@ class _MultiSearch(Search):
         self._weight, self._anchor_weight = float(weight), float(anchor_weight)
         self._guided = np.zeros(len(guides), dtype=np.int64)
         self._once = multi_kernel.ANCHORED if np.isinf(self.limits.cost) else 0
-        self._goal = int(find(self.store, self.goals[0]))
+        valid = self.goals[self.invalid.index(None)]
+        self._goal = np.array([find(self.store, self.start if self.start in self.goals else valid)])
         anchor_list, *guide_lists = self.lists
         multi_kernel.insert_start(
             self.store, anchor_list, tuple(guide_lists), anchor, self._guides, self._weight, self.start, self._once
@@ -111,7 +112,8 @@ class _MultiSearch(Search):
             self._guided, self._weight, self._anchor_weight, self._goal, self.limits.cost, expansions, self._once,
         )  # fmt: skip
         if code == kernel.SOLVED:
-            self.goal_cost[0] = self.store.g[self._goal]
+            reached = kernel.cheapest_goal(self.store, self.goals)
+            self.goal_cost[reached] = self.store.g[self._goal[0]]
         return code
 
     def lower_bound(self, status: Status) -> float:

@@ -6,7 +6,7 @@ from hdsp.base.jit import njit
 from hdsp.detailed.search.expansion import begin_at, expand, offer, relax
 from hdsp.detailed.search.kernel import EXHAUSTED, FULL, OVER_COST_LIMIT, RUNNING, SOLVED
 from hdsp.detailed.search.open_list import first_f, list_has_room, pop
-from hdsp.detailed.search.store import CLOSED, CUT, EXPANDED, has_room, key_of
+from hdsp.detailed.search.store import CLOSED, CUT, EXPANDED, GOAL, has_room, key_of
 
 #: More bits of ``Store.flags``: expanded for the anchor, expanded for the guides.
 ANCHORED, GUIDED = 8, 16
@@ -43,7 +43,7 @@ def _all_have_room(store, anchor_list, guide_lists):
 
 @njit(allocates=False)
 def run(
-    world, rules, anchor, guides, store, anchor_list, guide_lists, guided, weight, anchor_weight, goal, cost_limit,
+    world, rules, anchor, guides, store, anchor_list, guide_lists, guided, weight, anchor_weight, cheapest, cost_limit,
     expansions, once,
 ):  # fmt: skip
     """Continues the search until it ends, needs more memory or has used its expansions.
@@ -58,7 +58,7 @@ def run(
         guide_lists: tuple, one open list per guide; changed in place.
         guided: int64 [guides], expansions by each guide so far; changed in place.
         weight, anchor_weight: W1 and W2, each >= 1.
-        goal: node of the goal.
+        cheapest: int64 [1], node of the cheapest goal so far, any goal without one; changed in place.
         cost_limit: states with a higher cost from the start are left out; the search stops when no plan within the
             limit remains.
         expansions: number of expansions before the call returns, so the caller can check the clock.
@@ -69,6 +69,7 @@ def run(
     """
     costs, flags, count = store.g, store.flags, store.counts
     until = count[EXPANDED] + expansions
+    goal = cheapest[0]
     while count[EXPANDED] < until:
         if not _all_have_room(store, anchor_list, guide_lists):
             return FULL
@@ -98,6 +99,8 @@ def run(
         for k in range(expand(world, rules, store, key_of(store, node))):
             reached = relax(store, k, g, cost_limit)
             if reached >= 0:
+                if flags[reached] & GOAL and costs[reached] < costs[goal]:
+                    cheapest[0] = goal = reached
                 key = store.out_key[k]
                 _offer_all(store, anchor_list, guide_lists, anchor, guides, weight, key, reached, once)
     return RUNNING

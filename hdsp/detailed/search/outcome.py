@@ -66,8 +66,10 @@ class SearchResult:
         status: one per goal, in the given order.
         cost: float64 [goals], inf where not solved.
         paths: one per goal, None where not solved; empty if no paths were requested.
-        lower_bound: proven for one goal: no plan costs less; 0 without a proof.
-        bound: proven for one goal: the plan costs at most ``bound`` times the least possible cost; inf without a proof.
+        reached: index of the goal reached in a search to the nearest of several goals; None for other searches and
+            without a plan.
+        lower_bound: proven for one status: no plan costs less; 0 without a proof.
+        bound: proven for one status: the plan costs at most ``bound`` times the least possible cost; inf without a proof.
         expansions: states expanded.
         expansions_by: expansions per open list, the anchor first; multi-heuristic search only.
         seen: states generated.
@@ -79,6 +81,7 @@ class SearchResult:
     status: list[Status]
     cost: np.ndarray
     paths: list[Path | None] = field(default_factory=list)
+    reached: int | None = None
     lower_bound: float = 0.0
     bound: float = np.inf
     expansions: int = 0

@@ -24,6 +24,7 @@ def solve(
     limits: Limits | None = None,
     paths: bool = True,
     progress: Progress | None = None,
+    nearest: bool = False,
 ) -> SearchResult:
     """Searches with weighted A* from one detailed state to one or several goals.
 
@@ -48,9 +49,12 @@ def solve(
         limits: limits that end the search.
         paths: whether to return states and actions.
         progress: callback with (expansions, seconds), called regularly.
+        nearest: whether the first settled goal ends the search. Its cost is then at most W times the least cost over
+            all goals. Goals in which the robot cannot stand are left out.
 
     Returns:
-        A result with one status per goal, and the proven bounds if there is one goal.
+        A result with one status per goal, or with one status for ``nearest``, and the proven bounds if there is one
+        status.
 
     Raises:
         InputError: a cost limit without reopening.
@@ -58,14 +62,15 @@ def solve(
     limits = limits or Limits()
     if not reopen and np.isfinite(limits.cost):
         raise InputError(f"cost limit {limits.cost:g}: a search that expands no state twice proves none; need inf")
-    search = Search(world, start, goals, rules, limits, progress)
+    search = Search(world, start, goals, rules, limits, progress, nearest)
     if None not in search.invalid:
-        return SearchResult.of([status for status in search.invalid if status], [None] * len(search.goals))
+        wrong = [status for status in search.invalid if status][: 1 if nearest else None]
+        return SearchResult.of(wrong, [None] * len(wrong))
     ended = search.begin(heuristic, weight, admissible, reopen)
     while ended is None:
         ended = search.advance()
     result = search.result(ended, paths)
-    if len(search.goals) == 1:
+    if len(result.status) == 1:
         _enter_bounds(result, world, weight if admissible else np.inf, limits)
     return result
 

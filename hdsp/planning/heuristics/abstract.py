@@ -13,7 +13,13 @@ from hdsp.detailed.world.world import World
 from hdsp.planning.heuristics.heuristic import Heuristic
 from hdsp.planning.heuristics.standing import standing_states
 from hdsp.planning.map_changes import changed_cells
-from hdsp.robot.lattice import CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT, abstract_shape, detailed_to_abstract
+from hdsp.robot.lattice import (
+    ABSTRACT_HEADINGS,
+    CELLS_PER_ABSTRACT,
+    HEADINGS_PER_ABSTRACT,
+    abstract_shape,
+    detailed_to_abstract,
+)
 from hdsp.terrain.height_map import HeightMap
 
 
@@ -42,7 +48,7 @@ class AbstractHeuristic(Heuristic):
         self.name, self.costs, self.terrain = name, costs, terrain
         self._graph: PreparedGraph | None = None
         self._standing = np.empty(0, bool)  # of the graph
-        self._reached: tuple[tuple[int, int, int], np.ndarray] | None = None  # abstract goal, distances to it
+        self._reached: tuple[np.ndarray, np.ndarray] | None = None  # abstract goals int64 [n, 3], distances to them
         self._foothold_regions: FootholdRegions | None = None
 
     @property
@@ -68,12 +74,16 @@ class AbstractHeuristic(Heuristic):
         self._reached = None
 
     def estimate_for(self, goal: np.ndarray) -> Estimate:
-        shape = abstract_shape(self.terrain.shape)
-        a, b, k = (int(v) for v in detailed_to_abstract(goal))
-        to_go = self._cost_to_go((min(a, shape[0] - 1), min(b, shape[1] - 1), k))
+        return self.estimate_for_nearest(goal[None], np.zeros(1, dtype=np.int64))
+
+    def estimate_for_nearest(self, goals: np.ndarray, groups: np.ndarray) -> Estimate:
+        # Cells at the map's far borders may belong to no whole abstract cell.
+        last = *(n - 1 for n in abstract_shape(self.terrain.shape)), ABSTRACT_HEADINGS - 1
+        to_go = self._cost_to_go(np.unique(np.minimum(detailed_to_abstract(goals), last), axis=0))
         finite = to_go[np.isfinite(to_go)]
-        efforts = efforts_to(self.foothold_regions, self.world, goal[None])
-        view = with_step_efforts(geometric_estimate(self.world, goal), self.foothold_regions.region, efforts)
+        efforts = efforts_to(self.foothold_regions, self.world, goals)
+        geometric = geometric_estimate(self.world, goals, groups)
+        view = with_step_efforts(geometric, self.foothold_regions.region, efforts)
         return view._replace(
             table=np.ascontiguousarray(to_go, dtype=np.float32).ravel(),
             table_nx=to_go.shape[1],
@@ -83,9 +93,9 @@ class AbstractHeuristic(Heuristic):
             outside=float(finite.max()) if len(finite) else 0.0,
         )
 
-    def _cost_to_go(self, goal: tuple[int, int, int]) -> np.ndarray:
-        if self._reached is None or self._reached[0] != goal:
-            self._reached = goal, self.graph.distances(goal)
+    def _cost_to_go(self, goals: np.ndarray) -> np.ndarray:
+        if self._reached is None or not np.array_equal(self._reached[0], goals):
+            self._reached = goals, self.graph.distances(goals)
         return self.graph.bridged(self._reached[1]).astype(np.float32)
 
     def update(self, world: World, terrain: HeightMap, region: Region | None = None) -> None:
@@ -113,5 +123,6 @@ class AbstractHeuristic(Heuristic):
         k, a, b = states.T
         self._graph = self._graph.with_edges(states, edges[k, a - first[0], b - first[1]])
         if self._reached is not None:
-            goal, distances = self._reached
-            self._reached = goal, self._graph.repaired(distances, goal, states)
+            goals, distances = self._reached
+            # A repair keeps the costs of one goal; those of several goals are computed again at the next query.
+            self._reached = (goals, self._graph.repaired(distances, goals[0], states)) if len(goals) == 1 else None

@@ -15,3 +15,6 @@ class GeometricHeuristic(Heuristic):
 
     def estimate_for(self, goal: np.ndarray) -> Estimate:
         return geometric_estimate(self.world, goal)
+
+    def estimate_for_nearest(self, goals: np.ndarray, groups: np.ndarray) -> Estimate:
+        return geometric_estimate(self.world, goals, groups)

@@ -9,19 +9,19 @@ import numpy as np
 from hdsp.abstract.abstract_costs import Region
 from hdsp.base.errors import InputError
 from hdsp.base.jit import njit
-from hdsp.detailed.search.estimate import Estimate, estimate
+from hdsp.detailed.search.estimate import Estimate, estimate, geometric_estimate
 from hdsp.detailed.states import pack_states
 from hdsp.detailed.world.world import World
 from hdsp.terrain.height_map import HeightMap
 
 
 class Heuristic(ABC):
-    """Estimates the cost from any detailed state to one goal.
+    """Estimates the cost from any detailed state to one goal, or to the nearest of several goals.
 
-    A heuristic belongs to one terrain and one robot. Its life: ``prepare`` once per map, ``set_goal`` once per query,
-    ``update`` after a change in the map, ``clear`` to forget the last goal.
+    A heuristic belongs to one terrain and one robot. Its life: ``prepare`` once per map, ``set_goal`` or ``set_goals``
+    once per query, ``update`` after a change in the map, ``clear`` to forget the last goal.
 
-    A subclass implements ``estimate_for``. It returns a flat array and a lookup rule (``Estimate``), so that the search
+    A subclass implements ``estimate_for``, and ``estimate_for_nearest`` if it can guide to several goals. They return a flat array and a lookup rule (``Estimate``), so that the search
     kernels never call Python. A call on the heuristic evaluates the same rule for any states.
 
     Convention: states are in lattice units (ix, iy, heading, 4 foot offsets); see ``hdsp.robot.lattice``.
@@ -42,12 +42,27 @@ class Heuristic(ABC):
     def estimate_for(self, goal: np.ndarray) -> Estimate:
         """Returns the estimate for a goal, int64 [7], lattice units."""
 
+    def estimate_for_nearest(self, goals: np.ndarray, groups: np.ndarray) -> Estimate:
+        """Returns the estimate for the nearest of several goals; here, the geometric estimate, for all subclasses.
+
+        Args:
+            goals: int64 [n, 7], lattice units.
+            groups: int64 [n], number of the disc around each goal, 0, 1, ...; see ``geometric_estimate``.
+        """
+        return geometric_estimate(self.world, goals, groups)
+
     def prepare(self) -> None:  # noqa: B027, a hook that few heuristics need
         """Computes everything that holds for the whole map, independent of the goal."""
 
     def set_goal(self, goal: np.ndarray) -> Estimate:
         """Prepares for a goal, int64 [7]; returns the estimate for the kernels."""
         self._estimate = self.estimate_for(np.asarray(goal, dtype=np.int64))
+        return self._estimate
+
+    def set_goals(self, goals: np.ndarray, groups: np.ndarray) -> Estimate:
+        """Prepares for the nearest of several goals, as in ``estimate_for_nearest``; returns the estimate."""
+        goals, groups = np.asarray(goals, dtype=np.int64), np.asarray(groups, dtype=np.int64)
+        self._estimate = self.estimate_for_nearest(goals, groups)
         return self._estimate
 
     def __call__(self, states: np.ndarray) -> np.ndarray:
