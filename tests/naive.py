@@ -538,19 +538,26 @@ class Naive:
 
     def geometric(self, state, goal):
         """Distance, heading difference and foot configuration difference, each with its least possible cost."""
+        return self.geometric_to_nearest(state, [goal], [(*goal[:3], 0, 0.0)])
+
+    def geometric_to_nearest(self, state, goals, discs):
+        """The same for the nearest of several goals in discs (x, y, heading, difference in heading, radius)."""
         robot = self.robot
         factor = self.least_deviation()
         longest = self.longest_step()
         distance = min(factor, robot.base_shift.cost_per_metre) * CELL
         step = (robot.step.cost + robot.step.cost_per_metre * CELL * longest) / longest if longest else INF
         foot = min(robot.foot_move.cost_per_metre * CELL, step)
-        apart = [a - b for a, b in zip(state[3:], goal[3:], strict=True)]
-        moved = min(sum(abs(d - common) for d in apart) for common in range(min(apart), max(apart) + 1))
-        return (
-            distance * math.hypot(state[0] - goal[0], state[1] - goal[1])
-            + robot.turn.cost * turned(state[2], goal[2])
-            + foot * moved
-        )
+
+        def moved(feet):
+            apart = [a - b for a, b in zip(state[3:], feet, strict=True)]
+            return min(sum(abs(d - common) for d in apart) for common in range(min(apart), max(apart) + 1))
+
+        def way(x, y, heading, slack, radius):
+            away, off = math.hypot(state[0] - x, state[1] - y) - radius, turned(state[2], heading) - slack
+            return distance * max(away, 0) + robot.turn.cost * max(off, 0)
+
+        return min(way(*disc) for disc in discs) + foot * min(moved(goal[3:]) for goal in goals)
 
     def feet_value(self, state):
         """Objective of T_a->d over the feet: the state cost, plus a cost for the distance from neutral positions."""

@@ -11,7 +11,6 @@ import numpy as np
 from hdsp.detailed.relaxed.proofs import Unreachable
 from hdsp.detailed.search import anytime
 from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
-from hdsp.detailed.search.estimate import geometric_estimate
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.planning.plans import Plan
@@ -72,15 +71,15 @@ def _rounds(
         proofs.append(query.proof())
         return proofs[-1] is not None
 
-    guide = None if query.heuristic.admissible else query.estimate
-    admissible = query.estimate if guide is None else geometric_estimate(query.world, query.goal)
+    guide = None if query.admissible else query.estimate
+    admissible = query.estimate if guide is None else query.geometric()
     while True:
         limits = query.limits
         left = replace(limits, expansions=limits.expansions - spent, time=limits.time - (now() - began))
         rounds = anytime.improve(
             world,
             query.start,
-            query.goal,
+            query.goals,
             weights,
             admissible,
             guide,

@@ -11,12 +11,14 @@ import numpy as np
 from hdsp.abstract.abstract_costs import AbstractCosts, Region
 from hdsp.base.errors import InputError
 from hdsp.base.settings import shown
+from hdsp.detailed.search.estimate import Estimate
 from hdsp.detailed.search.life_cycle import Progress
 from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.world.world import build_world
 from hdsp.detailed.world.world_update import updated_world
 from hdsp.learning.loading import abstraction_of, load_abstraction
 from hdsp.planning.arguments import callback, choice, falling_weights, limits_of, number
+from hdsp.planning.arrival import Arrival, Tolerance, arrival, several
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
 from hdsp.planning.improving import improving_plans
 from hdsp.planning.map_changes import changed_cells
@@ -146,6 +148,7 @@ class Planner:
         goal,
         weight: float = 1.0,
         *,
+        tolerance: Tolerance | None = None,
         anchor_weight: float | None = None,
         cost: float = np.inf,
         expansions: int = Limits.expansions,
@@ -154,17 +157,20 @@ class Planner:
         refinable: bool = False,
         progress: Progress | None = None,
     ) -> Plan:
-        """Plans from start to goal.
+        """Plans from start to goal, or to the goal that costs least among several.
 
         Args:
             start: world pose (x, y, theta) in m and rad, or 7 values with the four foot offsets in m. The nearest
                 lattice state counts. Without feet, T_a->d chooses them: least cost, close to neutral.
-            goal: the same.
+            goal: the same; a heading of None is free. A sequence of poses: several goals, and the plan's
+                ``goal_index`` tells which one it reaches.
+            tolerance: distance from the goal (m), or distance and difference in heading (m, rad), within which the
+                plan may end; see ``hdsp.planning.arrival``. None: the plan ends in the nearest lattice state.
             weight: W >= 1 in weighted A*. With an admissible heuristic the cost is at most W times the optimum.
             anchor_weight: W2 >= 1 in multi-heuristic A*. The heuristic guides, the geometric heuristic is the anchor.
                 The cost is at most W * W2 times the optimum; ``bound`` states the proved factor, often a smaller one.
                 An admissible heuristic needs no anchor. None: weighted A*, without a proof if the heuristic is not
-                admissible.
+                admissible. All proofs hold over all states in which the plan may end.
             cost: largest cost of interest.
             expansions, memory, time: limits in expanded states, bytes for states, seconds.
             refinable: refine the plan; while a step cannot be carried out, report it in ``refused`` and search again
@@ -182,13 +188,13 @@ class Planner:
         anchored = None if anchor_weight is None else number("anchor_weight", anchor_weight, 1.0)
         limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
         began = now()
-        query = self._query(start, goal, weight, limits, callback("progress", progress))
+        query = self._query(start, goal, tolerance, weight, limits, callback("progress", progress))
         if isinstance(query, Plan):
             return query
         prepared = now() - began
 
         def search(query: Query) -> Plan:
-            if anchored is None or self.heuristic.admissible:
+            if anchored is None or query.admissible:
                 return query.weighted(weight)
             return query.anchored(weight, anchored)
 
@@ -197,12 +203,32 @@ class Planner:
             plan = refinable_plan(query, search, plan)
         return plan.renewed({"heuristic_seconds": prepared, "seconds": now() - began})
 
+    def plan_each(self, start, goals: Sequence, weight: float = 1.0, **options) -> list[Plan]:
+        """Plans from start to each of several goals; returns one plan for each goal.
+
+        The plans share the map-wide part of the heuristic. To the cheapest goal alone, ``plan`` takes less time.
+
+        Args:
+            start, weight: as in ``plan``.
+            goals: poses as in ``plan``.
+            options: as in ``plan``; limits hold for each plan.
+
+        Raises:
+            InputError, RefinementError: as in ``plan``.
+        """
+        poses = several(goals)
+        if poses is None:
+            raise InputError(f"goals is {shown(goals)}; it must be a sequence of poses")
+        plans = [self.plan(start, pose, weight, **options) for pose in poses]
+        return [plan.renewed(goal_index=k) if plan.solved else plan for k, plan in enumerate(plans)]
+
     def improve(
         self,
         start,
         goal,
         weights: Sequence[float] = (3.0, 2.0, 1.5, 1.25, 1.0),
         *,
+        tolerance: Tolerance | None = None,
         cost: float = np.inf,
         expansions: int = Limits.expansions,
         memory: int = Limits.memory,
@@ -217,7 +243,7 @@ class Planner:
         the geometric heuristic, which may take long.
 
         Args:
-            start, goal: as in ``plan``.
+            start, goal, tolerance: as in ``plan``.
             weights: weights of the rounds, falling, each >= 1.
             cost, expansions, memory, time: as in ``plan``, for all rounds together. Time runs from the first ``next``
                 on, also while the caller works.
@@ -237,23 +263,29 @@ class Planner:
         weights = falling_weights(weights)
         limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
         began = now()
-        query = self._query(start, goal, weights[0], limits, callback("progress", progress))
+        query = self._query(start, goal, tolerance, weights[0], limits, callback("progress", progress))
         if isinstance(query, Plan):
             query.stats.end(str(query.status))
             return iter([query])
         return improving_plans(query, weights, refinable, now() - began)
 
-    def _query(self, start, goal, weight: float, limits: Limits, progress: Progress | None) -> Query | Plan:
-        """Returns the query, with the heuristic prepared for its goal, or a plan with the faults in an invalid end."""
-        began, ends = now(), []
-        for status, pose, name in ((Status.INVALID_START, start, "start"), (Status.INVALID_GOAL, goal, "goal")):
-            state, faults = locate(self.world, self.grid, self._wider, pose, name)
-            if faults:
-                stats = PlanStatistics(self.heuristic.name, float(weight), seconds=now() - began)
-                nothing = np.empty((0, 7)), (), np.empty(0)
-                return Plan(status, np.inf, *nothing, stats, self.terrain, self.robot, problems=tuple(faults))
-            ends.append(state)
-        state, aim = ends
+    def _query(
+        self, start, goal, tolerance: Tolerance | None, weight: float, limits: Limits, progress: Progress | None
+    ) -> Query | Plan:
+        """Returns the query, with the heuristic prepared for its goals, or a plan with the faults in an invalid end."""
+        began = now()
+
+        def without(status: Status, faults: Sequence[str]) -> Plan:
+            stats = PlanStatistics(self.heuristic.name, float(weight), seconds=now() - began)
+            nothing = np.empty((0, 7)), (), np.empty(0)
+            return Plan(status, np.inf, *nothing, stats, self.terrain, self.robot, problems=tuple(faults))
+
+        state, faults = locate(self.world, self.grid, self._wider, start, "start")
+        if faults:
+            return without(Status.INVALID_START, faults)
+        ends = arrival(self.world, self.grid, self._wider, several(goal) or [goal], tolerance)
+        if ends.faults:
+            return without(Status.INVALID_GOAL, ends.faults)
         return Query(
             terrain=self.terrain,
             robot=self.robot,
@@ -261,12 +293,20 @@ class Planner:
             grid=self.grid,
             world=self.world,
             heuristic=self.heuristic,
-            estimate=self.heuristic.set_goal(aim),
+            estimate=self._estimate(ends),
             start=state,
-            goal=aim,
+            goals=ends.states,
+            goal_numbers=ends.goal,
+            admissible=self.heuristic.admissible,
+            consistent=self.heuristic.consistent,
             limits=limits,
             progress=progress,
         )
+
+    def _estimate(self, ends: Arrival) -> Estimate:
+        if ends.exact and len(ends.states) == 1:
+            return self.heuristic.set_goal(ends.states[0])
+        return self.heuristic.set_goals(ends.states, np.unique(ends.goal, return_inverse=True)[1].ravel())
 
 
 def _checked(terrain: HeightMap) -> HeightMap:

@@ -41,6 +41,9 @@ class Plan:
         refused: steps in former plans that could not be carried out, in words; empty unless ``refinable`` was set.
         bound: proved: the plan costs at most so many times the optimum (among plans without the refused steps). 1 for
             an optimal plan, inf without a proof.
+        goal_index: number of the goal at which the plan ends, from 0; None without a plan.
+        assumed: changes to the map under the robot at the start, in words: unknown ground that was filled in, the
+            robot's own body that was removed. ``terrain`` contains them.
         cause: finds the robot's limits without which there would be a plan (``decisive_limits``); ``explain`` calls it.
             None if ``problems`` or ``refused`` name the cause.
     """
@@ -56,6 +59,8 @@ class Plan:
     problems: tuple[str, ...] = ()
     refused: tuple[str, ...] = ()
     bound: float = np.inf
+    goal_index: int | None = None
+    assumed: tuple[str, ...] = ()
     cause: Callable[[], str | None] | None = field(default=None, repr=False)
 
     @property

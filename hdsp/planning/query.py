@@ -11,7 +11,7 @@ import numpy as np
 
 from hdsp.abstract.transform import feet_at
 from hdsp.detailed.actions.action import action_of
-from hdsp.detailed.relaxed.proofs import FOOT, Unreachable, why_unreachable
+from hdsp.detailed.relaxed.proofs import FOOT, Unreachable, nearest_state, why_unreachable
 from hdsp.detailed.search.estimate import Estimate, geometric_estimate
 from hdsp.detailed.search.life_cycle import Progress
 from hdsp.detailed.search.multi_heuristic import solve_multi
@@ -69,7 +69,11 @@ class Query:
         world: terrain and robot, compiled.
         heuristic: the guide.
         estimate: the guide for this goal, for the kernels.
-        start, goal: int64 [7], lattice units.
+        start: int64 [7], lattice units.
+        goals: int64 [n, 7], states at which the plan may end.
+        goal_numbers: int64 [n], number of the goal to which each state belongs.
+        admissible, consistent: whether ``estimate`` is, as in ``Heuristic``.
+        assumed: changes in the map under the start, in words; see ``Plan``.
         limits: of the whole query.
         progress: called now and then with (expansions, seconds).
     """
@@ -82,24 +86,34 @@ class Query:
     heuristic: Heuristic
     estimate: Estimate
     start: np.ndarray
-    goal: np.ndarray
+    goals: np.ndarray
+    goal_numbers: np.ndarray
+    admissible: bool
+    consistent: bool
     limits: Limits
     progress: Progress | None = None
+    assumed: tuple[str, ...] = ()
+
+    @property
+    def goal(self) -> np.ndarray:
+        """The state, int64 [7], among the goals that is nearest to the start in a straight line."""
+        return nearest_state(self.start, self.goals)
 
     def weighted(self, weight: float) -> Plan:
         """Searches with weighted A*."""
         # No bound is lost without reopening: the heuristic is consistent, or proves none.
-        once = self.heuristic.consistent or not self.heuristic.admissible
+        once = self.consistent or not self.admissible
         result = solve(
             self.world,
             self.start,
-            self.goal,
+            self.goals,
             self.estimate,
             weight=weight,
-            admissible=self.heuristic.admissible,
+            admissible=self.admissible,
             reopen=not (once and weight > 1 and self.limits.cost == np.inf),
             limits=self.limits,
             progress=self.progress,
+            nearest=True,
         )
         return self.plan_of(result, PlanStatistics(self.heuristic.name, float(weight)))
 
@@ -108,8 +122,8 @@ class Query:
         result = solve_multi(
             self.world,
             self.start,
-            self.goal,
-            geometric_estimate(self.world, self.goal),
+            self.goals,
+            self.geometric(),
             [self.estimate],
             weight=weight,
             anchor_weight=anchor_weight,
@@ -124,6 +138,11 @@ class Query:
             expansions_by={"geometric": anchored, self.heuristic.name: guided},
         )
         return self.plan_of(result, stats)
+
+    def geometric(self) -> Estimate:
+        """Returns the geometric estimate for the goals."""
+        groups = np.unique(self.goal_numbers, return_inverse=True)[1].ravel()
+        return geometric_estimate(self.world, self.goals, groups)
 
     def plan_of(self, result: SearchResult, stats: PlanStatistics) -> Plan:
         """Returns the plan from a search in world coordinates; ``stats`` holds the search settings."""
@@ -146,11 +165,13 @@ class Query:
             terrain=self.terrain,
             robot=self.robot,
             bound=result.bound,
+            goal_index=None if result.reached is None else int(self.goal_numbers[result.reached]),
+            assumed=self.assumed,
         )
 
     def proof(self) -> Unreachable | None:
         """Returns a proof of infeasibility, or None."""
-        return why_unreachable(self.world, self.start, self.goal)
+        return why_unreachable(self.world, self.start, self.goals)
 
     def without_way(self, plan: Plan, proof: Unreachable | None) -> Plan:
         """Returns a plan that ends infeasible, with its reason.

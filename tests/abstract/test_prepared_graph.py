@@ -35,6 +35,15 @@ def test_equals_the_textbook(seed, shape, blocked, spread, free, data):
     np.testing.assert_array_equal(cost_to_go(edges, goal), expected.astype(np.float32))
 
 
+@pytest.mark.parametrize("n", [2, 90])
+def test_costs_to_several_goals_are_the_least_of_those_to_each(n):
+    rng = np.random.default_rng(n)
+    graph = PreparedGraph.from_edges(random_edges(1, 5, 4, blocked=0.8))
+    goals = np.column_stack([rng.integers(0, size, n) for size in (5, 4, 16)])
+    single = np.min([graph.distances(tuple(goal)) for goal in goals.tolist()], axis=0)
+    np.testing.assert_array_equal(graph.distances(goals), single)
+
+
 @pytest.mark.parametrize("spread", [1.0, 30.0])
 def test_equals_scipy_on_a_larger_map(spread):
     from scipy.sparse.csgraph import dijkstra

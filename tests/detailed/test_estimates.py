@@ -25,7 +25,7 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import CATEGORIES, random_map
 from tests.detailed.instances import blocky, near_edges, successor_arrays, toy, valid_states
-from tests.naive import Naive, dijkstra
+from tests.naive import Naive, dijkstra, turned
 
 costs = st.floats(0.01, 3.0)
 ways_to_turn = st.sampled_from([{}, {}, {"on_the_spot": False, "radius": 0.3}, {"on_the_spot": False, "radius": 0.8}])
@@ -88,6 +88,25 @@ def test_geometric_heuristic_is_consistent_along_every_edge(robot, seed):
     for state in states:
         keys, prices, _ = successor_arrays(world, state)
         here = estimates(parameters, world, [state])[0]
+        there = estimates(parameters, world, unpack_states(keys, world.tables.lowest))
+        assert (here <= prices + there + 1e-12).all()
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
+@given(robot=robots(), seed=st.integers(0, 10_000))
+def test_geometric_heuristic_of_several_goals_is_consistent_and_zero_at_each(robot, seed):
+    world, twin, states = scene(robot, seed)
+    goals, groups = np.array(states[1:]), np.arange(len(states) - 1) // 2
+    parameters = geometric_estimate(world, goals, groups)
+    discs = [(*disc.tolist(), radius) for disc, radius in zip(parameters.discs, parameters.radius, strict=True)]
+    for (x, y, heading, slack, radius), group in zip(discs, range(groups.max() + 1), strict=True):
+        for goal in goals[groups == group].tolist():
+            assert math.hypot(goal[0] - x, goal[1] - y) <= radius + 1e-9 and turned(goal[2], heading) <= slack
+    assert (estimates(parameters, world, goals) == 0).all()
+    for state in states:
+        keys, prices, _ = successor_arrays(world, state)
+        here = estimates(parameters, world, [state])[0]
+        assert here == pytest.approx(twin.geometric_to_nearest(state, goals.tolist(), discs), abs=1e-9)
         there = estimates(parameters, world, unpack_states(keys, world.tables.lowest))
         assert (here <= prices + there + 1e-12).all()
 

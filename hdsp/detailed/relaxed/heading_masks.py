@@ -53,9 +53,11 @@ class PoseFlood:
         return reached
 
 
-def holds(reached: np.ndarray, state: np.ndarray) -> bool:
-    """Whether the reached headings contain a state int64 [7]."""
-    return bool(reached[int(state[3:].any()), state[0], state[1]] >> np.uint64(state[2]) & _ONE)
+def holds(reached: np.ndarray, states: np.ndarray) -> bool:
+    """Whether the reached headings contain any of some states, int64 [7] or [n, 7]."""
+    states = np.atleast_2d(states)
+    headings = reached[states[:, 3:].any(axis=1).astype(np.int64), states[:, 0], states[:, 1]]
+    return bool((headings >> states[:, 2].astype(np.uint64) & _ONE).any())
 
 
 class MaskTables(NamedTuple):

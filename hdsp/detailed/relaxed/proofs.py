@@ -76,7 +76,7 @@ def why_unreachable(
         return _gap_of_foot(world, regions, efforts[foot], start, goal, foot)
     flood = PoseFlood(world, rules)
     reached = flood.reached_from(start, rules.drive_only)
-    if any(holds(reached, each) for each in goals):
+    if holds(reached, goals):
         return None
     around_goal = flood.reached_from(goal, drive_only=True)
     return _gap_of_base(world, (reached != 0).any(axis=0), (around_goal != 0).any(axis=0), start, goal)

@@ -107,7 +107,8 @@ def run(world, rules, heuristic, store, open_list, weight, goals, goal_cost, cos
             for the next round of an anytime search.
 
     Returns:
-        RUNNING, SOLVED (enough goals settled, ``GOALS_LEFT`` is 0), EXHAUSTED (no state left to expand), OVER_COST_LIMIT or FULL.
+        RUNNING, SOLVED (enough goals settled, ``GOALS_LEFT`` is 0), EXHAUSTED (no state left to expand),
+        OVER_COST_LIMIT or FULL.
     """
     flags, count = store.flags, store.counts
     until = count[EXPANDED] + expansions

@@ -21,7 +21,6 @@ from hdsp.detailed.search.store import (
     count_waiting,
     grown,
     growth_nbytes,
-    has_room,
     new_store,
     trace,
 )

@@ -69,7 +69,8 @@ class SearchResult:
         reached: index of the goal reached in a search to the nearest of several goals; None for other searches and
             without a plan.
         lower_bound: proven for one status: no plan costs less; 0 without a proof.
-        bound: proven for one status: the plan costs at most ``bound`` times the least possible cost; inf without a proof.
+        bound: proven for one status: the plan costs at most ``bound`` times the least possible cost; inf without a
+            proof.
         expansions: states expanded.
         expansions_by: expansions per open list, the anchor first; multi-heuristic search only.
         seen: states generated.

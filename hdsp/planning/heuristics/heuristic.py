@@ -21,8 +21,9 @@ class Heuristic(ABC):
     A heuristic belongs to one terrain and one robot. Its life: ``prepare`` once per map, ``set_goal`` or ``set_goals``
     once per query, ``update`` after a change in the map, ``clear`` to forget the last goal.
 
-    A subclass implements ``estimate_for``, and ``estimate_for_nearest`` if it can guide to several goals. They return a flat array and a lookup rule (``Estimate``), so that the search
-    kernels never call Python. A call on the heuristic evaluates the same rule for any states.
+    A subclass implements ``estimate_for``, and ``estimate_for_nearest`` if it can guide to several goals. They return a
+    flat array and a lookup rule (``Estimate``), so that the search kernels never call Python. A call on the heuristic
+    evaluates the same rule for any states.
 
     Convention: states are in lattice units (ix, iy, heading, 4 foot offsets); see ``hdsp.robot.lattice``.
     """

@@ -1,0 +1,140 @@
+"""Goal states: one state, all states within a tolerance, or those of several goals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hdsp.abstract.transform import feet_at_all
+from hdsp.base.errors import InputError
+from hdsp.detailed.actions.state_costs import separated, state_costs
+from hdsp.detailed.states import pack_states
+from hdsp.detailed.world.world import World
+from hdsp.planning.arguments import number, pose_values
+from hdsp.planning.query import locate
+from hdsp.robot.lattice import HEADINGS, Grid, cells, heading_angle
+from hdsp.robot.robot import Robot
+
+#: Distance (m) or distance and difference in heading (m, rad) from a goal within which a plan may end.
+Tolerance = float | tuple[float, float]
+_ROUNDING = 1e-9  # m
+
+
+@dataclass(frozen=True, eq=False)
+class Arrival:
+    """States at which a plan may end.
+
+    Attributes:
+        states: int64 [n, 7], lattice units, valid; empty if the robot can stand at no goal.
+        goal: int64 [n], number of the goal to which each state belongs.
+        exact: whether the states are one state for each goal.
+        faults: faults of the first goal, in words; empty if there is a state.
+    """
+
+    states: np.ndarray
+    goal: np.ndarray
+    exact: bool
+    faults: tuple[str, ...] = ()
+
+
+def arrival(world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: Tolerance | None) -> Arrival:
+    """Returns the states at which a plan may end.
+
+    A goal without tolerance and with a heading is one state, the nearest on the lattice. T_a->d chooses its feet if
+    they are not given. A tolerance adds all poses of the lattice within it. The robot stands there on the given feet;
+    without them on neutral feet, or where it cannot, on the feet from T_a->d.
+
+    Args:
+        world: terrain and robot, compiled.
+        grid: place of the terrain in the world.
+        robot: its limits.
+        goals: poses as for ``locate``; the heading may be None, then any heading counts.
+        tolerance: see ``Tolerance``; a distance alone leaves the heading as it is.
+
+    Raises:
+        InputError: a pose or a tolerance has other values, or a pose lies off the map.
+    """
+    within = _checked(tolerance)
+    found, numbers, faults, exact = [], [], [], True
+    for k, goal in enumerate(goals):
+        pose, free = _with_heading(goal)
+        name = "goal" if len(goals) == 1 else f"goal {k}"
+        state, wrong = locate(world, grid, robot, pose, name)
+        if free or within is not None:
+            exact = False
+            distance, turn = within or (0.0, 0.0)
+            values = pose_values(pose, name, robot)
+            around = _around(world, grid, values, state, distance, math.pi if free else turn)
+            states = np.unique(around if wrong else np.concatenate([state[None], around]), axis=0)
+        else:
+            states = state[None][: 0 if wrong else 1]
+        if len(states) == 0:
+            faults.append(wrong)
+        found.append(states)
+        numbers.append(np.full(len(states), k))
+    states, numbers_of = np.concatenate(found), np.concatenate(numbers)
+    if len(states):
+        return Arrival(states, numbers_of, exact)
+    words = list(faults[0])
+    if not exact:
+        words.append("nor at any other pose within the tolerance")
+    if len(goals) > 1:
+        words.append("nor at any other goal")
+    return Arrival(states, numbers_of, exact, tuple(words))
+
+
+def several(goal) -> list | None:
+    """Returns the poses of a sequence of goals; None if the argument is one pose."""
+    if isinstance(goal, np.ndarray):
+        return list(goal) if goal.ndim == 2 else None
+    if not isinstance(goal, Sequence) or isinstance(goal, str):
+        return None
+    if len(goal) == 0:
+        raise InputError("goal is empty: need a pose, or a sequence of poses")
+    inner = [isinstance(each, Sequence | np.ndarray) and not isinstance(each, str) for each in goal]
+    return list(goal) if all(inner) else None
+
+
+def _with_heading(goal) -> tuple[object, bool]:
+    """Returns a goal with a number for its heading, and whether it leaves the heading free."""
+    if isinstance(goal, Sequence | np.ndarray) and len(goal) in (3, 7) and goal[2] is None:
+        return (*goal[:2], 0.0, *goal[3:]), True
+    return goal, False
+
+
+def _checked(tolerance: Tolerance | None) -> tuple[float, float] | None:
+    if tolerance is None:
+        return None
+    if isinstance(tolerance, Sequence | np.ndarray) and np.ndim(tolerance) == 1 and len(tolerance) == 2:
+        return number("tolerance in m", tolerance[0], 0.0), number("tolerance in rad", tolerance[1], 0.0)
+    return number("tolerance", tolerance, 0.0), 0.0
+
+
+def _around(
+    world: World, grid: Grid, values: np.ndarray, state: np.ndarray, distance: float, turn: float
+) -> np.ndarray:
+    """Valid states, int64 [n, 7], at the poses within a distance (m) and a difference in heading (rad)."""
+    t, given = world.tables, len(values) == 7
+    feet = state[3:] if given else np.zeros(4, dtype=np.int64)
+    if (feet < t.lowest).any() or (feet >= t.lowest + t.n_offsets).any():
+        return np.empty((0, 7), dtype=np.int64)
+    reach = math.ceil(cells(distance)) + 1
+    reach = min(reach, max(grid.shape))
+    span = np.arange(-reach, reach + 1)
+    at = state[:2] + np.stack(np.meshgrid(span, span, indexing="ij"), axis=-1).reshape(-1, 2)
+    at = at[grid.contains(at)]
+    away = np.hypot(*(grid.center(at) - values[:2]).T)
+    at = at[(away <= distance + _ROUNDING) | (at == state[:2]).all(axis=1)]
+    off = np.mod(heading_angle(np.arange(HEADINGS)) - values[2] + math.pi, 2 * math.pi) - math.pi
+    headings = np.flatnonzero((abs(off) <= turn + _ROUNDING) | (np.arange(HEADINGS) == state[2]))
+    bases = np.column_stack([np.repeat(at, len(headings), axis=0), np.tile(headings, len(at))])
+    states = np.column_stack([bases, np.broadcast_to(feet, (len(bases), 4))])
+    keys = pack_states(states, t.lowest)
+    stands = np.isfinite(state_costs(world, keys))
+    if given:
+        return states[stands & separated(world.constants, int(keys[0]))]
+    displaced, valid = feet_at_all(world, bases[~stands])
+    return np.concatenate([states[stands], displaced[valid]])

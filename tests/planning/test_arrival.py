@@ -1,0 +1,141 @@
+"""Goals with a tolerance, with a free heading, several goals: plans are optimal over all states in which they end."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from hdsp import HeightMap, InputError, Planner, Status
+from hdsp.abstract.transform import feet_at
+from hdsp.robot.lattice import HEADINGS, RESOLUTION, heading_angle
+from tests.detailed.instances import NIMBLE, blocky, valid_states
+from tests.naive import Naive, dijkstra
+
+CELLS = 10
+WALL = slice(30, 34)
+POSE = (0.7, 1.25, 0.0)
+
+
+def toy_scene(seed):
+    """A planner for the toy robot, its textbook twin, a start, and a goal pose in world coordinates."""
+    rng = np.random.default_rng(seed)
+    heights = blocky(rng, cells=CELLS)
+    twin, planner = Naive(heights, NIMBLE), Planner(HeightMap(heights), NIMBLE)
+    states = valid_states(twin, rng, 12, neutral=True)
+    assume(len(states) >= 2)
+    start, *goals = planner.grid.to_world(np.array(states))
+    return planner, twin, tuple(states[0]), start, goals
+
+
+def stance(planner, twin, base):
+    """The state that counts at a pose within a tolerance: on neutral feet, or where that is impossible on the best."""
+    neutral = (*base, 0, 0, 0, 0)
+    best = None if twin.valid(neutral) else feet_at(planner.world, base)
+    return neutral if twin.valid(neutral) else best if best is None else tuple(best.tolist())
+
+
+def within(planner, twin, pose, distance, turn):
+    """All states of the twin within a tolerance of a pose that lies on the lattice."""
+    found = set()
+    for x, y, heading in itertools.product(range(CELLS), range(CELLS), range(HEADINGS)):
+        away = np.hypot(*(planner.grid.center((x, y)) - pose[:2]))
+        off = abs((heading_angle(heading) - pose[2] + math.pi) % (2 * math.pi) - math.pi)
+        if away <= distance + 1e-9 and off <= turn + 1e-9 and (state := stance(planner, twin, (x, y, heading))):
+            found.add(state)
+    return found
+
+
+def least(gone, states):
+    """Least cost to any of some states; None if the search has not got as far."""
+    return min((gone.cost[state] for state in states if state in gone.cost), default=None)
+
+
+@settings(max_examples=6, deadline=None, suppress_health_check=list(HealthCheck))
+@given(seed=st.integers(0, 10_000), distance=st.sampled_from([0.0, 0.03, 0.06]), turn=st.sampled_from([0.0, 0.25]))
+def test_with_a_tolerance_the_plan_is_the_cheapest_to_any_state_within_it(seed, distance, turn):
+    planner, twin, begin, start, (goal, *_) = toy_scene(seed)
+    exact = tuple(feet_at(planner.world, planner.grid.to_lattice(goal[:3])[:3].tolist()).tolist())
+    wanted = least(dijkstra(twin, begin, most=1500), {exact} | within(planner, twin, goal, distance, turn))
+    assume(wanted is not None)
+    plan = planner.plan(start, goal[:3], tolerance=(distance, turn))
+    assert plan.cost == pytest.approx(wanted, rel=1e-6) and plan.bound == 1
+    assert np.hypot(*(plan.states[-1] - goal)[:2]) <= distance + 1e-9
+    anchored = planner.plan(start, goal[:3], tolerance=(distance, turn), weight=1.2, anchor_weight=1.2)
+    assert wanted - 1e-6 <= anchored.cost <= anchored.bound * wanted + 1e-6 and anchored.bound <= 1.44
+    *_, last = planner.improve(start, goal[:3], tolerance=(distance, turn))
+    assert last.cost == pytest.approx(wanted, rel=1e-6) and last.bound == 1
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@given(seed=st.integers(0, 10_000), weight=st.sampled_from([1.0, 1.5]), manual=st.booleans())
+def test_several_goals_cost_the_least_of_the_single_costs_and_more_tolerance_never_costs_more(seed, weight, manual):
+    planner, _, _, start, goals = toy_scene(seed)
+    single = [plan.cost for plan in planner.plan_each(start, goals)]
+    assert [planner.plan(start, goal).cost for goal in goals] == single
+    guided = Planner(planner.terrain, NIMBLE, "manual") if manual else planner
+    plan = guided.plan(start, goals, weight)
+    if np.isfinite(min(single)):
+        end = goals[plan.goal_index]
+        np.testing.assert_allclose(plan.states[-1], end, atol=1e-9)
+        assert plan.cost >= min(single) - 1e-6
+        assert manual or plan.cost <= weight * min(single) + 1e-6
+        anchored = guided.plan(start, goals, weight, anchor_weight=1.5)
+        assert anchored.cost <= min(anchored.bound, 1.5 * weight) * min(single) + 1e-6
+        *_, last = guided.improve(start, goals)
+        assert last.cost == pytest.approx(min(single), rel=1e-6)
+        assert min(single) >= single[last.goal_index] - 1e-6
+    else:
+        assert not plan.solved and plan.goal_index is None
+    costs = [planner.plan(start, goals[0], tolerance=tolerance).cost for tolerance in (None, 0, 0.03, (0.06, 0.1))]
+    assert all(after <= before + 1e-6 for before, after in itertools.pairwise(costs))
+
+
+def test_a_free_heading_is_reached_at_the_heading_that_costs_least():
+    planner = Planner(HeightMap.flat((100, 100)))
+    goal = (1.6, 1.1)
+    costs = [planner.plan(POSE, (*goal, float(angle))).cost for angle in heading_angle(np.arange(0, HEADINGS, 4))]
+    plan = planner.plan(POSE, (*goal, None))
+    assert plan.solved and plan.cost <= min(costs) and plan.cost == pytest.approx(min(costs), rel=0.05)
+    assert np.hypot(*(plan.states[-1][:2] - goal)) <= RESOLUTION
+    given_feet = planner.plan(POSE, (*goal, None, 0.0, 0.0, 0.0, 0.0))
+    assert given_feet.cost == pytest.approx(plan.cost)
+
+
+def test_a_proof_of_no_way_needs_all_goals_out_of_reach():
+    heights = np.zeros((100, 100), np.float32)
+    heights[60:64] = 1.0
+    planner = Planner(HeightMap(heights))
+    beyond, before = (2.1, 1.25, 0.0), (0.6, 0.9, 0.3)
+    plan = planner.plan(POSE, [beyond, (2.0, 1.0, 0.0)])
+    assert plan.status == Status.INFEASIBLE and plan.stats.expansions <= 50_000 and plan.goal_index is None
+    assert planner.plan(POSE, [beyond, before]).goal_index == 1
+    each = planner.plan_each(POSE, [beyond, before, (1.55, 1.25, 0.0)])
+    assert [plan.status for plan in each] == [Status.INFEASIBLE, Status.SOLVED, Status.INVALID_GOAL]
+    assert planner.plan(POSE, beyond, tolerance=(1.2, math.pi), weight=3).solved
+
+
+def test_a_goal_without_any_standing_pose_within_the_tolerance_is_invalid():
+    heights = np.zeros((100, 100), np.float32)
+    heights[50:60] = 1.0
+    planner = Planner(HeightMap(heights))
+    plan = planner.plan(POSE, (1.375, 1.25, 0.0), tolerance=0.05)
+    assert plan.status == Status.INVALID_GOAL
+    assert "cannot stand" in plan.explain() and "nor at any other pose within the tolerance" in plan.explain()
+    plan = planner.plan(POSE, [(1.375, 1.25, 0.0), (1.375, 1.0, 0.0)])
+    assert plan.status == Status.INVALID_GOAL and "nor at any other goal" in plan.explain()
+    assert planner.plan(POSE, [(1.375, 1.25, 0.0), (0.6, 1.0, 0.0)]).goal_index == 1
+
+
+@pytest.mark.parametrize("tolerance", [-0.1, math.nan, (0.1,), (0.1, 0.2, 0.3), "near", (0.1, -1)])
+def test_a_tolerance_is_a_distance_and_an_angle(tolerance):
+    with pytest.raises(InputError, match="tolerance"):
+        Planner(HeightMap.flat((60, 60))).plan((0.7, 0.7, 0), (0.8, 0.7, 0), tolerance=tolerance)
+
+
+@pytest.mark.parametrize("goal", [[], [(1, 2)], [(0.8, 0.7, 0), (0.8, math.nan, 0)], (None, 0.7, 0)])
+def test_goals_are_poses(goal):
+    with pytest.raises(InputError, match="goal"):
+        Planner(HeightMap.flat((60, 60))).plan((0.7, 0.7, 0), goal)
