@@ -7,6 +7,9 @@ raster keeps its axes, and the frame has the rotation. Masks, no-data values, an
 from __future__ import annotations
 
 import math
+import re
+import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -39,6 +42,9 @@ _TAG = "HDSP_FRAME"
 
 _REPROJECT = "reproject it to metres, e.g. gdalwarp -t_srs EPSG:25832 IN OUT"
 
+#: A line of numbers, not of the header, in an ASCII grid.
+_IS_BODY = re.compile(r"\s*([-+.,0-9*]|nan\b|inf\b)", re.IGNORECASE)
+
 _BYTE_ORDER_MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 
 
@@ -51,7 +57,8 @@ def read_raster(path: Path, options: ReadOptions) -> MapFields:
         if kind not in "iuf":
             raise InputError(f"band {band} has the type {raster.dtypes[band - 1]}; need numbers")
         _check_crs(raster.crs)
-        heights, notes = _heights(raster, band)
+        rows = _ascii_heights(path, raster) if path.suffix.lower() == ".asc" else raster.read(band, masked=True)
+        heights, notes = _in_metres(rows, raster, band)
         if raster.count > 1:
             notes.append(f"band {band} of {raster.count}")
         crs = raster.crs.to_string() if raster.crs else ""
@@ -105,22 +112,61 @@ def _opened(path: Path) -> Iterator[Any]:
     from rasterio.io import MemoryFile
 
     suffix = path.suffix.lower()
-    driver = _DRIVERS[suffix]
     with ExitStack() as stack:
         stack.enter_context(rasterio.Env())
+        stack.enter_context(_quiet())
         if suffix != ".asc":
-            yield stack.enter_context(rasterio.open(path, driver=driver))
+            yield stack.enter_context(rasterio.open(path, driver=_DRIVERS[suffix]))
             return
-        with path.open("rb") as file:
-            begin = file.read(100)
-        encoding = next((name for mark, name in _BYTE_ORDER_MARKS.items() if begin.startswith(mark)), None)
-        if begin.decode(encoding or "latin-1", "replace").lstrip().lower().startswith(("north", "south")):
-            driver = _GRASS
+        encoding = _marked_encoding(path)
+        with path.open(encoding=encoding or "latin-1", errors="replace") as file:
+            first = file.read(100).lstrip().lower()
+        driver = _GRASS if first.startswith(("north", "south", "east", "west", "proj", "zone")) else _DRIVERS[suffix]
         if encoding is None:
             yield stack.enter_context(rasterio.open(path, driver=driver))
         else:  # GDAL knows no byte-order marks
             text = path.read_text(encoding).encode()
             yield stack.enter_context(stack.enter_context(MemoryFile(text, ext=".asc")).open(driver=driver))
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Silences rasterio, which prints a traceback where a message of GDAL cites damaged bytes."""
+    before = sys.excepthook, sys.unraisablehook
+    sys.excepthook = sys.unraisablehook = lambda *_: None
+    try:
+        yield
+    finally:
+        sys.excepthook, sys.unraisablehook = before
+
+
+def _marked_encoding(path: Path) -> str | None:
+    with path.open("rb") as file:
+        begin = file.read(3)
+    return next((name for mark, name in _BYTE_ORDER_MARKS.items() if begin.startswith(mark)), None)
+
+
+def _ascii_heights(path: Path, raster: Any) -> np.ma.MaskedArray:
+    """Numbers [rows, columns] of an ASCII grid.
+
+    GDAL reads a word that is no number as 0, and "nan" amid whole numbers, too.
+    """
+    lines = path.read_text(_marked_encoding(path) or "latin-1").splitlines()
+    begin = next((k for k, line in enumerate(lines) if _IS_BODY.match(line)), len(lines))
+    text = " ".join(lines[begin:]).replace(",", ".").replace("*", "nan")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # numpy warns of a word that is no number, and stops there
+            heights = np.fromstring(text, sep=" ")
+    except (DeprecationWarning, ValueError):
+        raise InputError("its heights have a word that is no number") from None
+    if heights.size != raster.width * raster.height:
+        raise InputError(f"it has {heights.size} heights for {raster.width} x {raster.height} cells")
+    heights = heights.reshape(raster.height, raster.width)
+    if raster.nodata is None:
+        return np.ma.masked_array(heights)
+    unknown = (heights == raster.nodata) | (heights.astype(np.float32) == np.float32(raster.nodata))
+    return np.ma.masked_array(heights, mask=unknown)
 
 
 def _band(raster: Any, layer: str | int | None) -> int:
@@ -156,9 +202,9 @@ def _short(crs: Any) -> str:
     return text if len(text) < 60 else text[:57] + "..."
 
 
-def _heights(raster: Any, band: int) -> tuple[np.ma.MaskedArray, list[str]]:
-    """Heights [rows, columns] in m, in the units that the file names, and notes."""
-    heights, notes = raster.read(band, masked=True), []
+def _in_metres(heights: np.ma.MaskedArray, raster: Any, band: int) -> tuple[Any, list[str]]:
+    """Heights by the scale, offset and units of the band, and notes."""
+    notes: list[str] = []
     scale, offset = raster.scales[band - 1], raster.offsets[band - 1]
     if (scale, offset) != (1.0, 0.0):
         heights = heights.astype(float) * scale + offset

@@ -100,6 +100,9 @@ MAP_SUFFIXES = tuple(_FORMATS)
 
 _WRITABLE = tuple(suffix for suffix, form in _FORMATS.items() if form.write)
 
+#: Cell sizes that a map in metres may have, m.
+_SMALLEST, _LARGEST = 1e-4, 1e4
+
 #: Name on the package index of a library whose module has another name.
 _DISTRIBUTION = {"PIL": "pillow"}
 
@@ -253,6 +256,8 @@ def _in_metres(fields: MapFields, options: ReadOptions) -> MapFields:
     if np.ndim(fields.heights) != 2:
         raise InputError(f"its heights have shape {np.shape(fields.heights)}; need two axes")
     check_cells(*np.shape(fields.heights))
+    if not _SMALLEST <= float(fields.resolution) <= _LARGEST:
+        raise InputError(f"its cells of {float(fields.resolution):g} m are none; need {_SMALLEST:g} to {_LARGEST:g} m")
     values = np.ma.getdata(fields.heights)
     heights = np.array(values, dtype=np.float32 if values.dtype.itemsize < 4 else None)
     heights = heights.astype(float) if heights.dtype.kind != "f" else heights
