@@ -1,6 +1,7 @@
 """The ground, from files, scans, sensors and random scenes, and its costs for a robot.
 
 - `height_map`, `patches`, `map_formats`: height maps, squares of them in the robot frame, their files
+- `conditioning`: from measured heights to heights for planning
 - `cost_maps`: edges, unevenness, and cells on which a foot can stand
 - `obstacles`, `scenes`: obstacles on level or tilted ground, random scenes by category
 - `arenas`, `random_arenas`: walled squares with obstacles, from a description or a seed
@@ -16,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hdsp.terrain.arenas import Arena, ArenaDescription, read_arena
+    from hdsp.terrain.conditioning import ConditioningReport, ConditioningSettings
     from hdsp.terrain.cost_maps import COST_MODEL_VERSION, CostMaps
-    from hdsp.terrain.height_map import HeightMap
+    from hdsp.terrain.height_map import Conditioned, HeightMap, conditioned
     from hdsp.terrain.obstacles import Bank, Block, Obstacle, Ramp, Scene, Staircase, Tiles, Tilted, TiltedGround
     from hdsp.terrain.patches import crop_patches
     from hdsp.terrain.random_arenas import ArenaSettings, RandomArena, random_arena
@@ -42,6 +44,9 @@ __all__ = [
     "ArenaSettings",
     "Bank",
     "Block",
+    "Conditioned",
+    "ConditioningReport",
+    "ConditioningSettings",
     "CostMaps",
     "HeightMap",
     "Obstacle",
@@ -57,6 +62,7 @@ __all__ = [
     "Tilted",
     "TiltedGround",
     "build_map",
+    "conditioned",
     "crop_patches",
     "find_files",
     "random_arena",
@@ -77,6 +83,9 @@ _MODULES = {
     "ArenaSettings": "random_arenas",
     "Bank": "obstacles",
     "Block": "obstacles",
+    "Conditioned": "height_map",
+    "ConditioningReport": "conditioning",
+    "ConditioningSettings": "conditioning",
     "CostMaps": "cost_maps",
     "HeightMap": "height_map",
     "Obstacle": "obstacles",
@@ -92,6 +101,7 @@ _MODULES = {
     "Tilted": "obstacles",
     "TiltedGround": "obstacles",
     "build_map": "scans",
+    "conditioned": "height_map",
     "crop_patches": "patches",
     "find_files": "scans",
     "random_arena": "random_arenas",

@@ -7,15 +7,16 @@ resolution`` (the same in y), and its centre is at ``+ 0.5``. Heights are float3
 
 import math
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS, RESOLUTION
+from hdsp.terrain.conditioning import UNCHANGED, ConditioningReport, ConditioningSettings, Stages, is_conditioned
 from hdsp.terrain.map_formats import MAP_SUFFIXES, MapFields, ReadOptions, is_map, read_map, write_map
 from hdsp.terrain.map_frame import MapFrame
 from hdsp.terrain.patches import TIE, checked_side, gather, nearest_cell, patch_offsets
@@ -220,6 +221,41 @@ class HeightMap:
         origin = np.asarray(self.center) - np.asarray(heights.shape) / 2 * self.resolution
         return HeightMap(heights, tuple(origin), self.resolution)
 
+    def conditioned(self, settings: ConditioningSettings | None = None) -> "Conditioned":
+        """Conditions the map for planning: cells of 0.025 m without noise, spikes, and small holes.
+
+        `hdsp.terrain.conditioning` describes the stages. A map without any of these faults keeps its heights to the
+        last bit, and a conditioned map is returned as it is.
+
+        Args:
+            settings: settings of the conditioning; None = defaults.
+
+        Returns:
+            The map with the same origin, and a report. ``frame.notes`` of the map says what was done.
+
+        Raises:
+            InputError: if the cells are too coarse for planning.
+        """
+        stages = self.stages(settings)
+        return Conditioned(self.with_heights(stages.result, RESOLUTION, stages.report.notes), stages.report)
+
+    def stages(self, settings: ConditioningSettings | None = None) -> Stages:
+        """Stages of the conditioning, for a map that changes; see `conditioned`."""
+        return Stages(self.heights, self.resolution, UNCHANGED if is_conditioned(self.frame.notes) else settings)
+
+    def with_heights(
+        self, heights: np.ndarray, resolution: float | None = None, notes: tuple[str, ...] = ()
+    ) -> "HeightMap":
+        """Map with the same origin and frame, but other heights, and further notes in its frame.
+
+        Args:
+            heights: float32 [nx, ny], m, NaN = unknown.
+            resolution: cell size, m; None = as before.
+            notes: notes to add.
+        """
+        frame = replace(self.frame, notes=(*self.frame.notes, *notes)) if notes else self.frame
+        return HeightMap(heights, self.origin, self.resolution if resolution is None else resolution, frame)
+
     def _patch(self, heights: np.ndarray) -> "HeightMap":
         corner = -(len(heights) // 2 + 0.5) * self.resolution
         return HeightMap(heights, (corner, corner), self.resolution)
@@ -254,6 +290,18 @@ def _unmasked(heights):
     if not isinstance(heights, np.ma.MaskedArray):
         return heights
     return np.ma.filled(heights.astype(float), math.nan)
+
+
+class Conditioned(NamedTuple):
+    """A conditioned map, and the report on its conditioning."""
+
+    terrain: HeightMap
+    report: ConditioningReport
+
+
+def conditioned(terrain: HeightMap, settings: ConditioningSettings | None = None) -> Conditioned:
+    """Conditions a map for planning; the same as `HeightMap.conditioned`."""
+    return terrain.conditioned(settings)
 
 
 def _pose(pose) -> tuple[float, float, float]:
