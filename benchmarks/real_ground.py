@@ -8,16 +8,16 @@ ramp; position, direction and poses are random. Every disturbance is applied to 
 conditions the disturbed map (`hdsp.terrain.conditioned`) and plans. The plan is then tested against the exact scene
 (`hdsp.planning.check_plan`).
 
-The last line is JSON. For each disturbance:
+The last line is JSON, with one entry for each disturbance:
 
 - `solved`: share of the tasks with a plan;
 - `cost`: mean ratio between the cost of the plan and the cost on the exact map;
 - `most`: largest ratio;
-- `stepped`: share of the plans over a kerb or stairs with a step;
-- `seconds`: mean time of one conditioning.
+- `stepped`: share of the plans over a kerb or stairs that make a step;
+- `false`: number of plans that collide with the exact scene by more than 0.02 m.
 
-`false` is the number of plans that collide with the exact scene by more than 0.02 m. `conditioning_10x10` is the time in
-s for a map of 10 x 10 m with noise and unknown cells, `conditioning_1m2` the time for a change of 1 m2 in it.
+`false` beside them is the sum. `conditioning_10x10` is the CPU time in s for the conditioning of a map of 10 x 10 m
+with noise, spikes and unknown cells, in cells of 0.025 m; `conditioning_1m2` is the time after a change of 1 m2 in it.
 """
 
 import argparse
@@ -26,15 +26,16 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.page import table, write_block
 from hdsp.base.errors import InputError
 from hdsp.planning.collisions import check_plan
 from hdsp.planning.planner import Planner
 from hdsp.planning.plans import Plan
-from hdsp.robot.lattice import RESOLUTION
 from hdsp.robot.robot import Robot
 from hdsp.terrain.arenas import Arena
 from hdsp.terrain.height_map import HeightMap
@@ -45,6 +46,7 @@ MIDDLE = SIDE / 2
 KINDS = "flat", "kerb", "door", "stairs", "ramp"
 KERB, RISE, TREAD, STEPS = 0.15, 0.16, 0.30, 3  # m, m, m
 TOLERANCE = 0.02  # m
+STEPPING = "kerb", "stairs"
 _FAR = 12.0  # m, larger than the map
 
 
@@ -154,6 +156,7 @@ DISTURBANCES: dict[str, Disturbance] = {
     "white_2cm": _white(0.02),
     "white_3cm": _white(0.03),
     "smooth_2cm": _smooth(0.02),
+    "smooth_3cm": _smooth(0.03),
     "unknown_1%": _unknown(0.01),
     "unknown_5%": _unknown(0.05),
     "spikes_1%": _spikes(0.01),
@@ -163,3 +166,108 @@ DISTURBANCES: dict[str, Disturbance] = {
 }
 #: Disturbances for some kinds of tasks only.
 _ONLY = {"cells_10cm_kerb": ("kerb",)}
+
+
+def main(argv=None) -> dict:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=40, help="tasks")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--robot", default="momaro", help="preset or YAML file")
+    parser.add_argument("--heuristic", default="manual")
+    parser.add_argument("--weight", type=float, default=1.25)
+    parser.add_argument("--time", type=float, default=30.0, help="s for one plan")
+    parser.add_argument("--only", help="disturbances, separated by commas")
+    parser.add_argument("--page", type=Path, help="docs page to update")
+    arguments = parser.parse_args(argv)
+    chosen = arguments.only.split(",") if arguments.only else list(DISTURBANCES)
+    if unknown := [name for name in chosen if name not in DISTURBANCES]:
+        raise InputError(f"--only {unknown[0]}: need some of {', '.join(DISTURBANCES)}")
+    robot = Robot.load(arguments.robot)
+
+    def plan_on(terrain: HeightMap, task: Task) -> Plan:
+        planner = Planner(terrain, robot, arguments.heuristic)
+        return planner.plan(task.start, task.goal, weight=arguments.weight, time=arguments.time)
+
+    tasks = [random_task(arguments.seed, number) for number in range(arguments.count)]
+    exact = [plan_on(task.arena.height_map(), task) for task in tasks]
+    unsolved = [number for number, plan in enumerate(exact) if not plan.solved]
+    if unsolved:
+        raise InputError(f"tasks {unsolved} have no plan on their exact map: {exact[unsolved[0]].explain()}")
+    result: dict = {"robot": robot.name, "tasks": arguments.count, "weight": arguments.weight}
+    for name in chosen:
+        result[name] = _measured(name, tasks, exact, plan_on, arguments.seed, robot)
+        print(f"{name}: {result[name]}", file=sys.stderr, flush=True)
+    result["false"] = sum(result[name]["false"] for name in chosen)
+    result |= _conditioning_times(arguments.seed)
+    if arguments.page:
+        write_block(arguments.page, "benchmarks.real_ground", _page(result, chosen))
+    print(json.dumps(result))
+    return result
+
+
+def _measured(
+    name: str,
+    tasks: list[Task],
+    exact: list[Plan],
+    plan_on: Callable[[HeightMap, Task], Plan],
+    seed: int,
+    robot: Robot,
+) -> dict:
+    """Figures for one disturbance."""
+    ratios, stepped, collided, asked = [], [], 0, 0
+    for number, (task, best) in enumerate(zip(tasks, exact, strict=True)):
+        if task.kind not in _ONLY.get(name, KINDS):
+            continue
+        asked += 1
+        rng = np.random.default_rng((seed, number, list(DISTURBANCES).index(name)))
+        plan = plan_on(DISTURBANCES[name](task.arena.height_map(), rng), task)
+        if not plan.solved:
+            print(f"{name}, task {number} ({task.kind}): {plan.explain()}", file=sys.stderr, flush=True)
+            continue
+        ratios.append(plan.cost / best.cost)
+        if task.kind in STEPPING:
+            stepped.append(plan.steps > 0)
+        verdict = check_plan(task.arena, plan, robot, TOLERANCE)
+        if not verdict.free:
+            print(f"{name}, task {number} ({task.kind}): {verdict.collisions}", file=sys.stderr, flush=True)
+            collided += 1
+    return {
+        "solved": round(len(ratios) / asked, 4) if asked else None,
+        "cost": round(float(np.mean(ratios)), 4) if ratios else None,
+        "most": round(float(np.max(ratios)), 4) if ratios else None,
+        "stepped": round(float(np.mean(stepped)), 4) if stepped else None,
+        "false": collided,
+    }
+
+
+def _conditioning_times(seed: int) -> dict[str, float]:
+    """CPU times in s: a map of 10 x 10 m, and a change of 1 m2 in its middle."""
+    rng = np.random.default_rng(seed)
+    terrain = HeightMap.flat((400, 400))
+    for part in (_smooth(0.02), _white(0.005), _spikes(0.01), _unknown(0.02)):
+        terrain = part(terrain, rng)
+    began = time.process_time()
+    stages = terrain.stages()
+    whole = time.process_time() - began
+    heights = terrain.heights.copy()
+    heights[180:220, 180:220] += 0.1
+    began = time.process_time()
+    stages.update(heights, (slice(180, 220), slice(180, 220)))
+    return {"conditioning_10x10": round(whole, 3), "conditioning_1m2": round(time.process_time() - began, 4)}
+
+
+def _page(result: dict, names: list[str]) -> str:
+    rows = [
+        [name.replace("_", " "), *(result[name][key] for key in ("solved", "cost", "most", "stepped", "false"))]
+        for name in names
+    ]
+    head = ["disturbance", "solved", "mean cost", "largest cost", "with a step", "collide"]
+    times = (
+        f"Conditioning took {result['conditioning_10x10']} s of CPU time for 10 x 10 m, and "
+        f"{result['conditioning_1m2']} s after a change of 1 m2."
+    )
+    return f"{table(head, rows)}\n\n{result['tasks']} tasks at W = {result['weight']:g}. {times}"
+
+
+if __name__ == "__main__":
+    main()

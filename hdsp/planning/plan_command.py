@@ -21,7 +21,7 @@ def add_plan(commands) -> None:
     """Adds the command `plan`."""
     parser = commands.add_parser("plan", help="plan a path on a height map", description=_plan.__doc__)
     pose: dict[str, Any] = {"nargs": 3, "type": float, "required": True, "metavar": ("X", "Y", "DEGREES")}
-    parser.add_argument("map", metavar="MAP", help="a height map with cells of 0.025 m: .npz, .h5")
+    parser.add_argument("map", metavar="MAP", help="a height map with cells of up to 0.2 m, or a point cloud")
     parser.add_argument("--start", help="base position in m, heading against the x axis", **pose)
     parser.add_argument("--goal", help="the same", **pose)
     parser.add_argument("--robot", default="momaro", help="a preset or a YAML file (default: momaro)")
@@ -34,6 +34,9 @@ def add_plan(commands) -> None:
     parser.add_argument(
         "--margin", type=float, default=0.0, help="m that the body keeps clear of obstacles (default: 0)"
     )
+    parser.add_argument(
+        "--no-conditioning", dest="conditioning", action="store_false", help="plan on the map as it is, with its noise"
+    )
     parser.add_argument("--time", type=float, default=60.0, help="s after which the search gives up (default: 60)")
     parser.add_argument("--out", help="a CSV file of the states (m, rad) and of the actions that lead to them")
     parser.add_argument("--picture", help="a PNG of the path")
@@ -44,7 +47,11 @@ def _plan(chosen: argparse.Namespace) -> int:
     """Plans a path and says what it does and costs, or why there is none (exit status 3)."""
     from hdsp.planning.planner import Planner
 
-    planner = Planner(HeightMap.load(chosen.map), chosen.robot, chosen.heuristic, chosen.margin)
+    planner = Planner(
+        HeightMap.load(chosen.map), chosen.robot, chosen.heuristic, chosen.margin, conditioning=chosen.conditioning
+    )
+    if (report := planner.conditioning) is not None and (report.changed or report.unknown):
+        print(f"map: {report}")
     start, goal = (np.array([x, y, np.deg2rad(degrees)]) for x, y, degrees in (chosen.start, chosen.goal))
     plan = planner.prepare().plan(start, goal, chosen.weight, time=chosen.time)
     print(plan.explain())

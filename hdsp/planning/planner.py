@@ -23,12 +23,14 @@ from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heur
 from hdsp.planning.improving import improving_plans
 from hdsp.planning.map_changes import changed_cells
 from hdsp.planning.margin import with_margin
+from hdsp.planning.measured_map import MeasuredMap
 from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.planning.plans import Plan
 from hdsp.planning.query import Query, locate, now
 from hdsp.planning.refinable import refinable_plan
-from hdsp.robot.lattice import RESOLUTION, Grid, is_detailed
+from hdsp.robot.lattice import Grid
 from hdsp.robot.robot import Robot
+from hdsp.terrain.conditioning import ConditioningReport, ConditioningSettings
 from hdsp.terrain.height_map import HeightMap, as_height_map
 
 
@@ -40,7 +42,7 @@ class Planner:
     forgets the last query.
 
     Args:
-        terrain: height map at the detailed resolution, an array [nx, ny] of heights in m with ``resolution``, or the
+        terrain: height map with cells of up to 0.2 m, an array [nx, ny] of heights in m with ``resolution``, or the
             path of a map file.
         robot: a ``Robot``, the name of a preset, or the path to a YAML file.
         heuristic: ``"geometric"``, ``"manual"``, ``"learned"`` (the shipped abstraction for this robot),
@@ -48,10 +50,12 @@ class Planner:
             and robot.
         margin: distance between body and obstacles, m; see ``with_margin``.
         resolution: cell size of an array, or of a file without one, m.
+        conditioning: True: the terrain is conditioned with default settings (`HeightMap.conditioned`), which leaves an
+            exact map as it is. None: the terrain is taken as it is, and needs the detailed resolution.
 
     Raises:
-        InputError: a terrain that is no map, another resolution, an unknown robot or heuristic, an abstraction for
-            another robot, or a margin below 0.
+        InputError: a terrain that is no map, cells of another size without conditioning, an unknown robot or
+            heuristic, an abstraction for another robot, or a margin below 0.
     """
 
     def __init__(
@@ -62,13 +66,15 @@ class Planner:
         margin: float = 0.0,
         *,
         resolution: float | None = None,
+        conditioning: ConditioningSettings | bool | None = True,
     ):
         terrain = as_height_map(terrain, resolution)
         self.robot = Robot.load(robot)
         self._wider = with_margin(self.robot, margin)
-        self.terrain = _checked(terrain)
-        self.grid = Grid(terrain.origin, terrain.shape)
-        self.world = build_world(terrain, self._wider)
+        self._map = MeasuredMap(terrain, conditioning)
+        self.terrain = self._map.terrain
+        self.grid = Grid(self.terrain.origin, self.terrain.shape)
+        self.world = build_world(self.terrain, self._wider)
         self.heuristic = self._make_heuristic(heuristic)
 
     def _make_heuristic(self, heuristic: str | AbstractCosts | Heuristic) -> Heuristic:
@@ -76,6 +82,11 @@ class Planner:
             if (heuristic.world.nx, heuristic.world.ny) != self.grid.shape:
                 cells = f"{heuristic.world.nx} x {heuristic.world.ny}"
                 raise InputError(f"heuristic {heuristic.name} belongs to another terrain, of {cells} cells")
+            if self.terrain is not self._map.measured:
+                raise InputError(
+                    f"heuristic {heuristic.name} belongs to the terrain before its conditioning; make it for "
+                    "terrain.conditioned(), or plan with conditioning=None"
+                )
             return heuristic
         if isinstance(heuristic, AbstractCosts) and not isinstance(heuristic, type):
             return AbstractHeuristic(self.world, self.terrain, heuristic, type(heuristic).__name__)
@@ -97,6 +108,11 @@ class Planner:
             "or a Heuristic"
         )
 
+    @property
+    def conditioning(self) -> ConditioningReport | None:
+        """Report on the conditioning of the terrain; None without conditioning."""
+        return self._map.report
+
     def prepare(self) -> Planner:
         """Computes the map-wide part of the heuristic now instead of at the first query; returns the planner."""
         self.heuristic.prepare()
@@ -105,23 +121,27 @@ class Planner:
     def update(self, terrain: HeightMap, region: Region | None = None) -> Planner:
         """Takes over a changed terrain; returns the planner. Later plans equal the plans from a new planner.
 
-        The update computes only the parts that the changed cells touch: terrain costs, abstract edges, and costs-to-go
+        The update computes only the parts that the changed cells touch: conditioned heights (with the noise estimated
+        at construction), terrain costs, abstract edges, and costs-to-go
         for the last goal. A map with another shape or origin needs everything.
 
         Args:
             terrain: the whole height map after the change.
-            region: rectangle (first ix, first iy, end ix, end iy) in cells; outside, the map is unchanged. None: the
-                change may be anywhere. A region only saves a comparison.
+            region: rectangle (first ix, first iy, end ix, end iy) in cells of this map; outside, the map is unchanged.
+                None: the change may be anywhere. A region only saves a comparison.
 
         Raises:
             InputError: another resolution, or a region beyond the map.
         """
-        changed = changed_cells(self.terrain, _checked(terrain), region)
+        if not isinstance(terrain, HeightMap):
+            raise InputError(f"terrain is a {type(terrain).__name__}; need a HeightMap")
+        before, region = self.terrain, self._map.update(terrain, region)
+        self.terrain = terrain = self._map.terrain
+        changed = changed_cells(before, terrain, region)
         if changed is None:
             self.grid, self.world = Grid(terrain.origin, terrain.shape), build_world(terrain, self._wider)
         else:
             self.world = updated_world(self.world, terrain, self._wider, changed)
-        self.terrain = terrain
         self.heuristic.update(self.world, terrain, region)
         return self
 
@@ -307,11 +327,3 @@ class Planner:
         if ends.exact and len(ends.states) == 1:
             return self.heuristic.set_goal(ends.states[0])
         return self.heuristic.set_goals(ends.states, np.unique(ends.goal, return_inverse=True)[1].ravel())
-
-
-def _checked(terrain: HeightMap) -> HeightMap:
-    if not isinstance(terrain, HeightMap):
-        raise InputError(f"terrain is a {type(terrain).__name__}; need a HeightMap")
-    if not is_detailed(terrain.resolution):
-        raise InputError(f"terrain has cells of {terrain.resolution:g} m; the planner needs {RESOLUTION:g} m")
-    return terrain

@@ -231,7 +231,11 @@ def test_a_planner_refuses_what_it_cannot_plan_on_or_with(flat):
     with pytest.raises(InputError, match=r"heuristic 'psychic'.*geometric"):
         Planner(flat.terrain, heuristic="psychic")
     with pytest.raises(InputError, match=r"0\.05 m.*0\.025 m"):
-        Planner(HeightMap(np.zeros((80, 80), np.float32), resolution=0.05))
+        Planner(HeightMap(np.zeros((80, 80), np.float32), resolution=0.05), conditioning=None)
+    with pytest.raises(InputError, match=r"0\.5 m.*0\.2 m"):
+        Planner(HeightMap(np.zeros((80, 80), np.float32), resolution=0.5))
+    with pytest.raises(InputError, match="conditioning is 'strong'"):
+        Planner(flat.terrain, conditioning="strong")
     with pytest.raises(InputError, match="unknown robot 'spot'"):
         Planner(flat.terrain, robot="spot")
 
@@ -297,8 +301,8 @@ def test_after_an_update_plans_are_those_of_a_new_planner(heuristic):
     fresh = Planner(HeightMap(heights), heuristic=heuristic).plan(start, goal, 1.25)
     assert plan.cost == fresh.cost != before.cost
     np.testing.assert_array_equal(plan.states, fresh.states)
-    with pytest.raises(InputError, match=r"0\.05 m"):
-        planner.update(HeightMap(heights, resolution=0.05))
+    with pytest.raises(InputError, match=r"0\.5 m"):
+        planner.update(HeightMap(heights, resolution=0.5))
 
 
 def test_valid_tells_where_the_robot_can_stand(flat):

@@ -1,0 +1,103 @@
+"""The map of a planner as it was measured, and its conditioned form, through changes of the measured map."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hdsp.abstract.abstract_costs import Region
+from hdsp.base.errors import InputError
+from hdsp.base.settings import shown
+from hdsp.planning.map_changes import changed_cells
+from hdsp.robot.lattice import RESOLUTION, is_detailed
+from hdsp.terrain.conditioning import ConditioningReport, ConditioningSettings, Stages
+from hdsp.terrain.height_map import HeightMap
+
+#: Growth of the known area after which the noise is estimated again.
+_GROWTH = 2.0
+
+
+class MeasuredMap:
+    """A measured map and the map on which a planner plans.
+
+    Args:
+        measured: the map as measured.
+        conditioning: True: default settings; None or False: the map as it is.
+
+    Attributes:
+        measured: the map as measured.
+        terrain: the map for planning, at the detailed resolution.
+
+    Raises:
+        InputError: cells that conditioning cannot bring to the detailed resolution; without conditioning, another
+            resolution; or no setting.
+    """
+
+    def __init__(self, measured: HeightMap, conditioning: ConditioningSettings | bool | None):
+        if not (conditioning is None or isinstance(conditioning, bool | ConditioningSettings)):
+            raise InputError(f"conditioning is {shown(conditioning)}; need True, None, or ConditioningSettings")
+        self._settings = ConditioningSettings() if conditioning is True else conditioning or None
+        self.measured = self.terrain = measured
+        self._stages: Stages | None = None
+        self._take(measured)
+
+    @property
+    def report(self) -> ConditioningReport | None:
+        """Report on the conditioning; None without conditioning."""
+        return self._stages.report if self._stages is not None else None
+
+    def update(self, measured: HeightMap, region: Region | None = None) -> Region | None:
+        """Takes over a changed map, and conditions the part that changed.
+
+        The noise stays as estimated, until twice as much ground is known.
+
+        Args:
+            measured: the whole map after the change.
+            region: rectangle (first ix, first iy, end ix, end iy) in measured cells; outside, the map is unchanged.
+                None: the change may be anywhere.
+
+        Returns:
+            Rectangle in cells of ``terrain`` with all its changes; None: they may be anywhere.
+
+        Raises:
+            InputError: as at construction, or a region beyond the map.
+        """
+        same = measured.resolution == self.measured.resolution
+        changed = changed_cells(self.measured, measured, region) if same else None
+        if changed is None or self._has_grown(measured):
+            self._take(measured)
+            return None
+        if self._stages is None:
+            self.measured = self.terrain = measured
+            return region
+        cells = np.argwhere(changed)
+        if len(cells):
+            low, high = cells.min(axis=0).tolist(), (cells.max(axis=0) + 1).tolist()
+            x, y = self._stages.update(measured.heights, (slice(low[0], high[0]), slice(low[1], high[1])))
+            found = x.start, y.start, x.stop, y.stop
+        else:
+            found = 0, 0, 0, 0
+        self._show(measured)
+        return found
+
+    def _has_grown(self, measured: HeightMap) -> bool:
+        known = np.count_nonzero(np.isfinite(measured.heights))
+        return self._stages is not None and bool(known > _GROWTH * self._known)
+
+    def _take(self, measured: HeightMap) -> None:
+        if self._settings is not None:
+            self._stages = measured.stages(self._settings)
+            self._known = np.count_nonzero(np.isfinite(measured.heights))
+            self._show(measured)
+            return
+        if not is_detailed(measured.resolution):
+            raise InputError(
+                f"terrain has cells of {measured.resolution:g} m; the planner needs {RESOLUTION:g} m, or conditioning"
+            )
+        self._stages, self.measured, self.terrain = None, measured, measured
+
+    def _show(self, measured: HeightMap) -> None:
+        assert self._stages is not None
+        self.measured, report = measured, self._stages.report
+        self.terrain = (
+            measured.with_heights(self._stages.result, RESOLUTION, report.notes) if report.changed else measured
+        )
