@@ -14,6 +14,7 @@ import numpy as np
 
 from hdsp.robot.lattice import cells, metres
 from hdsp.robot.robot import Robot
+from hdsp.terrain.cost_maps import slope_directions, steep_reach
 
 #: Heights (m) at points (x, y), with x's shape; NaN = unknown.
 Heights = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -73,6 +74,41 @@ def inclination(
     gradients[row, column] *= ~_crosses_edge(heights, feet[row], unit[row, column], half, robot)
     worst = np.arange(len(feet)), (gradients / limits).argmax(axis=1)
     return Inclination(np.arctan(gradients[worst]), np.arctan(limits[worst]), gradients[worst] > most[worst])
+
+
+def inclination_at_cell(heights: np.ndarray, cell: tuple[int, int], robot: Robot) -> float:
+    """Steepest inclination at a cell as the planner measures it, rad; 0 on even ground.
+
+    The rule is that of ``hdsp.terrain.cost_maps``: between cells on both sides, over each length up to the longest,
+    as far as no edge lies at an end; a rise that a wheel passes as an edge does not count.
+
+    Args:
+        heights: float [nx, ny], m; NaN or -inf = unknown.
+        cell: (ix, iy).
+        robot: its limits.
+    """
+    reach = steep_reach(robot) + 1
+    near = np.full((2 * reach + 1, 2 * reach + 1), np.nan)
+    low = np.maximum(np.array(cell) - reach, 0)
+    part = heights[low[0] : cell[0] + reach + 1, low[1] : cell[1] + reach + 1]
+    at = low - np.array(cell) + reach
+    near[at[0] : at[0] + part.shape[0], at[1] : at[1] + part.shape[1]] = np.where(np.isfinite(part), part, np.nan)
+    highest, steepest = robot.drive.highest_edge, 0.0
+    for direction in slope_directions(robot):
+        for offset in direction:
+            high, low = (tuple(reach + side * offset) for side in (1, -1))
+            if _is_edge(near, high, highest) or _is_edge(near, low, highest):
+                break
+            rise, length = abs(float(near[high] - near[low])), 2 * metres(float(np.hypot(*offset)))
+            if rise > highest:
+                steepest = max(steepest, rise / length)
+    return math.atan(steepest)
+
+
+def _is_edge(heights: np.ndarray, cell: tuple[int, ...], highest: float) -> bool:
+    """Whether a cell is unknown, or differs from a known neighbour by more than ``highest``."""
+    around = heights[cell[0] - 1 : cell[0] + 2, cell[1] - 1 : cell[1] + 2]
+    return not np.nanmax(abs(around - heights[cell]), initial=0.0) <= highest if np.isfinite(heights[cell]) else True
 
 
 def _crosses_edge(heights: Heights, feet: np.ndarray, unit: np.ndarray, half: float, robot: Robot) -> np.ndarray:

@@ -8,6 +8,7 @@ from hdsp.detailed.search.bounds import rounding
 from hdsp.detailed.search.estimate import Estimate
 from hdsp.detailed.search.life_cycle import Progress, Search
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
+from hdsp.detailed.search.reached import Reached, reached_by
 from hdsp.detailed.world.world import World
 
 
@@ -73,6 +74,33 @@ def solve(
     if len(result.status) == 1:
         _enter_bounds(result, world, weight if admissible else np.inf, limits)
     return result
+
+
+def solve_one(
+    world: World,
+    start: np.ndarray,
+    goal: np.ndarray,
+    heuristic: Estimate,
+    *,
+    weight: float,
+    admissible: bool,
+    reopen: bool,
+    limits: Limits,
+    progress: Progress | None = None,
+) -> tuple[SearchResult, Reached | None]:
+    """Searches as ``solve`` for one goal; also returns the reached states of a search that began and found no plan."""
+    if not reopen and np.isfinite(limits.cost):
+        raise InputError(f"cost limit {limits.cost:g}: a search that expands no state twice proves none; need inf")
+    search = Search(world, start, goal, limits=limits, progress=progress)
+    (invalid,) = search.invalid
+    if invalid is not None:
+        return SearchResult.of([invalid], [None]), None
+    ended = search.begin(heuristic, weight, admissible, reopen)
+    while ended is None:
+        ended = search.advance()
+    result = search.result(ended)
+    _enter_bounds(result, world, weight if admissible else np.inf, limits)
+    return result, None if ended == Status.SOLVED else reached_by(search)
 
 
 def _enter_bounds(result: SearchResult, world: World, bound: float, limits: Limits) -> None:

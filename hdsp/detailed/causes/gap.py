@@ -1,0 +1,221 @@
+"""The gap between the poses in reach and a goal, and the ground that closes it.
+
+Among all ways from the poses in reach to the poses from which the robot can drive to the goal, the way of least
+resistance meets the fewest obstacles: a door that is a little too narrow, rather than the wall beside it. The first
+invalid pose on this way names the causes. The way leads over a coarse lattice of poses with neutral feet; the causes
+come from the detailed lattice.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.jit import njit
+from hdsp.detailed.actions.state_costs import feet_cells
+from hdsp.detailed.actions.successors import Rules
+from hdsp.detailed.causes.cause import Cause, Kind, Place
+from hdsp.detailed.causes.faults import faults_of, ground_fault, place_of
+from hdsp.detailed.relaxed.heading_masks import PoseFlood
+from hdsp.detailed.relaxed.proofs import FOOT, Unreachable
+from hdsp.detailed.world.body import collides
+from hdsp.detailed.world.world import World, cell_index
+from hdsp.robot.lattice import HEADINGS, Grid, cells, heading_angle
+from hdsp.robot.robot import FEET, Robot
+
+_MOST_POSES = 400_000  # on the coarse lattice; a way takes about a second then
+_HEADINGS = 16  # of the coarse lattice
+_WRAP = 3  # coarse headings that repeat beyond a whole turn
+#: Resistance of a pose, in steps on the coarse lattice: per cell between a foot and the nearest foothold, and of a body
+#: that hits the ground.
+_PER_CELL, _HIT = 2.0, 10.0
+
+
+class Gap(NamedTuple):
+    """Gap that cuts off a goal. Convention: world coordinates, m and rad.
+
+    Attributes:
+        near: (x, y, theta), pose in reach at which the gap begins; (x, y) for a foot.
+        far: the same on the other side, different from ``near``.
+        foot: name of the foot that does not get across; None for the whole robot.
+    """
+
+    near: tuple[float, ...]
+    far: tuple[float, ...]
+    foot: str | None = None
+
+    @property
+    def turns(self) -> bool:
+        """Whether both sides differ in their heading only."""
+        return self.near[:2] == self.far[:2]
+
+    def __str__(self) -> str:
+        near, far = f"({self.near[0]:.2f}, {self.near[1]:.2f})", f"({self.far[0]:.2f}, {self.far[1]:.2f}) m"
+        if self.foot is not None:
+            return f"the {self.foot} foot gets nowhere from {near} to {far}, neither by rolling nor by stepping"
+        if near == far[:-2]:
+            one, other = (math.degrees(pose[2]) for pose in (self.near, self.far))
+            return f"the robot cannot turn from {one:.0f} to {other:.0f} degrees at {far}"
+        return f"the robot cannot get from {near} to {far}"
+
+
+class Obstacle(NamedTuple):
+    """Obstacle before a goal.
+
+    Attributes:
+        causes: the causes at the first invalid pose in the gap; none if each pose in the gap is valid.
+        gap: the gap; None without an invalid pose.
+    """
+
+    causes: tuple[Cause, ...]
+    gap: Gap | None
+
+
+def find_obstacle(
+    world: World,
+    grid: Grid,
+    robot: Robot,
+    start: np.ndarray,
+    goal: np.ndarray,
+    reached: np.ndarray,
+    rules: Rules | None = None,
+) -> Obstacle:
+    """Finds the obstacle between the poses in reach and a goal.
+
+    Args:
+        world: terrain and robot, compiled.
+        grid: place of the terrain in the world.
+        robot: its limits.
+        start, goal: int64 [7], valid states in lattice units.
+        reached: uint64 [nx, ny], the headings in reach at each cell, as bits; without the goal.
+        rules: restrictions of the search.
+    """
+    around_goal = np.bitwise_or.reduce(PoseFlood(world, rules or Rules()).reached_from(goal, drive_only=True))
+    way = _turn_at(reached, goal)
+    obstacle = _first_obstacle(world, grid, robot, way, reached, around_goal) if way is not None else None
+    if obstacle is not None:
+        theta = float(heading_angle(goal[2]))
+        heading = Cause(Kind.HEADING, place_of(grid, goal[:2]), theta)
+        return obstacle._replace(causes=(heading, *obstacle.causes))
+    way = _way_of_least_resistance(world, start, goal, reached, around_goal)
+    return _first_obstacle(world, grid, robot, way, reached, around_goal) or Obstacle((), None)
+
+
+def obstacle_of_foot(proof: Unreachable, world: World, grid: Grid, robot: Robot) -> Obstacle:
+    """Returns the obstacle in a proof for a single foot (``hdsp.detailed.relaxed.proofs``)."""
+    assert proof.proof == FOOT
+    name, found = FEET[proof.foot], []
+    for x, y in proof.blocked.tolist():
+        fault = ground_fault(world, grid, robot, (x, y), name)
+        if fault is not None and fault not in found:
+            found.append(fault)
+    # Unknown ground is the nearest cause; of edges, the highest one counts.
+    unknown = [cause for cause in found if cause.kind == Kind.UNKNOWN][:1]
+    rest = [max((c for c in found if c.kind == kind), key=lambda c: c.amount or 0.0, default=None)
+            for kind in (Kind.EDGE, Kind.SLOPE)]  # fmt: skip
+    ends = (place_of(grid, proof.from_start), place_of(grid, proof.from_goal))
+    return Obstacle((*unknown, *(cause for cause in rest if cause is not None)), Gap(*ends, foot=name))
+
+
+def _turn_at(reached: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
+    """Poses int64 [n, 3] at the goal's cell, from a heading in reach to the goal's heading; None without one."""
+    bits, x, y = int(reached[goal[0], goal[1]]), int(goal[0]), int(goal[1])
+    turns = sorted((t for t in range(-HEADINGS // 2, HEADINGS // 2) if bits >> (int(goal[2]) + t) % HEADINGS & 1), key=abs)
+    if not turns:
+        return None
+    between = range(turns[0], 0, -1 if turns[0] > 0 else 1)
+    return np.array([(x, y, (int(goal[2]) + t) % HEADINGS) for t in [*between, 0]])
+
+
+def _holds(bits: np.ndarray, pose: np.ndarray) -> bool:
+    return bool(int(bits[pose[0], pose[1]]) >> int(pose[2]) & 1)
+
+
+def _first_obstacle(
+    world: World, grid: Grid, robot: Robot, way: np.ndarray, reached: np.ndarray, around_goal: np.ndarray
+) -> Obstacle | None:
+    """The obstacle at the first invalid pose after the last reached pose on a way; None without one."""
+    last = max((k for k, pose in enumerate(way) if _holds(reached, pose)), default=0)
+    for k in range(last + 1, len(way)):
+        causes = faults_of(world, grid, robot, np.array([*way[k], 0, 0, 0, 0]))
+        if causes:
+            after = (pose for pose in way[k + 1 :] if _holds(around_goal, pose))
+            near, far = (_pose(grid, pose) for pose in (way[last], next(after, way[-1])))
+            return Obstacle(causes, Gap(near, far) if near != far else None)
+    return None
+
+
+def _pose(grid: Grid, pose: np.ndarray) -> tuple[float, ...]:
+    return (*place_of(grid, pose[:2]), float(heading_angle(pose[2])))
+
+
+def _way_of_least_resistance(
+    world: World, start: np.ndarray, goal: np.ndarray, reached: np.ndarray, around_goal: np.ndarray
+) -> np.ndarray:
+    """Poses int64 [n, 3] from a pose in reach to the goal or to a pose from which the robot can drive to it."""
+    from scipy.ndimage import distance_transform_edt
+    from skimage.graph import MCP_Geometric
+
+    stride = max(2, math.ceil(math.sqrt(world.nx * world.ny * (_HEADINGS + 2 * _WRAP) / _MOST_POSES)))
+    shift = goal[:2] % stride  # so that the goal is on the coarse lattice
+    turn = HEADINGS // _HEADINGS
+    away = distance_transform_edt(~world.standable.reshape(-1, world.stride)).astype(np.float32).ravel()
+    headings = (int(goal[2]) + turn * np.arange(-_WRAP, _HEADINGS + _WRAP)) % HEADINGS
+    costs = 1.0 + _resistance(world, away, shift, stride, headings)
+    ways = MCP_Geometric(costs, fully_connected=True)
+    starts, ends = (_coarse(bits, shift, stride, headings) for bits in (reached, around_goal))
+    near_start = [*np.clip(np.rint((start[:2] - shift) / stride).astype(int), 0, np.array(costs.shape[:2]) - 1)]
+    begin = near_start + [int(np.argmin(abs((headings - start[2] + HEADINGS // 2) % HEADINGS - HEADINGS // 2)))]
+    end = [*((goal[:2] - shift) // stride), _WRAP]
+    costs_to, _ = ways.find_costs([*starts.tolist(), begin], [*ends.tolist(), end], find_all_ends=False)
+    arrived = min([tuple(end), *map(tuple, ends.tolist())], key=lambda node: costs_to[node])
+    coarse = np.array(ways.traceback(arrived))
+    poses = np.column_stack([coarse[:, :2] * stride + shift, headings[coarse[:, 2]]])
+    return _refined(poses if _holds(reached, poses[0]) else np.concatenate([start[None, :3], poses]))
+
+
+def _coarse(bits: np.ndarray, shift: np.ndarray, stride: int, headings: np.ndarray) -> np.ndarray:
+    """Nodes of the coarse lattice whose poses are in ``bits``, int64 [n, 3]."""
+    sampled = bits[shift[0] :: stride, shift[1] :: stride]
+    return np.argwhere(sampled[..., None] >> headings.astype(np.uint64) & np.uint64(1))
+
+
+def _refined(poses: np.ndarray) -> np.ndarray:
+    """Adds the detailed poses between coarse poses, int64 [n, 3]."""
+    found = [poses[:1]]
+    for one, other in zip(poses, poses[1:], strict=False):
+        change = other - one
+        change[2] = (change[2] + HEADINGS // 2) % HEADINGS - HEADINGS // 2
+        steps = max(int(abs(change).max()), 1)
+        between = np.rint(one + change * np.arange(1, steps + 1)[:, None] / steps).astype(np.int64)
+        between[:, 2] %= HEADINGS
+        found.append(between)
+    return np.concatenate(found)
+
+
+@njit()
+def _resistance(world, away, shift, stride, headings):
+    """Resistance of the poses on a coarse lattice, float64 [nx, ny, headings].
+
+    Args:
+        world: terrain and robot.
+        away: float32 flat, distance to the nearest foothold, cells.
+        shift: int64 [2], first cell.
+        stride: cells between neighbouring poses.
+        headings: int64 [headings], detailed headings.
+    """
+    t = world.tables
+    nx, ny = (world.nx - shift[0] + stride - 1) // stride, (world.ny - shift[1] + stride - 1) // stride
+    found = np.empty((nx, ny, len(headings)))
+    o = -t.lowest
+    for i in range(nx):
+        for j in range(ny):
+            p = cell_index(world, shift[0] + stride * i, shift[1] + stride * j)
+            for k in range(len(headings)):
+                h = headings[k]
+                p0, p1, p2, p3 = feet_cells(p, t.feet, t.n_offsets, t.n_samples, h, o, o, o, o)
+                feet = np.float64(away[p0]) + away[p1] + away[p2] + away[p3]
+                found[i, j, k] = _PER_CELL * feet + _HIT * collides(world, h, p)
+    return found
