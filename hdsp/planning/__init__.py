@@ -6,7 +6,7 @@
 - `query`: one query with its search or its proof
 - `refinable`, `improving`: plans without impossible steps; anytime planning
 - `plans`, `plan_statistics`: `Plan` and its statistics
-- `explanation`, `reasons`: plans in words; reasons for invalid states and unreachable goals
+- `explanation`, `findings`, `advice`: plans in words; reasons for the absence of a plan, and help
 - `collisions`: an independent check of plans against arenas
 - `margin`, `map_changes`: a margin around the base; changed cells between two maps
 """

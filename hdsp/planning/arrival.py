@@ -11,6 +11,7 @@ import numpy as np
 from hdsp.abstract.transform import feet_at_all
 from hdsp.base.errors import InputError
 from hdsp.detailed.actions.state_costs import separated, state_costs
+from hdsp.detailed.causes import Cause
 from hdsp.detailed.states import pack_states
 from hdsp.detailed.world.world import World
 from hdsp.planning.arguments import number, pose_values
@@ -31,13 +32,13 @@ class Arrival:
         states: int64 [n, 7], lattice units, valid; empty if the robot can stand at no goal.
         goal: int64 [n], number of the goal to which each state belongs.
         exact: whether the states are one state for each goal.
-        faults: faults of the first goal, in words; empty if there is a state.
+        faults: faults of the first goal, and further words; empty if there is a state.
     """
 
     states: np.ndarray
     goal: np.ndarray
     exact: bool
-    faults: tuple[str, ...] = ()
+    faults: tuple[Cause | str, ...] = ()
 
 
 def arrival(world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: Tolerance | None) -> Arrival:
@@ -78,7 +79,7 @@ def arrival(world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: 
     states, numbers_of = np.concatenate(found), np.concatenate(numbers)
     if len(states):
         return Arrival(states, numbers_of, exact)
-    words = list(faults[0])
+    words: list[Cause | str] = list(faults[0])
     if not exact:
         words.append("nor at any other pose within the tolerance")
     if len(goals) > 1:

@@ -9,6 +9,7 @@ import numpy as np
 from hdsp.detailed.actions.action import Action, ActionKind
 from hdsp.detailed.base_pose import base_poses
 from hdsp.detailed.search.outcome import Status
+from hdsp.planning.findings import Findings
 from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.robot.lattice import HEADINGS
 from hdsp.robot.robot import Robot
@@ -44,28 +45,41 @@ def explain_plan(
     return f"solved: {way}; cost {costs.sum():.3f} ({_shares(actions, costs)})"
 
 
-def explain_ending(status: Status, stats: PlanStatistics, problems: Sequence[str], refused: Sequence[str]) -> str:
+def explain_ending(
+    status: Status, stats: PlanStatistics, problems: Sequence[object], findings: Findings, refused: Sequence[str]
+) -> str:
     """Describes the reason why a query ended without a plan.
 
     Args:
         status: end of the search.
         stats: effort of the search.
-        problems: faults in start or goal, or the obstacle between them.
+        problems: faults in start or goal.
+        findings: further reasons.
         refused: steps in former plans that could not be carried out.
     """
     if status in (Status.INVALID_START, Status.INVALID_GOAL):
         which = "start" if status == Status.INVALID_START else "goal"
-        return f"the robot cannot stand at the {which}: " + "; ".join(problems)
-    if status == Status.INFEASIBLE and problems:
-        return "there is no way: " + "; ".join(problems)
+        return "; ".join([f"the robot cannot stand at the {which}: " + "; ".join(map(str, problems)), *findings.advice])
+    proved = "there is no way"
+    if findings.gap is None and not findings.limits:
+        proved += ": everything that can be reached from the start was searched"
     endings = {
-        Status.INFEASIBLE: "there is no way: everything that can be reached from the start was searched",
+        Status.INFEASIBLE: proved,
         Status.COST_LIMIT: "there is no plan within the cost limit",
         Status.EXPANSION_LIMIT: f"not decided: stopped after {stats.expansions:,} expansions",
         Status.MEMORY_LIMIT: f"not decided: stopped at {stats.memory / 2**20:,.0f} MiB of states",
         Status.TIME_LIMIT: f"not decided: stopped after {stats.seconds:.1f} s",
     }
     words = endings[status]
+    reasons = [str(findings.gap)] if findings.gap is not None else []
+    if findings.limits:
+        reasons.append(findings.limits)
+    reasons += [str(cause) for cause in findings.causes]
+    if reasons:
+        words += (": " if status == Status.INFEASIBLE else "; on the way to the goal ") + "; ".join(reasons)
+    if findings.nearest is not None:
+        words += f"; {findings.nearest}"
+    words += "".join(f"; {advice}" for advice in findings.advice)
     if refused:
         words += f"; {_count(len(refused), 'step')} could not be carried out, first: {refused[0]}"
     return words

@@ -14,7 +14,7 @@ from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.planning.plans import Plan
-from hdsp.planning.query import FEW, Query, now
+from hdsp.planning.query import FEW, Query, ReachedStates, now
 from hdsp.planning.refinable import RefusedSteps
 
 
@@ -73,6 +73,7 @@ def _rounds(
 
     guide = None if query.admissible else query.estimate
     admissible = query.estimate if guide is None else query.geometric()
+    reached = ReachedStates(query.goal)
     while True:
         limits = query.limits
         left = replace(limits, expansions=limits.expansions - spent, time=limits.time - (now() - began))
@@ -87,9 +88,10 @@ def _rounds(
             hopeless=None if proofs else hopeless,
             ask_after=FEW,
             progress=query.progress,
+            at_end=reached.take,
         )
         for found in rounds:
-            plan = query.plan_of(found.result, PlanStatistics(query.heuristic.name, float(found.weight)))
+            plan = query.plan_of(found.result, PlanStatistics(query.heuristic.name, float(found.weight)), reached)
             spent_now = {"expansions": plan.stats.expansions + spent, "search_seconds": now() - began}
             plan = plan.renewed(spent_now)
             if refinable and plan.solved and plan.cost < cost * (1 - LEAST_GAIN):

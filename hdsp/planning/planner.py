@@ -11,6 +11,7 @@ import numpy as np
 from hdsp.abstract.abstract_costs import AbstractCosts, Region
 from hdsp.base.errors import InputError
 from hdsp.base.settings import shown
+from hdsp.detailed.causes import Cause
 from hdsp.detailed.search.estimate import Estimate
 from hdsp.detailed.search.life_cycle import Progress
 from hdsp.detailed.search.outcome import Limits, Status
@@ -295,7 +296,7 @@ class Planner:
         """Returns the query, with the heuristic prepared for its goals, or a plan with the faults in an invalid end."""
         began = now()
 
-        def without(status: Status, faults: Sequence[str]) -> Plan:
+        def without(status: Status, faults: Sequence[Cause | str]) -> Plan:
             stats = PlanStatistics(self.heuristic.name, float(weight), seconds=now() - began)
             nothing = np.empty((0, 7)), (), np.empty(0)
             return Plan(status, np.inf, *nothing, stats, self.terrain, self.robot, problems=tuple(faults))

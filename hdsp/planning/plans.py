@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,10 +11,13 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.detailed.actions.action import Action
+from hdsp.detailed.causes import Cause
 from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.motion.refinement import refine
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning.explanation import explain_ending, explain_plan
+from hdsp.planning.findings import Findings, Inquiry
+from hdsp.planning.nearest_pose import Nearest
 from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -37,15 +39,15 @@ class Plan:
         stats: effort and proofs.
         terrain: the map under the plan.
         robot: the robot that follows the plan.
-        problems: faults in start or goal, or the obstacle between them, in words.
+        problems: the causes for which the robot cannot stand at the start or at the goal, and further words about them.
         refused: steps in former plans that could not be carried out, in words; empty unless ``refinable`` was set.
         bound: proved: the plan costs at most so many times the optimum (among plans without the refused steps). 1 for
             an optimal plan, inf without a proof.
         goal_index: number of the goal at which the plan ends, from 0; None without a plan.
         assumed: changes to the map under the robot at the start, in words: unknown ground that was filled in, the
             robot's own body that was removed. ``terrain`` contains them.
-        cause: finds the robot's limits without which there would be a plan (``decisive_limits``); ``explain`` calls it.
-            None if ``problems`` or ``refused`` name the cause.
+        ends: start and goal of the query, world poses with 3 or 7 values; empty if unknown.
+        inquiry: finds the reasons for the absence of a plan, at the first use of ``findings``.
     """
 
     status: Status
@@ -56,12 +58,13 @@ class Plan:
     stats: PlanStatistics
     terrain: HeightMap = field(repr=False)
     robot: Robot = field(repr=False)
-    problems: tuple[str, ...] = ()
+    problems: tuple[Cause | str, ...] = ()
     refused: tuple[str, ...] = ()
     bound: float = np.inf
     goal_index: int | None = None
     assumed: tuple[str, ...] = ()
-    cause: Callable[[], str | None] | None = field(default=None, repr=False)
+    ends: tuple[np.ndarray, ...] = field(default=(), repr=False)
+    inquiry: Inquiry | None = field(default=None, repr=False)
 
     @property
     def solved(self) -> bool:
@@ -75,16 +78,31 @@ class Plan:
     def explain(self) -> str:
         """Describes the plan, or the reason for its absence, in one line for an operator.
 
-        After a search that found no obstacle, the reason needs some more searches, at most half a minute.
+        Without a plan, the line names the causes at their places, the nearest pose that the search reached, and changes
+        that would help. The first call computes them (``findings``).
         """
         if self.solved:
             return explain_plan(self.terrain, self.robot, self.states, self.actions, self.action_costs)
-        causes = (self._cause,) if self._cause else ()
-        return explain_ending(self.status, self.stats, self.problems + causes, self.refused)
+        return explain_ending(self.status, self.stats, self.problems, self.findings, self.refused)
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """Why there is no plan, each cause at its place; empty for a plan."""
+        return (*(problem for problem in self.problems if isinstance(problem, Cause)), *self.findings.causes)
+
+    @property
+    def nearest(self) -> Nearest | None:
+        """The pose nearest to the goal that a search without a plan reached."""
+        return self.findings.nearest
 
     @cached_property
-    def _cause(self) -> str | None:
-        return self.cause() if self.cause is not None else None
+    def findings(self) -> Findings:
+        """Reasons for the absence of a plan, computed at the first use.
+
+        This takes up to some seconds. After a search that found no obstacle, it needs some more searches, at most half
+        a minute.
+        """
+        return self.inquiry() if self.inquiry is not None else Findings()
 
     def refine(self) -> Motion:
         """Returns the motion that follows the plan: base and feet in each configuration, all checked.

@@ -5,38 +5,35 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from hdsp.abstract.transform import feet_at
 from hdsp.detailed.actions.action import action_of
-from hdsp.detailed.relaxed.proofs import FOOT, Unreachable, nearest_state, why_unreachable
+from hdsp.detailed.causes import Cause, faults_of
+from hdsp.detailed.relaxed.proofs import Unreachable, nearest_state, why_unreachable
 from hdsp.detailed.search.estimate import Estimate, geometric_estimate
-from hdsp.detailed.search.life_cycle import Progress
+from hdsp.detailed.search.life_cycle import Progress, Search
 from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
+from hdsp.detailed.search.reached import Reached, reached_by
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import World
 from hdsp.planning.arguments import lattice_state, pose_values
-from hdsp.planning.decisive_limits import decisive_limits
-from hdsp.planning.foot_limits import stopping_limits
+from hdsp.planning.findings import Inquiry
 from hdsp.planning.heuristics import Heuristic
 from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.planning.plans import Plan
-from hdsp.planning.reasons import invalid_because, unreachable_because
 from hdsp.robot.lattice import Grid, heading_index
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
 #: Expansions before a proof is tried; about a tenth of a second.
 FEW = 50_000
-#: Time for the reason of a failure that shows no obstacle, s.
-REASON_SECONDS = 30.0
 
 
-def locate(world: World, grid: Grid, robot: Robot, pose, name: str) -> tuple[np.ndarray, list[str]]:
-    """Returns the detailed state at a world pose, int64 [7], and its faults in words.
+def locate(world: World, grid: Grid, robot: Robot, pose, name: str) -> tuple[np.ndarray, list[Cause]]:
+    """Returns the detailed state at a world pose, int64 [7], and the causes for which it is invalid.
 
     Args:
         world: terrain and robot, compiled.
@@ -54,7 +51,23 @@ def locate(world: World, grid: Grid, robot: Robot, pose, name: str) -> tuple[np.
         chosen = feet_at(world, (int(state[0]), int(state[1]), int(heading_index(values[2]))))
         if chosen is not None:
             return chosen, []
-    return state, invalid_because(world, grid, robot, state)
+    return state, list(faults_of(world, grid, robot, state))
+
+
+class ReachedStates:
+    """Keeps the states that a search without a plan reached.
+
+    Attributes:
+        found: the states; None before such an end.
+    """
+
+    def __init__(self, goal: np.ndarray):
+        self.found: Reached | None = None
+        self._goal = goal
+
+    def take(self, search: Search) -> None:
+        """Takes over the states of a search at its end."""
+        self.found = reached_by(search, self._goal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +116,7 @@ class Query:
         """Searches with weighted A*."""
         # No bound is lost without reopening: the heuristic is consistent, or proves none.
         once = self.consistent or not self.admissible
+        reached = ReachedStates(self.goal)
         result = solve(
             self.world,
             self.start,
@@ -114,11 +128,13 @@ class Query:
             limits=self.limits,
             progress=self.progress,
             nearest=True,
+            at_end=reached.take,
         )
-        return self.plan_of(result, PlanStatistics(self.heuristic.name, float(weight)))
+        return self.plan_of(result, PlanStatistics(self.heuristic.name, float(weight)), reached)
 
     def anchored(self, weight: float, anchor_weight: float) -> Plan:
         """Searches with multi-heuristic A* and the geometric heuristic as the anchor."""
+        reached = ReachedStates(self.goal)
         result = solve_multi(
             self.world,
             self.start,
@@ -129,6 +145,7 @@ class Query:
             anchor_weight=anchor_weight,
             limits=self.limits,
             progress=self.progress,
+            at_end=reached.take,
         )
         anchored, guided = result.expansions_by or (0, 0)
         stats = PlanStatistics(
@@ -137,16 +154,16 @@ class Query:
             anchor_weight=float(anchor_weight),
             expansions_by={"geometric": anchored, self.heuristic.name: guided},
         )
-        return self.plan_of(result, stats)
+        return self.plan_of(result, stats, reached)
 
     def geometric(self) -> Estimate:
         """Returns the geometric estimate for the goals."""
         groups = np.unique(self.goal_numbers, return_inverse=True)[1].ravel()
         return geometric_estimate(self.world, self.goals, groups)
 
-    def plan_of(self, result: SearchResult, stats: PlanStatistics) -> Plan:
+    def plan_of(self, result: SearchResult, stats: PlanStatistics, reached: ReachedStates) -> Plan:
         """Returns the plan from a search in world coordinates; ``stats`` holds the search settings."""
-        path = result.paths[0]
+        path, status = result.paths[0], result.status[0]
         spent = replace(
             stats,
             expansions=result.expansions,
@@ -156,7 +173,7 @@ class Query:
             lower_bound=result.lower_bound,
         )
         return Plan(
-            status=result.status[0],
+            status=status,
             cost=float(result.cost[0]),
             states=np.empty((0, 7)) if path is None else self.grid.to_world(path.states),
             actions=() if path is None else tuple(action_of(int(code)) for code in path.actions),
@@ -167,6 +184,8 @@ class Query:
             bound=result.bound,
             goal_index=None if result.reached is None else int(self.goal_numbers[result.reached]),
             assumed=self.assumed,
+            ends=(self.grid.to_world(self.start), self.grid.to_world(self.goal)),
+            inquiry=None if status == Status.SOLVED else self.inquiry(status, reached.found),
         )
 
     def proof(self) -> Unreachable | None:
@@ -174,24 +193,24 @@ class Query:
         return why_unreachable(self.world, self.start, self.goals)
 
     def without_way(self, plan: Plan, proof: Unreachable | None) -> Plan:
-        """Returns a plan that ends infeasible, with its reason.
+        """Returns a plan that ends infeasible.
 
         Args:
             plan: plan from a search.
             proof: proof of infeasibility; None after a search through all reachable states.
         """
-        query = self.terrain, self.wider, self.start, self.goal
-        cause: Callable[[], str | None] | None = partial(decisive_limits, *query, REASON_SECONDS)
         if proof is None:
-            return plan.renewed(cause=cause)
-        if proof.proof == FOOT:
-            cause = partial(
-                stopping_limits, *query, np.concatenate([[proof.from_start], proof.blocked, [proof.from_goal]])
-            )
-        elif proof.footless or len(proof.body_hits):
-            cause = None
-        words = unreachable_because(proof, self.world, self.grid, self.robot)
-        return plan.renewed({"lower_bound": np.inf}, status=Status.INFEASIBLE, problems=(words,), cause=cause)
+            return plan
+        inquiry = self.inquiry(Status.INFEASIBLE, None) if plan.inquiry is None else plan.inquiry
+        return plan.renewed(
+            {"lower_bound": np.inf},
+            status=Status.INFEASIBLE,
+            inquiry=replace(inquiry, status=Status.INFEASIBLE, proof=proof),
+        )
+
+    def inquiry(self, status: Status, reached: Reached | None) -> Inquiry:
+        """Returns the inquiry into the reasons for a search that ended without a plan."""
+        return Inquiry(self.terrain, self.robot, self.wider, self.start, self.goal, status, reached)
 
     def search_or_prove(self, search: Callable[[Query], Plan]) -> Plan:
         """Searches a little; without a plan, tries a proof of infeasibility; without a proof, searches on.

@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.stairs import Task
 from hdsp import HeightMap, Planner
+from hdsp.detailed.causes import Kind
 from hdsp.detailed.relaxed.proofs import is_foot_stopped
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning.query import locate
@@ -89,7 +90,8 @@ def test_no_limit_is_blamed_beside_unknown_ground():
     heights = np.zeros((120, 50), np.float32)
     heights[55:70] = np.nan
     plan = Planner(HeightMap(heights)).plan((0.6, 0.6, 0.0), (2.4, 0.6, 0.0))
-    assert plan.status == Status.INFEASIBLE and plan.explain().endswith("neither by rolling nor by stepping")
+    assert plan.status == Status.INFEASIBLE and plan.findings.limits is None
+    assert {cause.kind for cause in plan.causes} == {Kind.UNKNOWN} and "edge" not in plan.explain()
 
 
 def narrow(task):
@@ -121,5 +123,6 @@ def test_a_search_through_everything_names_the_decisive_limit(robot, words, bett
 
     plan = plan_of(robot)
     assert plan.status == Status.INFEASIBLE and not plan.problems
-    assert plan.explain() == f"there is no way: {words}; without this limit there is a way"
+    assert plan.findings.limits == f"{words}; without this limit there is a way"
+    assert plan.findings.limits in plan.explain() and plan.causes and plan.nearest is not None
     assert plan_of(better).solved and math.isinf(plan.cost)

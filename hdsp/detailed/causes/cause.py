@@ -64,10 +64,14 @@ class Cause:
         if self.foot is None:
             return f"the base is at ({self.place[0]:.2f}, {self.place[1]:.2f}) m: {ground}"
         if self.foot_place is None:
-            return f"{ground} at {_point(self.place)} stops the {self.foot} foot"
-        where = "there" if math.dist(self.place, self.foot_place) < 1e-6 else f"at {_point(self.place)}"
-        words = f"the {self.foot} foot cannot stand at {_point(self.foot_place)}: {ground}"
-        return words if self.kind == Kind.BORDER else f"{words} {where}"
+            stops = "is too steep for" if self.kind == Kind.SLOPE else "stops"
+            return f"{ground} at {_point(self.place)} {stops} the {self.foot} foot"
+        words = f"the {self.foot} foot cannot stand at {_point(self.foot_place)}: "
+        if self.kind == Kind.BORDER:
+            return f"{words}{ground}"
+        if self.kind == Kind.SLOPE:
+            return f"{words}the ground is too steep there, {ground.removeprefix('a slope of ')}"
+        return f"{words}{ground} " + ("there" if self.place == self.foot_place else f"at {_point(self.place)}")
 
     @property
     def label(self) -> str:

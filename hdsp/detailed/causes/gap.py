@@ -9,6 +9,7 @@ come from the detailed lattice.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -16,13 +17,13 @@ import numpy as np
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import feet_cells
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.causes.cause import Cause, Kind, Place
+from hdsp.detailed.causes.cause import Cause, Kind
 from hdsp.detailed.causes.faults import faults_of, ground_fault, place_of
 from hdsp.detailed.relaxed.heading_masks import PoseFlood
 from hdsp.detailed.relaxed.proofs import FOOT, Unreachable
 from hdsp.detailed.world.body import collides
 from hdsp.detailed.world.world import World, cell_index
-from hdsp.robot.lattice import HEADINGS, Grid, cells, heading_angle
+from hdsp.robot.lattice import HEADINGS, Grid, heading_angle
 from hdsp.robot.robot import FEET, Robot
 
 _MOST_POSES = 400_000  # on the coarse lattice; a way takes about a second then
@@ -121,12 +122,14 @@ def obstacle_of_foot(proof: Unreachable, world: World, grid: Grid, robot: Robot)
 
 def _turn_at(reached: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
     """Poses int64 [n, 3] at the goal's cell, from a heading in reach to the goal's heading; None without one."""
-    bits, x, y = int(reached[goal[0], goal[1]]), int(goal[0]), int(goal[1])
-    turns = sorted((t for t in range(-HEADINGS // 2, HEADINGS // 2) if bits >> (int(goal[2]) + t) % HEADINGS & 1), key=abs)
+    x, y, theta = (int(value) for value in goal[:3])
+    bits = int(reached[x, y])
+    turns = [t for t in range(-HEADINGS // 2, HEADINGS // 2) if bits >> (theta + t) % HEADINGS & 1]
     if not turns:
         return None
-    between = range(turns[0], 0, -1 if turns[0] > 0 else 1)
-    return np.array([(x, y, (int(goal[2]) + t) % HEADINGS) for t in [*between, 0]])
+    least = min(turns, key=abs)
+    between = range(least, 0, -1 if least > 0 else 1)
+    return np.array([(x, y, (theta + t) % HEADINGS) for t in [*between, 0]])
 
 
 def _holds(bits: np.ndarray, pose: np.ndarray) -> bool:
@@ -185,7 +188,7 @@ def _coarse(bits: np.ndarray, shift: np.ndarray, stride: int, headings: np.ndarr
 def _refined(poses: np.ndarray) -> np.ndarray:
     """Adds the detailed poses between coarse poses, int64 [n, 3]."""
     found = [poses[:1]]
-    for one, other in zip(poses, poses[1:], strict=False):
+    for one, other in pairwise(poses):
         change = other - one
         change[2] = (change[2] + HEADINGS // 2) % HEADINGS - HEADINGS // 2
         steps = max(int(abs(change).max()), 1)

@@ -15,7 +15,7 @@ import numpy as np
 from hdsp.detailed.search import kernel
 from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
 from hdsp.detailed.search.estimate import Estimate
-from hdsp.detailed.search.life_cycle import Progress, Search
+from hdsp.detailed.search.life_cycle import AtEnd, Progress, Search
 from hdsp.detailed.search.outcome import Limits, Path, SearchResult, Status
 from hdsp.detailed.search.store import CUT, EXPANDED, find
 from hdsp.detailed.world.world import World
@@ -51,6 +51,7 @@ def improve(
     hopeless: Callable[[], bool] | None = None,
     ask_after: int = 50_000,
     progress: Progress | None = None,
+    at_end: AtEnd | None = None,
 ) -> Iterator[Improvement]:
     """Searches in rounds and yields after each better plan and each round.
 
@@ -67,7 +68,7 @@ def improve(
             None = the admissible heuristic guides all rounds.
         limits: for all rounds together; time counts from the first ``next``.
         hopeless: called once, after ``ask_after`` expansions without a plan; True = proof that no plan exists.
-        progress: see ``solve``.
+        progress, at_end: see ``solve``.
 
     Yields:
         The best result so far, possibly without a plan. Costs never rise, lower bounds never fall. Only the last
@@ -89,6 +90,8 @@ def improve(
             elif status is None and hopeless and not found.plan and search.store.counts[EXPANDED] >= ask_after:
                 if hopeless():
                     found.lower_bound = np.inf
+                    if at_end is not None:
+                        at_end(search)
                     yield found.improvement(order[1], Status.INFEASIBLE)
                     return
                 hopeless = None
@@ -99,6 +102,8 @@ def improve(
             ended = Status.SOLVED
         else:
             ended = status if last or status in _CAPS else None
+        if at_end is not None and ended is not None and not found.plan:
+            at_end(search)
         yield found.improvement(order[1], ended)
         if ended is not None:
             return

@@ -29,6 +29,8 @@ from hdsp.detailed.world.world import World
 
 #: Callback with (expansions, seconds), called regularly during a search.
 Progress = Callable[[int, float], object]
+#: Callback with a search that ended without a plan.
+AtEnd = Callable[["Search"], object]
 
 _SLICE = 20_000  # expansions between two checks of the clock
 _ENDS = {

@@ -28,7 +28,7 @@ from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.search import kernel, multi_kernel
 from hdsp.detailed.search.bounds import rounding, suboptimality
 from hdsp.detailed.search.estimate import Estimate
-from hdsp.detailed.search.life_cycle import Progress, Search
+from hdsp.detailed.search.life_cycle import AtEnd, Progress, Search
 from hdsp.detailed.search.open_list import first_f
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.search.store import CUT, find
@@ -47,6 +47,7 @@ def solve_multi(
     rules: Rules | None = None,
     limits: Limits | None = None,
     progress: Progress | None = None,
+    at_end: AtEnd | None = None,
 ) -> SearchResult:
     """Searches with shared multi-heuristic A* from one detailed state to the nearest of one or several goals.
 
@@ -58,7 +59,7 @@ def solve_multi(
         guides: heuristics that may overestimate; a guide leaves states with the value inf to the other heuristics.
         weight: W1 >= 1, factor on all heuristics.
         anchor_weight: W2 >= 1, largest ratio between a guide's key and the anchor's least key.
-        rules, limits, progress: see ``solve``.
+        rules, limits, progress, at_end: see ``solve``.
 
     Returns:
         A result with one status. The cost of a plan is at most ``bound <= W1 W2`` times the optimum.
@@ -78,6 +79,8 @@ def solve_multi(
     while ended is None:
         ended = search.advance()
     result = search.result(ended)
+    if at_end is not None and ended != Status.SOLVED:
+        at_end(search)
     result.lower_bound = search.lower_bound(ended)
     if ended == Status.SOLVED:
         proved = suboptimality(float(result.cost[0]), result.lower_bound, rounding(world))

@@ -9,10 +9,10 @@ import numpy as np
 from hdsp.base.jit import njit
 from hdsp.detailed.search.life_cycle import Search
 from hdsp.detailed.search.store import BLOCK, BLOCKS, key_of
-from hdsp.detailed.states import unpack, unpack_states
+from hdsp.detailed.states import pack_states, unpack, unpack_states
 from hdsp.robot.lattice import HEADINGS, cells, heading_angle
 
-#: Way (m) that counts as much as a turn by 1 rad, where poses are compared by their distance; about the lever of a foot.
+#: Way (m) that counts as much as a turn by 1 rad where poses are compared; about the lever of a foot.
 METRES_PER_RADIAN = 0.3
 
 
@@ -28,13 +28,13 @@ class Reached(NamedTuple):
     nearest: np.ndarray
 
 
-def reached_by(search: Search) -> Reached:
-    """Returns the states that a search to one goal reached so far."""
+def reached_by(search: Search, goal: np.ndarray) -> Reached:
+    """Returns the states that a search reached so far; the nearest one is nearest to ``goal``, int64 [7]."""
     world = search.world
     headings = np.zeros((world.nx, world.ny), np.uint64)
-    (goal,) = search.goals
+    (packed,) = pack_states(goal, world.tables.lowest)
     per_heading = cells(METRES_PER_RADIAN * float(heading_angle(1)))
-    nearest = _collect(search.store, goal, per_heading, headings)
+    nearest = _collect(search.store, packed, per_heading, headings)
     return Reached(headings, unpack_states(nearest, world.tables.lowest))
 
 

@@ -6,9 +6,8 @@ from hdsp.base.errors import InputError
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.search.bounds import rounding
 from hdsp.detailed.search.estimate import Estimate
-from hdsp.detailed.search.life_cycle import Progress, Search
+from hdsp.detailed.search.life_cycle import AtEnd, Progress, Search
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
-from hdsp.detailed.search.reached import Reached, reached_by
 from hdsp.detailed.world.world import World
 
 
@@ -26,6 +25,7 @@ def solve(
     paths: bool = True,
     progress: Progress | None = None,
     nearest: bool = False,
+    at_end: AtEnd | None = None,
 ) -> SearchResult:
     """Searches with weighted A* from one detailed state to one or several goals.
 
@@ -52,6 +52,7 @@ def solve(
         progress: callback with (expansions, seconds), called regularly.
         nearest: whether the first settled goal ends the search. Its cost is then at most W times the least cost over
             all goals. Goals in which the robot cannot stand are left out.
+        at_end: called with the search that ended without a plan, before its states are dropped.
 
     Returns:
         A result with one status per goal, or with one status for ``nearest``, and the proven bounds if there is one
@@ -71,36 +72,11 @@ def solve(
     while ended is None:
         ended = search.advance()
     result = search.result(ended, paths)
+    if at_end is not None and ended != Status.SOLVED:
+        at_end(search)
     if len(result.status) == 1:
         _enter_bounds(result, world, weight if admissible else np.inf, limits)
     return result
-
-
-def solve_one(
-    world: World,
-    start: np.ndarray,
-    goal: np.ndarray,
-    heuristic: Estimate,
-    *,
-    weight: float,
-    admissible: bool,
-    reopen: bool,
-    limits: Limits,
-    progress: Progress | None = None,
-) -> tuple[SearchResult, Reached | None]:
-    """Searches as ``solve`` for one goal; also returns the reached states of a search that began and found no plan."""
-    if not reopen and np.isfinite(limits.cost):
-        raise InputError(f"cost limit {limits.cost:g}: a search that expands no state twice proves none; need inf")
-    search = Search(world, start, goal, limits=limits, progress=progress)
-    (invalid,) = search.invalid
-    if invalid is not None:
-        return SearchResult.of([invalid], [None]), None
-    ended = search.begin(heuristic, weight, admissible, reopen)
-    while ended is None:
-        ended = search.advance()
-    result = search.result(ended)
-    _enter_bounds(result, world, weight if admissible else np.inf, limits)
-    return result, None if ended == Status.SOLVED else reached_by(search)
 
 
 def _enter_bounds(result: SearchResult, world: World, bound: float, limits: Limits) -> None:

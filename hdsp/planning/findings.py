@@ -1,0 +1,159 @@
+"""Why a query ended without a plan: causes at their places, the nearest pose in reach, and advice.
+
+The findings take from a tenth of a second to some seconds, and half a minute where no obstacle shows. They are
+therefore computed when a plan is first asked for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from hdsp.detailed.actions.successors import Rules
+from hdsp.detailed.causes import Cause, Gap, Kind, Obstacle, find_obstacle
+from hdsp.detailed.causes.gap import obstacle_of_foot
+from hdsp.detailed.relaxed.heading_masks import PoseFlood
+from hdsp.detailed.relaxed.proofs import FOOT, Unreachable
+from hdsp.detailed.search.estimate import geometric_estimate
+from hdsp.detailed.search.outcome import Limits, Status
+from hdsp.detailed.search.reached import METRES_PER_RADIAN, Reached
+from hdsp.detailed.search.weighted_astar import solve
+from hdsp.detailed.world.world import World, build_world
+from hdsp.planning.advice import advice_for
+from hdsp.planning.decisive_limits import decisive_limits
+from hdsp.planning.foot_limits import stopping_limits
+from hdsp.planning.nearest_pose import Nearest
+from hdsp.robot.lattice import HEADINGS, Grid, cells, heading_angle, metres
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+
+#: Time for the limits of a robot without which there would be a plan, s.
+REASON_SECONDS = 30.0
+_EXPANSIONS = 50_000  # of the search for a pose in reach that is nearer to the goal
+_NEARER = 0.05  # m; less is not worth this search
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """Reasons for the absence of a plan.
+
+    Attributes:
+        causes: ground that keeps the robot from the goal, the first obstacle on the way of least resistance.
+        gap: the gap between the poses in reach and the goal; None without one.
+        nearest: the pose in reach that is nearest to the goal; None without a search.
+        reached: bool [nx, ny], cells of the base that the search or a proof found in reach; None without a search.
+        limits: limits of the robot that keep it from the goal, in words; None if none are known.
+        advice: changes that would or may help, in words.
+    """
+
+    causes: tuple[Cause, ...] = ()
+    gap: Gap | None = None
+    nearest: Nearest | None = None
+    reached: np.ndarray | None = None
+    limits: str | None = None
+    advice: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Inquiry:
+    """A query that ended without a plan.
+
+    Attributes:
+        terrain: the map.
+        robot: whose plan it would be.
+        wider: the same robot with its margin.
+        start: int64 [7], lattice units.
+        goal: int64 [7], lattice units; of several goal states, the one that stands for all.
+        status: end of the search.
+        reached: states that the search reached.
+        proof: proof of infeasibility; None without one.
+    """
+
+    terrain: HeightMap
+    robot: Robot
+    wider: Robot
+    start: np.ndarray
+    goal: np.ndarray
+    status: Status
+    reached: Reached | None
+    proof: Unreachable | None = None
+
+    def __call__(self) -> Findings:
+        """Finds the reasons."""
+        world = build_world(self.terrain, self.wider)
+        grid = Grid(self.terrain.origin, self.terrain.shape)
+        reached = self._reached(world)
+        obstacle = self._obstacle(world, grid, reached)
+        nearest = None if self.reached is None else self._nearest(world, grid, reached)
+        limits = self._limits(obstacle)
+        return Findings(
+            causes=obstacle.causes,
+            gap=obstacle.gap,
+            nearest=nearest,
+            reached=reached != 0,
+            limits=limits() if limits is not None else None,
+            advice=advice_for(self.terrain, self.robot, self.wider, obstacle.causes, nearest),
+        )
+
+    def _reached(self, world: World) -> np.ndarray:
+        """Headings in reach at each cell, as bits: those searched; for a proof also those of a relaxed problem."""
+        if self.reached is None:
+            reached = np.zeros((world.nx, world.ny), np.uint64)
+            reached[self.start[0], self.start[1]] = np.uint64(1) << np.uint64(self.start[2])
+        else:
+            reached = self.reached.headings
+        if self.proof is not None:
+            # After a proof for one foot, the relaxed problem of poses may reach the goal. Driving alone does not.
+            flood = PoseFlood(world, Rules()).reached_from(self.start, drive_only=self.proof.proof == FOOT)
+            reached = reached | np.bitwise_or.reduce(flood)
+        return reached
+
+    def _obstacle(self, world: World, grid: Grid, reached: np.ndarray) -> Obstacle:
+        if self.proof is not None and self.proof.proof == FOOT:
+            return obstacle_of_foot(self.proof, world, grid, self.wider)
+        return find_obstacle(world, grid, self.wider, self.start, self.goal, reached)
+
+    def _limits(self, obstacle: Obstacle) -> Callable[[], str | None] | None:
+        """Finds the limits to blame; None where the ground alone is the cause, or nothing is proved."""
+        ground_alone = bool(obstacle.causes) and all(cause.kind != Kind.EDGE for cause in obstacle.causes)
+        if self.status != Status.INFEASIBLE or ground_alone:
+            return None
+        if self.proof is not None and self.proof.proof == FOOT:
+            line = np.concatenate([[self.proof.from_start], self.proof.blocked, [self.proof.from_goal]])
+            return partial(stopping_limits, self.terrain, self.wider, self.start, self.goal, line)
+        return partial(decisive_limits, self.terrain, self.wider, self.start, self.goal, REASON_SECONDS)
+
+    def _nearest(self, world: World, grid: Grid, reached: np.ndarray) -> Nearest:
+        assert self.reached is not None
+        state = self.reached.nearest
+        nearer = _nearest_pose(reached, self.goal)
+        if _distance(nearer, self.goal) < _distance(state, self.goal) - cells(_NEARER):
+            # A relaxed problem may reach more than the robot.
+            found = solve(
+                world, self.start, nearer, geometric_estimate(world, nearer), weight=3.0, admissible=False,
+                reopen=False, limits=Limits(expansions=_EXPANSIONS), paths=False,
+            )  # fmt: skip
+            if found.status == [Status.SOLVED]:
+                state = nearer
+        away = metres(float(np.hypot(*(state[:2] - self.goal[:2]))))
+        pose = tuple(float(value) for value in grid.to_world(state))
+        return Nearest(pose, away, abs(float(heading_angle(state[2] - self.goal[2]))))
+
+
+def _nearest_pose(headings: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """The pose in reach that is nearest to a goal, on neutral feet, int64 [7]."""
+    x, y = np.nonzero(headings)
+    bits = headings[x, y][:, None] >> np.arange(HEADINGS, dtype=np.uint64) & np.uint64(1)
+    k, h = np.nonzero(bits)
+    states = np.column_stack([x[k], y[k], h])
+    state = states[np.argmin(_distance(states, goal))]
+    return np.array([*state, 0, 0, 0, 0])
+
+
+def _distance(states: np.ndarray, goal: np.ndarray):
+    """Distance (cells) between poses [..., >= 3], a turn as a way."""
+    turn = abs(heading_angle(states[..., 2] - goal[2]))
+    return np.hypot(states[..., 0] - goal[0], states[..., 1] - goal[1]) + cells(METRES_PER_RADIAN) * turn
