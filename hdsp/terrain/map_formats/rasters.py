@@ -133,7 +133,11 @@ def _opened(path: Path) -> Iterator[Any]:
 def _quiet() -> Iterator[None]:
     """Silences rasterio, which prints a traceback where a message of GDAL cites damaged bytes."""
     before = sys.excepthook, sys.unraisablehook
-    sys.excepthook = sys.unraisablehook = lambda *_: None
+
+    def silent(*_: Any) -> None:
+        """Prints nothing."""
+
+    sys.excepthook = sys.unraisablehook = silent
     try:
         yield
     finally:
@@ -146,7 +150,7 @@ def _marked_encoding(path: Path) -> str | None:
     return next((name for mark, name in _BYTE_ORDER_MARKS.items() if begin.startswith(mark)), None)
 
 
-def _ascii_heights(path: Path, raster: Any) -> np.ma.MaskedArray:
+def _ascii_heights(path: Path, raster: Any) -> Any:
     """Numbers [rows, columns] of an ASCII grid.
 
     GDAL reads a word that is no number as 0, and "nan" amid whole numbers, too.
@@ -202,7 +206,7 @@ def _short(crs: Any) -> str:
     return text if len(text) < 60 else text[:57] + "..."
 
 
-def _in_metres(heights: np.ma.MaskedArray, raster: Any, band: int) -> tuple[Any, list[str]]:
+def _in_metres(heights: Any, raster: Any, band: int) -> tuple[Any, list[str]]:
     """Heights by the scale, offset and units of the band, and notes."""
     notes: list[str] = []
     scale, offset = raster.scales[band - 1], raster.offsets[band - 1]
