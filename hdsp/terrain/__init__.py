@@ -1,6 +1,7 @@
 """The ground, from files, scans, sensors and random scenes, and its costs for a robot.
 
 - `height_map`, `patches`, `map_formats`: height maps, squares of them in the robot frame, their files
+- `map_checks`, `no_data`: signs of other units, no-data values, another axis up
 - `conditioning`: from measured heights to heights for planning
 - `cost_maps`: edges, unevenness, and cells on which a foot can stand
 - `obstacles`, `scenes`: obstacles on level or tilted ground, random scenes by category
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from hdsp.terrain.conditioning import ConditioningReport, ConditioningSettings
     from hdsp.terrain.cost_maps import COST_MODEL_VERSION, CostMaps
     from hdsp.terrain.height_map import Conditioned, HeightMap, conditioned
+    from hdsp.terrain.map_checks import suspicions
     from hdsp.terrain.obstacles import Bank, Block, Obstacle, Ramp, Scene, Staircase, Tiles, Tilted, TiltedGround
     from hdsp.terrain.patches import crop_patches
     from hdsp.terrain.random_arenas import ArenaSettings, RandomArena, random_arena
@@ -70,6 +72,7 @@ __all__ = [
     "random_scene",
     "read_arena",
     "sensed",
+    "suspicions",
 ]
 
 #: Module of each public name.
@@ -109,6 +112,7 @@ _MODULES = {
     "random_scene": "scenes",
     "read_arena": "arenas",
     "sensed": "sensor_model",
+    "suspicions": "map_checks",
 }
 
 

@@ -7,6 +7,7 @@ resolution`` (the same in y), and its centre is at ``+ 0.5``. Heights are float3
 
 import math
 import os
+import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple, overload
@@ -19,6 +20,7 @@ from hdsp.robot.lattice import PATCH_CELLS, RESOLUTION
 from hdsp.terrain.conditioning import UNCHANGED, ConditioningReport, ConditioningSettings, Stages, is_conditioned
 from hdsp.terrain.map_formats import MAP_SUFFIXES, MapFields, ReadOptions, is_map, read_map, write_map
 from hdsp.terrain.map_frame import MapFrame
+from hdsp.terrain.no_data import implausible_heights
 from hdsp.terrain.patches import TIE, checked_side, gather, nearest_cell, patch_offsets
 from hdsp.terrain.pointcloud.cloud_files import FORMATS, read_points
 from hdsp.terrain.pointcloud.cloud_mapping import MapSettings, map_points
@@ -271,7 +273,17 @@ def as_height_map(terrain: "HeightMap | np.ndarray | str | os.PathLike", resolut
 
     Raises:
         InputError: an array without a resolution, a resolution beside a map that has one, or an invalid map.
+
+    Warns:
+        UserWarning: heights seem to be millimetres, or no-data values are amid them.
     """
+    found = _converted(terrain, resolution)
+    for sign in implausible_heights(found.heights, found.resolution):
+        warnings.warn(f"terrain: {sign}", stacklevel=3)
+    return found
+
+
+def _converted(terrain: "HeightMap | np.ndarray | str | os.PathLike", resolution: float | None) -> HeightMap:
     if isinstance(terrain, HeightMap):
         if resolution is not None and resolution != terrain.resolution:
             raise InputError(f"resolution is {resolution}, but the height map has cells of {terrain.resolution:g} m")

@@ -1,4 +1,4 @@
-"""Values that stand for "no height" in files without saying so."""
+"""Values that stand for "no height" without saying so, and heights in other units than metres."""
 
 from __future__ import annotations
 
@@ -12,6 +12,10 @@ _LIMIT = 1e7
 
 #: A usual value counts as no-data if the other heights are farther from it than this share of it.
 _APART = 0.5
+
+_FINE = 0.25  # m; cells up to this size show steps
+_RISE, _SHARE = 0.5, 0.2  # m; in ground in metres fewer steps between neighbours are so high
+_HIGH = 8.0  # m; in ground in metres some step is lower
 
 
 def no_data_values(heights: np.ndarray) -> list[float]:
@@ -60,3 +64,31 @@ def _equal(heights: np.ndarray, value: float) -> np.ndarray:
 def _cells(mask: np.ndarray) -> str:
     count = int(mask.sum())
     return "1 cell" if count == 1 else f"{count:,} cells"
+
+
+def implausible_heights(heights: np.ndarray, resolution: float) -> tuple[str, ...]:
+    """Signs of no-data values amid heights, or of heights in other units than metres.
+
+    Args:
+        heights: float [nx, ny], NaN = unknown.
+        resolution: cell size, m.
+    """
+    found = no_data_values(heights)
+    signs = [f"{_cells(_equal(heights, value))} with the no-data value {value:g}; make it NaN" for value in found[:3]]
+    if not found and _seem_millimetres(heights, resolution):
+        known = heights[np.isfinite(heights)]
+        span = f"{known.min():g} to {known.max():g}"
+        signs.append(f"heights from {span} m in cells of {resolution:g} m: millimetres or centimetres?")
+    return tuple(signs)
+
+
+def _seem_millimetres(heights: np.ndarray, resolution: float) -> bool:
+    """Whether steps between neighbours are too high for ground in metres."""
+    if resolution > _FINE:
+        return False
+    steps = np.concatenate([np.abs(np.diff(heights, axis=axis)).ravel() for axis in (0, 1)])
+    steps = steps[np.isfinite(steps)]
+    if not steps.size:
+        return False
+    rises = steps[steps > 0]
+    return bool((steps >= _RISE).mean() > _SHARE or (rises.size and np.quantile(rises, 0.05) > _HIGH))
