@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import warnings
 from collections.abc import Sequence
 
 from hdsp.base.errors import InputError
@@ -16,11 +17,18 @@ __all__ = ["NO_PLAN", "main"]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line; returns the exit status. Bad input gives one line and status 1, no plan status 3."""
     chosen = _parser().parse_args(arguments)
-    try:
-        return chosen.run(chosen) or 0
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    with warnings.catch_warnings():
+        warnings.showwarning = _one_line
+        try:
+            return chosen.run(chosen) or 0
+        except InputError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 1
+
+
+def _one_line(message, category, filename, lineno, file=None, line=None) -> None:
+    """Prints a warning as a line for users, without its place in the code."""
+    print(f"warning: {message}", file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:

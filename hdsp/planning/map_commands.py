@@ -9,8 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.planning.map_file_commands import (
+    MAP_FILES,
+    about_map,
+    add_cell_size,
+    add_map_reading,
+    convert_map,
+    describe_map_file,
+    map_options,
+    refuse_given,
+)
 from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.map_formats import is_map
+from hdsp.terrain.map_formats import check_writable, is_map
 from hdsp.terrain.pointcloud import FORMATS, FloorSettings, MapSettings, fit_floor, map_points, read_points
 
 _POINT_FILES = f"points ({', '.join(FORMATS)}; also with .gz or .bz2)"
@@ -18,9 +28,11 @@ _POINT_FILES = f"points ({', '.join(FORMATS)}; also with .gz or .bz2)"
 
 def add_map(commands) -> None:
     """Adds the command `map`."""
-    made = commands.add_parser("map", help="make a height map of point clouds", description=_map.__doc__)
-    made.add_argument("files", nargs="+", metavar="FILE", help=f"{_POINT_FILES}; several are fused as they are")
-    made.add_argument("--out", required=True, help="the map: .npz, .h5")
+    made = commands.add_parser(
+        "map", help="make a height map of point clouds, or convert one", description=_map.__doc__
+    )
+    made.add_argument("files", nargs="+", metavar="FILE", help=f"{MAP_FILES}, or {_POINT_FILES}; several are fused")
+    made.add_argument("--out", required=True, help="the map: .npz, .h5, .tif")
     made.add_argument("--picture", help="a PNG of the map")
     _add_reading(made)
     default = MapSettings()
@@ -42,15 +54,18 @@ def add_map(commands) -> None:
     for name, meaning in meanings.items():
         value = getattr(default, name)
         made.add_argument(f"--{name}", type=type(value), default=value, help=f"{meaning} (default: {value})")
-    made.set_defaults(run=_map)
+    add_map_reading(made)
+    made.set_defaults(run=lambda chosen: _map(chosen, made))
 
 
 def add_info(commands) -> None:
     """Adds the command `info`."""
     told = commands.add_parser("info", help="say what a file holds", description=_info.__doc__)
-    told.add_argument("file", metavar="FILE", help=f"a height map, a shard of labels, or {_POINT_FILES}")
+    told.add_argument("file", metavar="FILE", help=f"{MAP_FILES}, a shard of labels, or {_POINT_FILES}")
     _add_reading(told)
-    told.set_defaults(run=_info)
+    add_map_reading(told)
+    add_cell_size(told)
+    told.set_defaults(run=lambda chosen: _info(chosen, told))
 
 
 def _add_reading(parser: argparse.ArgumentParser) -> None:
@@ -64,8 +79,16 @@ def _add_reading(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _map(chosen: argparse.Namespace) -> None:
-    """Makes a height map of point clouds: levelled on the floor, ceilings and overhangs removed, small holes filled."""
+def _map(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
+    """Makes a height map of point clouds: levelled on the floor, ceilings and overhangs removed, small holes filled.
+
+    A height map file is read and written in the format of --out.
+    """
+    if any(is_map(path) for path in chosen.files):
+        _picture(convert_map(chosen, parser), chosen)
+        return
+    _refuse_map_options(chosen, ("resolution",))
+    check_writable(chosen.out)
     points = np.concatenate([_read(path, chosen) for path in chosen.files])
     picked = {field.name: getattr(chosen, field.name) for field in fields(MapSettings) if hasattr(chosen, field.name)}
     picked["box"] = tuple(picked["box"]) if picked["box"] else None
@@ -74,7 +97,11 @@ def _map(chosen: argparse.Namespace) -> None:
     mapped = map_points(points, settings, **resolution)
     terrain = HeightMap(mapped.heights, mapped.origin, mapped.resolution)
     terrain.save(chosen.out)
-    print(f"{chosen.out}: {_about_map(terrain)}; of {mapped.report}")
+    print(f"{chosen.out}: {about_map(terrain)}; of {mapped.report}")
+    _picture(terrain, chosen)
+
+
+def _picture(terrain: HeightMap, chosen: argparse.Namespace) -> None:
     if chosen.picture:
         from hdsp.viz import save_map
 
@@ -82,15 +109,23 @@ def _map(chosen: argparse.Namespace) -> None:
         print(f"{chosen.picture}: picture")
 
 
-def _info(chosen: argparse.Namespace) -> None:
-    """Says what a height map, a shard of labels or a point cloud holds."""
+def _info(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
+    """Says what a height map, a shard of labels or a point cloud holds, and what looks wrong."""
     path = Path(chosen.file)
     if not is_map(path):
+        _refuse_map_options(chosen, ())
         print(_about_points(_read(path, chosen), _floor_settings(chosen)))
     elif (shard := _shard(path)) is not None:
         print(shard)
     else:
-        print(_about_map(HeightMap.load(path)))
+        refuse_given(chosen, parser, ("file", *map_options(chosen)), f"the height map {path}")
+        describe_map_file(path, chosen)
+
+
+def _refuse_map_options(chosen: argparse.Namespace, apply: tuple[str, ...]) -> None:
+    for name in map_options(chosen):
+        if name not in apply:
+            raise InputError(f"option --{name} does not apply to point clouds")
 
 
 def _read(path: str | Path, chosen: argparse.Namespace) -> np.ndarray:
@@ -100,16 +135,6 @@ def _read(path: str | Path, chosen: argparse.Namespace) -> np.ndarray:
 
 def _floor_settings(chosen: argparse.Namespace) -> FloorSettings:
     return replace(FloorSettings(), max_tilt=float(np.deg2rad(chosen.max_tilt)))
-
-
-def _about_map(terrain: HeightMap) -> str:
-    known = terrain.heights[np.isfinite(terrain.heights)]
-    (nx, ny), (length, width) = terrain.shape, terrain.size
-    text = f"height map of {nx} x {ny} cells of {terrain.resolution:g} m, {length:.2f} x {width:.2f} m from "
-    text += f"({terrain.origin[0]:.2f}, {terrain.origin[1]:.2f}), {known.size / terrain.heights.size:.0%} known"
-    if known.size:
-        text += f", heights {known.min():.2f} to {known.max():.2f} m (median {np.median(known):.2f})"
-    return text
 
 
 def _about_points(points: np.ndarray, settings: FloorSettings) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.files import replacing
+from hdsp.planning.map_file_commands import add_cell_size, add_map_reading, map_options
 from hdsp.robot.robot import FEET
 from hdsp.terrain.height_map import HeightMap
 
@@ -40,6 +41,8 @@ def add_plan(commands) -> None:
     parser.add_argument("--time", type=float, default=60.0, help="s after which the search gives up (default: 60)")
     parser.add_argument("--out", help="a CSV file of the states (m, rad) and of the actions that lead to them")
     parser.add_argument("--picture", help="a PNG of the path")
+    add_map_reading(parser)
+    add_cell_size(parser)
     parser.set_defaults(run=_plan)
 
 
@@ -47,9 +50,10 @@ def _plan(chosen: argparse.Namespace) -> int:
     """Plans a path and says what it does and costs, or why there is none (exit status 3)."""
     from hdsp.planning.planner import Planner
 
-    planner = Planner(
-        HeightMap.load(chosen.map), chosen.robot, chosen.heuristic, chosen.margin, conditioning=chosen.conditioning
-    )
+    terrain = HeightMap.load(chosen.map, **map_options(chosen))
+    for note in terrain.frame.notes:
+        print(f"map: {note}")
+    planner = Planner(terrain, chosen.robot, chosen.heuristic, chosen.margin, conditioning=chosen.conditioning)
     if (report := planner.conditioning) is not None and (report.changed or report.unknown):
         print(f"map: {report}")
     start, goal = (np.array([x, y, np.deg2rad(degrees)]) for x, y, degrees in (chosen.start, chosen.goal))

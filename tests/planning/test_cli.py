@@ -46,9 +46,13 @@ def test_info_says_what_a_file_holds(tmp_path, cloud, capsys):
     write_shard(tmp_path / "shard.h5", random_tasks(3), {"labels_hash": "x", "place": "yard"})
     for path in (cloud, tmp_path / "map.h5", tmp_path / "shard.h5"):
         assert main(["info", str(path)]) == 0
-    points, terrain, shard = capsys.readouterr().out.splitlines()
+    points, parts, terrain, _, sign, shard = capsys.readouterr().out.splitlines()
     assert "points, x -2.0" in points and "floor at z = -1.00 m in the middle, tilted by 3.0 degrees" in points
+    assert (
+        parts == "HDF5, entries digest uint8 [32], heights float32 [80, 40], origin float64 [2], resolution float64 []"
+    )
     assert "height map of 80 x 40 cells of 0.025 m" in terrain and "100% known" in terrain
+    assert sign == "suspicious: all known heights are 0 m"
     assert "shard of 3 maps" in shard and "place: yard" in shard
 
 

@@ -10,7 +10,7 @@
 Each library for a format loads with the first file in this format.
 """
 
-from hdsp.terrain.map_formats.fields import MapFields, ReadOptions
+from hdsp.terrain.map_formats.fields import MapFields, MissingOption, ReadOptions
 from hdsp.terrain.map_formats.registry import (
     MAP_SUFFIXES,
     MapFormat,
@@ -26,6 +26,7 @@ __all__ = [
     "MAP_SUFFIXES",
     "MapFields",
     "MapFormat",
+    "MissingOption",
     "ReadOptions",
     "check_writable",
     "is_map",

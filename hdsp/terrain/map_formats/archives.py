@@ -18,7 +18,14 @@ from typing import IO, Any
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.terrain.map_formats.fields import MapFields, ReadOptions, check_cells, frame_of_text, frame_text
+from hdsp.terrain.map_formats.fields import (
+    MapFields,
+    MissingOption,
+    ReadOptions,
+    check_cells,
+    frame_of_text,
+    frame_text,
+)
 
 _HEIGHTS, _ORIGIN, _RESOLUTION, _FRAME, _DIGEST = "heights", "origin", "resolution", "frame", "digest"
 
@@ -110,7 +117,7 @@ def _fields(entries: Mapping[str, _Entry], options: ReadOptions) -> MapFields:
     layer = _HEIGHTS if options.layer is None else str(options.layer)
     if layer not in entries:
         known = f"it has {_names(entries)}" if entries else "it has no array"
-        raise InputError(f"entry {layer} is missing, {known}; the option layer names another entry with heights")
+        raise MissingOption(f"entry {layer} is missing, {known}; the option layer names another entry with heights")
     shape, dtype, read = entries[layer]
     _check_heights(f"entry {layer}", shape, dtype)
     small = {name: _small(name, entries) for name in (_ORIGIN, _RESOLUTION, _FRAME, _DIGEST) if name in entries}
@@ -131,7 +138,7 @@ def _own(name: str, small: Mapping[str, np.ndarray], option: Any, options: ReadO
     """Value of an entry, or of the option with its name."""
     if name not in small:
         if option is None:
-            raise InputError(f"entry {name} is missing; give the option {name}, in metres")
+            raise MissingOption(f"entry {name} is missing; give the option {name}, in metres")
         return option
     options.refuse([name], f"the file has its own {name}, {small[name].tolist()}")
     return small[name] if name == _ORIGIN else small[name][()]

@@ -17,6 +17,10 @@ from hdsp.terrain.map_frame import MapFrame
 MAX_CELLS = 100_000_000
 
 
+class MissingOption(InputError):
+    """Raised where a file needs an option, such as a cell size or the choice of a layer."""
+
+
 class MapFields(NamedTuple):
     """Contents of a height map file.
 
@@ -91,7 +95,7 @@ class ReadOptions:
     def cell_size(self, why: str) -> float:
         """Cell size for a file without one, m; an error that gives the reason if the option is missing."""
         if self.resolution is None:
-            raise InputError(f"{why}; give the option resolution, the side of a cell in metres")
+            raise MissingOption(f"{why}; give the option resolution, the side of a cell in metres")
         return self.resolution
 
     def refuse(self, names: Sequence[str], why: str) -> None:

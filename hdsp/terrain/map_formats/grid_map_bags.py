@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.terrain.map_formats.fields import MapFields, ReadOptions, check_cells
+from hdsp.terrain.map_formats.fields import MapFields, MissingOption, ReadOptions, check_cells
 from hdsp.terrain.map_frame import MapFrame
 
 _TYPE = "grid_map_msgs/msg/GridMap"
@@ -113,7 +113,7 @@ def _topic(reader: Any, wanted: str | None) -> tuple[str, list[Any]]:
         others = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(kinds.items())[:12]) or "none"
         raise InputError(f"no topic has messages of {_TYPE}; its topics: {others}")
     if wanted is None and len(topics) > 1:
-        raise InputError(
+        raise MissingOption(
             f"it has {len(topics)} topics with grid maps: {', '.join(topics)}; name one with the option topic"
         )
     names = {topic.strip("/"): topic for topic in topics}
@@ -200,7 +200,7 @@ def _layer(layers: list[str], wanted: str | int | None) -> str:
         return layers[0]
     listed = ", ".join(layers[:30]) or "none"
     if wanted is None:
-        raise InputError(f"its layers are {listed}; name one with the option layer")
+        raise MissingOption(f"its layers are {listed}; name one with the option layer")
     raise InputError(f"option layer is {wanted!r}; need one of {listed}")
 
 

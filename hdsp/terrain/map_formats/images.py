@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.terrain.map_formats.fields import MapFields, ReadOptions, check_cells
+from hdsp.terrain.map_formats.fields import MapFields, MissingOption, ReadOptions, check_cells
 
 _FORMATS = {".png": ["PNG"], ".pgm": ["PPM"]}
 
@@ -22,7 +22,7 @@ def read_image_map(path: Path, options: ReadOptions) -> MapFields:
     """Reads grey values; cell size and metres per grey step are options."""
     resolution = options.cell_size("an image has no cell size")
     if options.scale is None:
-        raise InputError("an image has no units; give the option scale, metres per grey step (and offset, nodata)")
+        raise MissingOption("an image has no units; give the option scale, metres per grey step (and offset, nodata)")
     with _opened(path) as image:
         grey = _grey(image)
     return MapFields(grey.T[:, ::-1], options.origin or (0.0, 0.0), resolution)

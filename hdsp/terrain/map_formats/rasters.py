@@ -19,7 +19,14 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.terrain.map_formats.fields import MapFields, ReadOptions, check_cells, frame_of_text, frame_text
+from hdsp.terrain.map_formats.fields import (
+    MapFields,
+    MissingOption,
+    ReadOptions,
+    check_cells,
+    frame_of_text,
+    frame_text,
+)
 from hdsp.terrain.map_frame import MapFrame
 
 #: Drivers by suffix. Drivers whose files refer to other files or addresses are left out.
@@ -185,7 +192,7 @@ def _band(raster: Any, layer: str | int | None) -> int:
         return int(layer)
     listed = ", ".join(f"{k + 1}{f' ({name})' if name else ''}" for k, name in enumerate(names[:20]))
     if layer is None:
-        raise InputError(f"it has {raster.count} bands: {listed}; name one with the option layer")
+        raise MissingOption(f"it has {raster.count} bands: {listed}; name one with the option layer")
     raise InputError(f"option layer is {layer!r}; need a band: {listed}")
 
 

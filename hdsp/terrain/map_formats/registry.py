@@ -29,7 +29,7 @@ from hdsp.terrain.map_formats.archives import (
     read_npy,
     read_npz,
 )
-from hdsp.terrain.map_formats.fields import MapFields, ReadOptions, check_cells
+from hdsp.terrain.map_formats.fields import MapFields, MissingOption, ReadOptions, check_cells
 from hdsp.terrain.map_formats.grid_map_bags import bag_contents, is_bag_folder, read_grid_map
 from hdsp.terrain.map_formats.images import image_contents, read_image_map
 from hdsp.terrain.map_formats.rasters import geotiff_bytes, raster_contents, read_raster
@@ -187,6 +187,8 @@ def _guarded(path: Path, form: MapFormat, work: Callable):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # file libraries warn of their own affairs
             return work()
+    except MissingOption as error:
+        raise MissingOption(f"height map {path}: {error}") from None
     except InputError as error:
         raise InputError(f"height map {path}: {error}") from None
     except ImportError as error:

@@ -1,0 +1,112 @@
+"""Height map files in the command line: options for reading them, their contents in words, their conversion."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.map_checks import suspicions
+from hdsp.terrain.map_formats import MAP_SUFFIXES, MissingOption, check_writable, map_contents
+
+#: Formats of height maps, for help texts.
+MAP_FILES = f"a height map ({', '.join(MAP_SUFFIXES)}, or the folder of a ROS 2 bag)"
+
+_NUMBERS = {
+    "scale": "height map file: metres per unit or grey step, e.g. 0.001 for millimetres",
+    "offset": "height map file: m, height of its zero",
+    "nodata": "height map file: value of unknown cells",
+}
+_NAMES = {
+    "layer": "height map file: layer, band or entry with the heights",
+    "topic": "bag: topic with the grid maps",
+}
+_OPTIONS = ("resolution", "origin", *_NUMBERS, *_NAMES, "message")
+
+
+def add_map_reading(parser: argparse.ArgumentParser) -> None:
+    """Adds the options for reading height map files, except the cell size."""
+    parser.add_argument(
+        "--origin", nargs=2, type=float, metavar=("X", "Y"),
+        help="array or image: m, lower corner of the first cell (default: 0 0)",
+    )  # fmt: skip
+    for name, meaning in _NUMBERS.items():
+        parser.add_argument(f"--{name}", type=float, help=meaning)
+    for name, meaning in _NAMES.items():
+        parser.add_argument(f"--{name}", help=meaning)
+    parser.add_argument("--message", type=int, help="bag: index of the message (default: the last)")
+
+
+def add_cell_size(parser: argparse.ArgumentParser) -> None:
+    """Adds the cell size of files that have none."""
+    parser.add_argument("--resolution", type=float, help="array or image: m, side of a cell")
+
+
+def map_options(chosen: argparse.Namespace) -> dict[str, Any]:
+    """Keywords for `HeightMap.load` from the options that were given."""
+    values = {name: getattr(chosen, name, None) for name in _OPTIONS}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def refuse_given(chosen: argparse.Namespace, parser: argparse.ArgumentParser, apply: tuple[str, ...], why: str) -> None:
+    """Refuses options that were given but do not apply."""
+    for name, value in vars(chosen).items():
+        if name not in apply and value != parser.get_default(name):
+            raise InputError(f"option --{name.replace('_', '-')} does not apply to {why}")
+
+
+def convert_map(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> HeightMap:
+    """Reads one height map file for ``hdsp map`` and writes it in the format of ``--out``."""
+    if len(chosen.files) > 1:
+        raise InputError(f"map: {len(chosen.files)} files; need one height map, or point clouds only")
+    file = chosen.files[0]
+    refuse_given(chosen, parser, ("files", "out", "picture", *_OPTIONS), f"the height map {file}")
+    check_writable(chosen.out)
+    terrain = HeightMap.load(file, **map_options(chosen))
+    terrain.save(chosen.out)
+    print(f"{chosen.out}: {about_map(terrain)}")
+    print_signs(terrain)
+    return terrain
+
+
+def describe_map_file(path: Path, chosen: argparse.Namespace) -> None:
+    """Prints the parts of a height map file, the map in it, its frame, and signs of faults."""
+    print(map_contents(path))
+    try:
+        terrain = HeightMap.load(path, **map_options(chosen))
+    except MissingOption as error:
+        print(f"no map yet: {error}")
+        return
+    print(about_map(terrain))
+    frame = terrain.frame
+    parts = [f"frame {frame.name or 'not named'}", f"CRS {frame.crs or 'none'}"]
+    if not frame.is_source:
+        rows = "; ".join(" ".join(f"{value:.6g}" for value in row) for row in frame.to_source[:3])
+        parts.append(f"to the frame of the source by [{rows}]")
+    print(", ".join([*parts, "x, y and heights taken as metres"]))
+    print_signs(terrain)
+
+
+def about_map(terrain: HeightMap) -> str:
+    """Size, place, known share and heights of a map, in words."""
+    known = terrain.heights[np.isfinite(terrain.heights)]
+    (nx, ny), (length, width) = terrain.shape, terrain.size
+    text = f"height map of {nx} x {ny} cells of {terrain.resolution:g} m, {length:.2f} x {width:.2f} m from "
+    text += f"({terrain.origin[0]:.2f}, {terrain.origin[1]:.2f}), {known.size / terrain.heights.size:.0%} known"
+    if known.size:
+        text += f", heights {known.min():.2f} to {known.max():.2f} m (median {np.median(known):.2f})"
+    return text
+
+
+def print_signs(terrain: HeightMap) -> None:
+    """Prints the notes on a map, and signs of faults."""
+    for note in terrain.frame.notes:
+        print(f"note: {note}")
+    for sign in suspicions(terrain):
+        print(f"suspicious: {sign}")
+    sys.stdout.flush()
