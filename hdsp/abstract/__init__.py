@@ -8,7 +8,7 @@
 """
 
 from hdsp.abstract.abstract_conformance import check_abstract_costs
-from hdsp.abstract.abstract_costs import AbstractCosts, FlatCosts, LocalCosts, Region, TaskPredictor
+from hdsp.abstract.abstract_costs import AbstractCosts, FlatCosts, GradualCosts, LocalCosts, Region, TaskPredictor
 from hdsp.abstract.manual import ManualCosts, ManualSettings
 from hdsp.abstract.oracle import LabelSettings, task_costs
 from hdsp.abstract.prepared_graph import PreparedGraph, cost_to_go
@@ -17,6 +17,7 @@ from hdsp.abstract.transform import feet_at, feet_at_all
 __all__ = [
     "AbstractCosts",
     "FlatCosts",
+    "GradualCosts",
     "LabelSettings",
     "LocalCosts",
     "ManualCosts",

@@ -13,6 +13,7 @@ import numpy as np
 
 from hdsp.abstract.flat_table import flat_table
 from hdsp.base.errors import InputError
+from hdsp.base.gradual import Steps
 from hdsp.robot.lattice import (
     ABSTRACT_ACTIONS,
     ABSTRACT_HEADINGS,
@@ -73,6 +74,17 @@ class LocalCosts(AbstractCosts, Protocol):
         Returns:
             bool [16, nx // 4, ny // 4].
         """
+        ...
+
+
+@runtime_checkable
+class GradualCosts(AbstractCosts, Protocol):
+    """Costs in short steps, for maps that take seconds: a query with a time limit stops between two steps."""
+
+    def edge_steps(
+        self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None
+    ) -> Steps[np.ndarray]:
+        """Computes ``edges``: yields None after each step, and returns the result; arguments as for ``edges``."""
         ...
 
 
@@ -153,6 +165,17 @@ def checked_region(height_map: HeightMap, region: Region | None) -> Region:
             f"within {nx} x {ny} abstract cells"
         )
     return first_x, first_y, end_x, end_y
+
+
+def edge_steps(costs: AbstractCosts, height_map: HeightMap, mask: np.ndarray) -> Steps[np.ndarray]:
+    """Computes the edges of a whole map, in steps if the costs are ``GradualCosts``; arguments as for ``edges``."""
+    classes = type(costs).__mro__
+    whole = next((i for i, cls in enumerate(classes) if "edges" in vars(cls)), len(classes))
+    gradual = next((i for i, cls in enumerate(classes) if "edge_steps" in vars(cls)), len(classes))
+    # A subclass with other edges has inherited the steps for the edges of its parent.
+    if isinstance(costs, GradualCosts) and gradual <= whole and "edges" not in getattr(costs, "__dict__", ()):
+        return (yield from costs.edge_steps(height_map, mask=mask))
+    return costs.edges(height_map, mask=mask)
 
 
 def close_exits(edges: np.ndarray, height_map: HeightMap, region: Region | None = None) -> None:

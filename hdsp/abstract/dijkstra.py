@@ -17,6 +17,7 @@ from hdsp.base.jit import njit
 from hdsp.robot.lattice import DRIVE_MOVES, N_ABSTRACT_ACTIONS
 
 N_DRIVE = len(DRIVE_MOVES)  # abstract actions are these moves, followed by the turns
+DONE, FULL, PAUSED = range(3)  # ends of a call of the search
 _AHEAD = 3  # visits between the prefetch of a cost row and its use
 _MAX_BUCKETS = 256  # a power of two; more buckets take memory, fewer repeat a few visits
 
@@ -55,8 +56,8 @@ class BucketRing(NamedTuple):
 
 
 @njit()
-def search(incoming, offsets, queue, margin, per_width):
-    """Empties the queue; returns False if a bucket may be too small for the next visit. The next call continues.
+def search(incoming, offsets, queue, margin, per_width, most):
+    """Empties the queue, or stops before; the next call continues.
 
     Args:
         incoming: float32 [states * 22], costs by end state.
@@ -64,6 +65,10 @@ def search(incoming, offsets, queue, margin, per_width):
         queue: the `BucketRing`; changed.
         margin: number of unused states at both ends of the queue's arrays.
         per_width: 1 / bucket width.
+        most: number of entries, after which the search stops at the end of a bucket.
+
+    Returns:
+        ``DONE``; ``FULL`` if a bucket may be too small for the next visit; ``PAUSED`` after ``most`` entries.
 
     Indices are unsigned because numba then omits its test for negative ones. An edge from outside the map costs inf, so
     the comparison of distances is the only test in the inner loop.
@@ -76,13 +81,17 @@ def search(incoming, offsets, queue, margin, per_width):
     current = current_bucket[0]
     fullest = filled.max()
     last = fullest  # entries of the current bucket
+    taken = 0
     while True:
+        if taken >= most:
+            current_bucket[0] = current
+            return PAUSED
         empty = 0
         while empty < buckets and filled[current] == 0:
             current = (current + 1) & mask
             empty += 1
         if empty == buckets:
-            return True
+            return DONE
         place = 0
         last = filled[current]
         while place < last:
@@ -90,7 +99,7 @@ def search(incoming, offsets, queue, margin, per_width):
                 fullest = filled.max()
                 if fullest + N_ABSTRACT_ACTIONS > room:
                     current_bucket[0] = current  # its entries stay; the next call skips visited ones
-                    return False
+                    return FULL
             state = np.uint64(entries[np.uint64(current), np.uint64(place)])
             place += 1
             if place + _AHEAD < last:
@@ -120,4 +129,5 @@ def search(incoming, offsets, queue, margin, per_width):
                     filled[bucket] = end + 1
                     fullest = max(fullest, end + 1)
             last = filled[current]
+        taken += last
         filled[current] = 0

@@ -33,6 +33,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from hdsp.abstract.abstract_costs import FlatCosts, Region, checked_region, checked_tasks, close_exits, close_states
+from hdsp.base.gradual import Steps, finished
 from hdsp.base.settings import NotNegative, checked
 from hdsp.robot.lattice import (
     ABSTRACT_ACTIONS,
@@ -98,13 +99,22 @@ class ManualCosts:
 
     def edges(self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None) -> np.ndarray:
         """See `AbstractCosts.edges`."""
+        return finished(self.edge_steps(height_map, region, mask))
+
+    def edge_steps(
+        self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None
+    ) -> Steps[np.ndarray]:
+        """See `GradualCosts.edge_steps`."""
         first_x, first_y, end_x, end_y = checked_region(height_map, region)
         reach = self._reach()
         # The region is enlarged by the reach of its states.
         low_x, low_y = max(first_x - reach, 0), max(first_y - reach, 0)
         features = coarse_features(height_map.heights)
         features = Features(*(values[low_x : end_x + reach, low_y : end_y + reach] for values in features))
-        poses = [self._poses(features, heading) for heading in range(ABSTRACT_HEADINGS)]
+        poses = []
+        for heading in range(ABSTRACT_HEADINGS):
+            poses.append(self._poses(features, heading))
+            yield
         edges = np.empty((ABSTRACT_HEADINGS, *features.ground.shape, len(ABSTRACT_ACTIONS)), np.float32)
         for heading in range(ABSTRACT_HEADINGS):
             for action, goal in enumerate(robot_frame_goals(heading)):
@@ -115,6 +125,7 @@ class ManualCosts:
                 if turn:
                     met.append(poses[(heading + turn) % ABSTRACT_HEADINGS])
                 edges[heading, :, :, action] = self._cost(goal, met)
+            yield
         edges = np.ascontiguousarray(edges[:, first_x - low_x : end_x - low_x, first_y - low_y : end_y - low_y])
         close_states(edges, mask)
         close_exits(edges, height_map, region)

@@ -8,12 +8,14 @@ from functools import cached_property
 import numpy as np
 
 from hdsp.abstract.bridging import bridge, passed_over
-from hdsp.abstract.dijkstra import N_DRIVE, BucketRing, bucket_sizes, search
+from hdsp.abstract.dijkstra import DONE, FULL, N_DRIVE, BucketRing, bucket_sizes, search
 from hdsp.abstract.repair import repair
 from hdsp.base.errors import InputError
+from hdsp.base.gradual import Steps, finished
 from hdsp.base.jit import njit
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
 
+_ENTRIES = 50_000  # queue entries between two looks at the clock
 REPAIRED_SHARE = 16  # a repair of more than 1 / REPAIRED_SHARE of all states takes longer than a new search
 
 
@@ -130,6 +132,10 @@ class PreparedGraph:
         Raises:
             InputError: a goal lies outside the map.
         """
+        return finished(self.distance_steps(goals_abstract))
+
+    def distance_steps(self, goals_abstract: tuple[int, int, int] | np.ndarray) -> Steps[np.ndarray]:
+        """Like `distances`, in short steps."""
         goals = np.atleast_2d(np.asarray(goals_abstract, dtype=np.int64))
         nx, ny = self.shape
         outside = ((goals < 0) | (goals >= (nx, ny, ABSTRACT_HEADINGS))).any(axis=1)
@@ -141,8 +147,11 @@ class PreparedGraph:
         width, buckets = bucket_sizes(self.cheapest, self.most_expensive)
         flat = np.unique((goals[:, 2] * nx + goals[:, 0]) * ny + goals[:, 1])
         queue = BucketRing.starting_at(flat, ABSTRACT_HEADINGS * nx * ny, self._margin, buckets)
-        while not search(self.incoming.reshape(-1), self._offsets, queue, self._margin, 1.0 / width):
-            queue = queue.with_more_room()
+        incoming = self.incoming.reshape(-1)
+        while (end := search(incoming, self._offsets, queue, self._margin, 1.0 / width, _ENTRIES)) != DONE:
+            if end == FULL:
+                queue = queue.with_more_room()
+            yield
         inside = queue.distance[self._margin : len(queue.distance) - self._margin]
         return inside.reshape(ABSTRACT_HEADINGS, nx, ny)
 

@@ -4,6 +4,7 @@
 - `settings`: loader for typed settings from YAML, JSON and mappings
 - `files`, `downloads`, `storage`: whole-or-absent files, published data files, local folders and object stores
 - `workers`: worker processes, on this machine or a cluster
+- `gradual`: computations in short steps, for time limits
 - `jit`, `kernel_cache`: compiled kernels and their cache on disk
 - `provenance`, `definitions`: fingerprints of the code behind a result
 - `conformance`: contracts for checks of user implementations
@@ -13,6 +14,7 @@ from hdsp.base.conformance import ConformanceError, Contract
 from hdsp.base.downloads import data_folder, fetch, verify
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.base.files import existing_file, replacing
+from hdsp.base.gradual import Gradual, Steps, finished
 from hdsp.base.jit import njit
 from hdsp.base.provenance import code_fingerprint, reached_code
 from hdsp.base.settings import Document, checked, load_settings, parse_yaml, read_json, read_yaml
@@ -25,15 +27,18 @@ __all__ = [
     "Contract",
     "Document",
     "Folder",
+    "Gradual",
     "InputError",
     "Place",
     "RefinementError",
+    "Steps",
     "checked",
     "code_fingerprint",
     "connected",
     "data_folder",
     "existing_file",
     "fetch",
+    "finished",
     "load_settings",
     "njit",
     "open_folder",

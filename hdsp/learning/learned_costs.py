@@ -8,14 +8,15 @@ import numpy as np
 
 from hdsp.abstract.abstract_costs import Region, checked_mask, checked_region, close_exits
 from hdsp.base.errors import InputError
+from hdsp.base.gradual import Steps, finished
 from hdsp.learning.abstraction import LearnedAbstraction
 from hdsp.learning.rotated_maps import RotatedMap
 from hdsp.robot import lattice
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.patches import crop_patches
 
-#: Patches cropped at once; 85 MB.
-CHUNK = 4096
+#: Patches cropped at once; 10 MB, evaluated in less than a second.
+CHUNK = 512
 #: Side in cells of a tile in dense evaluation. Larger tiles share more between patches; a map change affects less with
 #: smaller ones. A tile takes some tens of megabytes, independent of the map size.
 TILE = 96
@@ -84,7 +85,7 @@ class LearnedCosts:
             region: as in ``AbstractCosts.edges``.
             mask: bool, result shape without actions: states to evaluate, for instance states with ground under all
                 feet. All other states become infeasible.
-            progress: called with (states done, all states) every few thousand states.
+            progress: called with (states done, all states) every few hundred states.
 
         Raises:
             InputError: also if the mask has another shape than the result.
@@ -92,6 +93,16 @@ class LearnedCosts:
         Convention: each patch is rotated to its state's heading; actions are rotated from the map frame into the robot
         frame.
         """
+        return finished(self.edge_steps(height_map, region, mask, progress))
+
+    def edge_steps(
+        self,
+        height_map: HeightMap,
+        region: Region | None = None,
+        mask: np.ndarray | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Steps[np.ndarray]:
+        """See ``GradualCosts.edge_steps``; a step evaluates one tile, or some hundred patches."""
         first_x, first_y, end_x, end_y = checked_region(height_map, region)
         shape = (lattice.ABSTRACT_HEADINGS, end_x - first_x, end_y - first_y)
         wanted = np.ones(shape, bool) if mask is None else checked_mask(mask, shape)
@@ -106,6 +117,7 @@ class LearnedCosts:
                 done += len(states)
                 if progress is not None:
                     progress(done, total)
+                yield
         close_exits(edges, height_map, region)
         return edges
 

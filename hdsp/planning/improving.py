@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from hdsp.detailed.relaxed.proofs import Unreachable
+from hdsp.base.gradual import now
 from hdsp.detailed.search import anytime
 from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.planning.plans import Plan
-from hdsp.planning.query import FEW, Query, ReachedStates, now
+from hdsp.planning.query import Query, ReachedStates
 from hdsp.planning.refinable import RefusedSteps
 
 
@@ -27,6 +27,7 @@ def improving_plans(query: Query, weights: Sequence[float], refinable: bool, pre
         refinable: whether the robot must be able to carry out each plan.
         prepared: time for the heuristic, s.
     """
+    query = replace(query, ends=now() + max(0.0, query.limits.time - prepared))
     best, last, shown, lower = None, None, np.inf, 0.0
     error = rounding(query.world)
     refused = RefusedSteps(query)
@@ -51,7 +52,7 @@ def improving_plans(query: Query, weights: Sequence[float], refinable: bool, pre
                 "lower_bound": lower,
                 "ended": how,
                 "heuristic_seconds": prepared,
-                "seconds": plan.stats.search_seconds + prepared,
+                "seconds": plan.stats.search_seconds + plan.stats.proof_seconds + prepared,
             }
             shown, last = bound, (best or plan).renewed(stats, bound=bound, refused=tuple(refused.words))
             yield last
@@ -65,18 +66,19 @@ def _rounds(
     After a refused step the rounds start again without it, from the present weight on.
     """
     began, spent, cost, world = now(), 0, np.inf, query.world
-    proofs: list[Unreachable | None] = []
+    proof, tried = query.proof(), False
 
     def hopeless() -> bool:
-        proofs.append(query.proof())
-        return proofs[-1] is not None
+        nonlocal tried
+        tried = True
+        return proof.succeeds()
 
     guide = None if query.admissible else query.estimate
     admissible = query.estimate if guide is None else query.geometric()
     reached = ReachedStates(query.goal)
     while True:
         limits = query.limits
-        left = replace(limits, expansions=limits.expansions - spent, time=limits.time - (now() - began))
+        left = replace(limits, expansions=limits.expansions - spent, time=query.time_left())
         rounds = anytime.improve(
             world,
             query.start,
@@ -85,14 +87,17 @@ def _rounds(
             admissible,
             guide,
             limits=left,
-            hopeless=None if proofs else hopeless,
-            ask_after=FEW,
+            hopeless=None if tried else hopeless,
             progress=query.progress,
             at_end=reached.take,
         )
         for found in rounds:
             plan = query.plan_of(found.result, PlanStatistics(query.heuristic.name, float(found.weight)), reached)
-            spent_now = {"expansions": plan.stats.expansions + spent, "search_seconds": now() - began}
+            spent_now = {
+                "expansions": plan.stats.expansions + spent,
+                "search_seconds": now() - began - proof.seconds,
+                "proof_seconds": proof.seconds,
+            }
             plan = plan.renewed(spent_now)
             if refinable and plan.solved and plan.cost < cost * (1 - LEAST_GAIN):
                 if refused.refuse_from(plan):
@@ -101,8 +106,8 @@ def _rounds(
                     break
                 cost = plan.cost
             if found.ended == Status.INFEASIBLE and not plan.solved and not refused.words:
-                proof = proofs[-1] if proofs else query.proof()
-                plan = query.without_way(plan, proof)
+                proof.try_until(query.ends)
+                plan = query.without_way(plan, proof.found)
             yield plan, found.ended
         else:
             return

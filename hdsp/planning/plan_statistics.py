@@ -18,6 +18,7 @@ class PlanStatistics(Mapping[str, Any]):
         seen: generated states.
         memory: bytes for states and open lists at the end.
         search_seconds: time in the search.
+        proof_seconds: time in attempts to prove that no plan exists.
         lower_bound: no plan costs less; 0 without a proof.
         heuristic_seconds: time to prepare the heuristic for the goal.
         seconds: time for the whole query.
@@ -32,6 +33,7 @@ class PlanStatistics(Mapping[str, Any]):
     seen: int = 0
     memory: int = 0
     search_seconds: float = 0.0
+    proof_seconds: float = 0.0
     lower_bound: float = 0.0
     heuristic_seconds: float = 0.0
     seconds: float = 0.0

@@ -10,16 +10,16 @@ import numpy as np
 
 from hdsp.abstract.abstract_costs import AbstractCosts, Region
 from hdsp.base.errors import InputError
+from hdsp.base.gradual import Gradual, now
 from hdsp.base.settings import shown
 from hdsp.detailed.causes import Cause
-from hdsp.detailed.search.estimate import Estimate
-from hdsp.detailed.search.life_cycle import Progress
+from hdsp.detailed.search.life_cycle import Hopeless, Progress
 from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.world.world import build_world
 from hdsp.detailed.world.world_update import updated_world
 from hdsp.learning.loading import abstraction_of, load_abstraction
 from hdsp.planning.arguments import callback, choice, falling_weights, limits_of, number
-from hdsp.planning.arrival import Arrival, Tolerance, arrival, several
+from hdsp.planning.arrival import Tolerance, arrival, several
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
 from hdsp.planning.improving import improving_plans
 from hdsp.planning.map_changes import changed_cells
@@ -27,7 +27,7 @@ from hdsp.planning.margin import with_margin
 from hdsp.planning.measured_map import MeasuredMap
 from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.planning.plans import Plan
-from hdsp.planning.query import Query, locate, now
+from hdsp.planning.query import Query, locate
 from hdsp.planning.refinable import refinable_plan
 from hdsp.robot.lattice import Grid
 from hdsp.robot.robot import Robot
@@ -214,10 +214,10 @@ class Planner:
             return query
         prepared = now() - began
 
-        def search(query: Query) -> Plan:
+        def search(query: Query, hopeless: Hopeless | None = None) -> Plan:
             if anchored is None or query.admissible:
-                return query.weighted(weight)
-            return query.anchored(weight, anchored)
+                return query.weighted(weight, hopeless)
+            return query.anchored(weight, anchored, hopeless)
 
         plan = query.search_or_prove(search)
         if refinable:
@@ -293,20 +293,19 @@ class Planner:
     def _query(
         self, start, goal, tolerance: Tolerance | None, weight: float, limits: Limits, progress: Progress | None
     ) -> Query | Plan:
-        """Returns the query, with the heuristic prepared for its goals, or a plan with the faults in an invalid end."""
+        """Returns the query, with the heuristic prepared for its goals, or a plan that ends before the search."""
         began = now()
-
-        def without(status: Status, faults: Sequence[Cause | str]) -> Plan:
-            stats = PlanStatistics(self.heuristic.name, float(weight), seconds=now() - began)
-            nothing = np.empty((0, 7)), (), np.empty(0)
-            return Plan(status, np.inf, *nothing, stats, self.terrain, self.robot, problems=tuple(faults))
-
         state, faults = locate(self.world, self.grid, self._wider, start, "start")
         if faults:
-            return without(Status.INVALID_START, faults)
+            return self._no_plan(Status.INVALID_START, weight, began, faults)
         ends = arrival(self.world, self.grid, self._wider, several(goal) or [goal], tolerance)
         if ends.faults:
-            return without(Status.INVALID_GOAL, ends.faults)
+            return self._no_plan(Status.INVALID_GOAL, weight, began, ends.faults)
+        exact = ends.exact and len(ends.states) == 1
+        groups = None if exact else np.unique(ends.goal, return_inverse=True)[1].ravel()
+        preparation = Gradual(self.heuristic.steps_to(ends.states, groups))
+        if not preparation.run(began + limits.time):
+            return self._no_plan(Status.TIME_LIMIT, weight, began)
         return Query(
             terrain=self.terrain,
             robot=self.robot,
@@ -314,17 +313,21 @@ class Planner:
             grid=self.grid,
             world=self.world,
             heuristic=self.heuristic,
-            estimate=self._estimate(ends),
+            estimate=preparation.result,
             start=state,
             goals=ends.states,
             goal_numbers=ends.goal,
             admissible=self.heuristic.admissible,
             consistent=self.heuristic.consistent,
             limits=limits,
+            ends=began + limits.time,
             progress=progress,
         )
 
-    def _estimate(self, ends: Arrival) -> Estimate:
-        if ends.exact and len(ends.states) == 1:
-            return self.heuristic.set_goal(ends.states[0])
-        return self.heuristic.set_goals(ends.states, np.unique(ends.goal, return_inverse=True)[1].ravel())
+    def _no_plan(self, status: Status, weight: float, began: float, faults: Sequence[Cause | str] = ()) -> Plan:
+        """Returns the answer to a query that ends before its search."""
+        spent = now() - began
+        prepared = spent if status == Status.TIME_LIMIT else 0.0
+        stats = PlanStatistics(self.heuristic.name, float(weight), heuristic_seconds=prepared, seconds=spent)
+        nothing = np.empty((0, 7)), (), np.empty(0)
+        return Plan(status, np.inf, *nothing, stats, self.terrain, self.robot, problems=tuple(faults))

@@ -1,19 +1,24 @@
-"""A query to a planner: its ends, a search or a proof, and the plan."""
+"""A query to a planner: its ends, a search or a proof, and the plan.
+
+One budget of time covers the whole query. The heuristic comes first. The search runs until its end, with one pause: a
+search without an end after a tenth of a second tries to prove that no plan exists. The proof may take half of the time
+left, so that the search keeps the other half. Without a proof, the search goes on from where it paused.
+"""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hdsp.abstract.transform import feet_at
+from hdsp.base.gradual import Gradual, now
 from hdsp.detailed.actions.action import action_of
 from hdsp.detailed.causes import Cause, faults_of
-from hdsp.detailed.relaxed.proofs import Unreachable, nearest_state, why_unreachable
+from hdsp.detailed.relaxed.proofs import Unreachable, nearest_state, proof_steps
 from hdsp.detailed.search.estimate import Estimate, geometric_estimate
-from hdsp.detailed.search.life_cycle import Progress, Search
+from hdsp.detailed.search.life_cycle import FEW, Hopeless, Progress, Search
 from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.search.reached import Reached, reached_by
@@ -28,8 +33,8 @@ from hdsp.robot.lattice import Grid, heading_index
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
-#: Expansions before a proof is tried; about a tenth of a second.
-FEW = 50_000
+#: Share of the time left that a proof may take from a search.
+PROOF_SHARE = 0.5
 
 
 def locate(world: World, grid: Grid, robot: Robot, pose, name: str) -> tuple[np.ndarray, list[Cause]]:
@@ -87,7 +92,8 @@ class Query:
         goal_numbers: int64 [n], number of the goal to which each state belongs.
         admissible, consistent: whether ``estimate`` is, as in ``Heuristic``.
         assumed: changes in the map under the start, in words; see ``Plan``.
-        limits: of the whole query.
+        limits: of the whole query; ``ends`` counts instead of the time.
+        ends: moment on the clock ``now`` at which the time is over.
         progress: called now and then with (expansions, seconds).
     """
 
@@ -104,6 +110,7 @@ class Query:
     admissible: bool
     consistent: bool
     limits: Limits
+    ends: float = np.inf
     progress: Progress | None = None
     assumed: tuple[str, ...] = ()
 
@@ -112,8 +119,12 @@ class Query:
         """The state, int64 [7], among the goals that is nearest to the start in a straight line."""
         return nearest_state(self.start, self.goals)
 
-    def weighted(self, weight: float) -> Plan:
-        """Searches with weighted A*."""
+    def time_left(self) -> float:
+        """Seconds until the time is over, at least 0."""
+        return max(0.0, self.ends - now())
+
+    def weighted(self, weight: float, hopeless: Hopeless | None = None) -> Plan:
+        """Searches with weighted A*; ``hopeless`` as in ``solve``."""
         # No bound is lost without reopening: the heuristic is consistent, or proves none.
         once = self.consistent or not self.admissible
         reached = ReachedStates(self.goal)
@@ -125,15 +136,16 @@ class Query:
             weight=weight,
             admissible=self.admissible,
             reopen=not (once and weight > 1 and self.limits.cost == np.inf),
-            limits=self.limits,
+            limits=replace(self.limits, time=self.time_left()),
+            hopeless=hopeless,
             progress=self.progress,
             nearest=True,
             at_end=reached.take,
         )
         return self.plan_of(result, PlanStatistics(self.heuristic.name, float(weight)), reached)
 
-    def anchored(self, weight: float, anchor_weight: float) -> Plan:
-        """Searches with multi-heuristic A* and the geometric heuristic as the anchor."""
+    def anchored(self, weight: float, anchor_weight: float, hopeless: Hopeless | None = None) -> Plan:
+        """Searches with multi-heuristic A* and the geometric heuristic as the anchor; ``hopeless`` as in ``solve``."""
         reached = ReachedStates(self.goal)
         result = solve_multi(
             self.world,
@@ -143,7 +155,8 @@ class Query:
             [self.estimate],
             weight=weight,
             anchor_weight=anchor_weight,
-            limits=self.limits,
+            limits=replace(self.limits, time=self.time_left()),
+            hopeless=hopeless,
             progress=self.progress,
             at_end=reached.take,
         )
@@ -188,9 +201,9 @@ class Query:
             inquiry=None if status == Status.SOLVED else self.inquiry(status, reached.found),
         )
 
-    def proof(self) -> Unreachable | None:
-        """Returns a proof of infeasibility, or None."""
-        return why_unreachable(self.world, self.start, self.goals)
+    def proof(self) -> Proof:
+        """Returns a proof of infeasibility that is still to be tried."""
+        return Proof(self)
 
     def without_way(self, plan: Plan, proof: Unreachable | None) -> Plan:
         """Returns a plan that ends infeasible.
@@ -212,22 +225,47 @@ class Query:
         """Returns the inquiry into the reasons for a search that ended without a plan."""
         return Inquiry(self.terrain, self.robot, self.wider, self.start, self.goal, status, reached)
 
-    def search_or_prove(self, search: Callable[[Query], Plan]) -> Plan:
-        """Searches a little; without a plan, tries a proof of infeasibility; without a proof, searches on.
+    def search_or_prove(self, search: Solver) -> Plan:
+        """Searches; a search that takes long tries a proof of infeasibility, and goes on without one.
 
         A proof takes longer than most searches and names the obstacle. A search without a plan would take very long.
         """
-        limits = self.limits
-        plan = search(replace(self, limits=replace(limits, expansions=min(limits.expansions, FEW))))
-        undecided = plan.status == Status.EXPANSION_LIMIT and limits.expansions > FEW
-        if not undecided and plan.status != Status.INFEASIBLE:
-            return plan
         proof = self.proof()
-        if proof is None and undecided:
-            plan = search(self)
-        if proof is None and plan.status != Status.INFEASIBLE:
-            return plan
-        return self.without_way(plan, proof)
+        plan = search(self, proof.succeeds if self.limits.expansions > FEW else None)
+        if plan.status != Status.INFEASIBLE:
+            return plan.renewed({"proof_seconds": proof.seconds})
+        # A search through all reachable states proves as much, but names no obstacle.
+        proof.try_until(self.ends)
+        return self.without_way(plan, proof.found).renewed({"proof_seconds": proof.seconds})
 
 
-now = time.perf_counter
+#: A search for a query, with a proof to try during it.
+Solver = Callable[[Query, Hopeless | None], Plan]
+
+
+class Proof:
+    """A proof of infeasibility, tried in steps.
+
+    Attributes:
+        found: the proof; None without one, or before it is complete.
+    """
+
+    def __init__(self, query: Query):
+        self._query = query
+        self.found: Unreachable | None = None
+        self._steps: Gradual[Unreachable | None] = Gradual(proof_steps(query.world, query.start, query.goals))
+
+    @property
+    def seconds(self) -> float:
+        """Time spent so far."""
+        return self._steps.seconds
+
+    def succeeds(self) -> bool:
+        """Tries the proof for its share of the time left; returns whether it succeeds."""
+        return self.try_until(now() + PROOF_SHARE * self._query.time_left())
+
+    def try_until(self, ends: float) -> bool:
+        """Continues until a moment on the clock ``now``; returns whether there is a proof."""
+        if self._steps.run(ends):
+            self.found = self._steps.result
+        return self.found is not None

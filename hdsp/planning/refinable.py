@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from hdsp.base.errors import RefinementError
 from hdsp.detailed.motion.refinement import ban, last_step
 from hdsp.planning.plans import Plan
-from hdsp.planning.query import Query
+from hdsp.planning.query import Query, Search
 
 
 class RefusedSteps:
@@ -42,7 +41,7 @@ class RefusedSteps:
         return False
 
 
-def refinable_plan(query: Query, search: Callable[[Query], Plan], plan: Plan) -> Plan:
+def refinable_plan(query: Query, search: Search, plan: Plan) -> Plan:
     """Searches again without the refused steps, until the robot can carry out the plan or no other plan exists.
 
     Args:
@@ -56,10 +55,8 @@ def refinable_plan(query: Query, search: Callable[[Query], Plan], plan: Plan) ->
     refused = RefusedSteps(query)
     expansions, seconds = plan.stats.expansions, plan.stats.search_seconds
     while plan.solved and refused.refuse_from(plan):
-        left = replace(
-            query.limits, expansions=query.limits.expansions - expansions, time=query.limits.time - seconds
-        )  # fmt: skip
-        plan = search(replace(query, world=query.world._replace(banned=refused.banned), limits=left))
+        left = replace(query.limits, expansions=query.limits.expansions - expansions)
+        plan = search(replace(query, world=query.world._replace(banned=refused.banned), limits=left), None)
         expansions += plan.stats.expansions
         seconds += plan.stats.search_seconds
     return plan.renewed({"expansions": expansions, "search_seconds": seconds}, refused=tuple(refused.words))

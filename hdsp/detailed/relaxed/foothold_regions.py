@@ -12,11 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hdsp.base.gradual import Steps, finished
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import foot_row
 from hdsp.detailed.actions.successors import Rules, allowed_headings
 from hdsp.detailed.world.world import World, cell_index, step_effort, step_fits
 from hdsp.robot.lattice import HEADINGS
+
+_CELLS = 16_384  # cells whose steps are collected between two looks at the clock
 
 
 class FootholdRegions(NamedTuple):
@@ -40,6 +43,11 @@ def find_foothold_regions(world: World, rules: Rules, counted_per_cell: float) -
         rules: restrictions of the search.
         counted_per_cell: cost per cell of step length that is counted elsewhere.
     """
+    return finished(foothold_region_steps(world, rules, counted_per_cell))
+
+
+def foothold_region_steps(world: World, rules: Rules, counted_per_cell: float) -> Steps[FootholdRegions]:
+    """Like `find_foothold_regions`, in short steps."""
     from scipy.ndimage import binary_dilation, label
 
     standable = world.standable.reshape(-1, world.stride)
@@ -56,10 +64,13 @@ def find_foothold_regions(world: World, rules: Rules, counted_per_cell: float) -
     region = numbers.ravel()
     effort = np.full((count, count), np.inf, dtype=np.float32)
     np.fill_diagonal(effort, 0)
+    yield
     if count > 1:
         allowed = allowed_headings(rules)
-        toward = allowed | np.roll(allowed, HEADINGS // 2)
-        _collect_steps(world, region, np.flatnonzero(toward), counted_per_cell, effort)
+        toward = np.flatnonzero(allowed | np.roll(allowed, HEADINGS // 2))
+        for first in range(0, len(region), _CELLS):
+            _collect_steps(world, region, first, min(first + _CELLS, len(region)), toward, counted_per_cell, effort)
+            yield
     return FootholdRegions(region, effort)
 
 
@@ -90,14 +101,14 @@ def efforts_to(regions: FootholdRegions, world: World, goals: np.ndarray) -> np.
 
 
 @njit()
-def _collect_steps(world, region, headings, counted_per_cell, effort):
+def _collect_steps(world, region, first, end, headings, counted_per_cell, effort):
     t, c = world.tables, world.constants
     standable, height, swing, edge = world.standable, world.height, world.swing, world.edge
     steps, line = world.steps, t.line
     stride = world.stride
     # A step lands on the foot's own cell, and rounding may place this cell beside the line.
     around = (-stride - 1, -stride, -stride + 1, -1, 0, 1, stride - 1, stride, stride + 1)
-    for p in range(len(standable)):
+    for p in range(first, end):
         if steps[p] == 0:
             continue
         before = height[p]

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hdsp.base.gradual import Steps
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.action import DRIVES
 from hdsp.detailed.actions.state_costs import feet_cells
@@ -42,14 +43,19 @@ class PoseFlood:
         self._allowed = np.uint64(_bits(allowed_headings(rules)))
         self._tables, self._masks = _mask_tables(world), _new_masks(world)
 
-    def reached_from(self, state: np.ndarray, drive_only: bool) -> np.ndarray:
-        """Headings at each cell that a state int64 [7] can reach, as bits; uint64 [2, nx, ny].
+    def steps_from(self, state: np.ndarray, drive_only: bool) -> Steps[np.ndarray]:
+        """Headings at each cell that a state int64 [7] can reach, as bits; uint64 [2, nx, ny]; in short steps.
 
         Layer 0 = on neutral feet, layer 1 = on any feet.
         """
-        reached = np.zeros((2, self._world.nx, self._world.ny), dtype=np.uint64)
+        nx, ny = self._world.nx, self._world.ny
+        reached = np.zeros((2, nx, ny), dtype=np.uint64)
         reached[int(state[3:].any()), state[0], state[1]] = _ONE << np.uint64(state[2])
-        _flood(self._world, self._allowed, self._tables, self._masks, reached, state[0], state[1], drive_only)
+        queue, waits, ends = np.empty(nx * ny + 1, np.int64), np.zeros((nx, ny), np.bool_), np.array([0, 1])
+        queue[0] = state[0] * ny + state[1]
+        world, allowed, tables, masks = self._world, self._allowed, self._tables, self._masks
+        while not _flood(world, allowed, tables, masks, reached, queue, waits, ends, _VISITS, drive_only):
+            yield
         return reached
 
 
@@ -75,6 +81,7 @@ class MaskTables(NamedTuple):
 
 _ONE = np.uint64(1)
 _LAST = np.uint64(63)
+_VISITS = 1000  # visits to cells between two looks at the clock
 
 
 def _bits(flags: np.ndarray) -> np.ndarray:
@@ -128,16 +135,31 @@ def _new_masks(world: World) -> HeadingMasks:
 
 
 @njit()
-def _flood(world, allowed, tables, masks, reached, x, y, drive_only):
+def _flood(world, allowed, tables, masks, reached, queue, waits, ends, visits, drive_only):
+    """Empties the queue; returns False after so many visits to cells, and the next call continues.
+
+    Args:
+        world: terrain and robot.
+        allowed: headings under the rules of the search, as bits.
+        tables, masks: actions, and possible headings.
+        reached: uint64 [2, nx, ny], see `PoseFlood.steps_from`; changed.
+        queue: int64 [nx * ny + 1], ring of waiting cells; changed.
+        waits: bool [nx, ny], whether a cell waits; changed.
+        ends: int64 [2], first and end of the waiting cells in the queue; changed.
+        visits: number of visits.
+        drive_only: whether the robot makes no step.
+    """
     nx, ny, move_dx, move_dy = world.nx, world.ny, world.tables.move_dx, world.tables.move_dy
     drives, shift_headings = tables.drives, tables.shift_headings
     shift_dx, shift_dy = tables.shift_dx, tables.shift_dy
     known, neutral, level, step, some = masks.known, masks.neutral, masks.level, masks.step, masks.some
     room = nx * ny + 1
-    queue, waits = np.empty(room, np.int64), np.zeros((nx, ny), np.bool_)
-    queue[0] = x * ny + y
-    first, last = 0, 1
+    first, last = ends[0], ends[1]
     while first != last:
+        if visits == 0:
+            ends[0], ends[1] = first, last
+            return False
+        visits -= 1
         x, y = queue[first] // ny, queue[first] % ny
         first = (first + 1) % room
         waits[x, y] = False
@@ -202,6 +224,7 @@ def _flood(world, allowed, tables, masks, reached, x, y, drive_only):
                     waits[u, v] = True
                     queue[last] = u * ny + v
                     last = (last + 1) % room
+    return True
 
 
 @njit()

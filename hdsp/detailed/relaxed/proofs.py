@@ -13,10 +13,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hdsp.base.gradual import Steps, finished
 from hdsp.detailed.actions.state_costs import foot_row
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.base_pose import ground_plane
-from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, efforts_to, find_foothold_regions
+from hdsp.detailed.relaxed.foothold_regions import (
+    FootholdRegions,
+    efforts_to,
+    find_foothold_regions,
+    foothold_region_steps,
+)
 from hdsp.detailed.relaxed.heading_masks import PoseFlood, holds, missing_feet
 from hdsp.detailed.world.world import World, cell_index
 from hdsp.robot.lattice import HEADINGS
@@ -66,19 +72,28 @@ def why_unreachable(
         The proof, or None without a proof; a plan may then exist or not. Its gap lies between the start and the goal
         nearest to it in a straight line.
     """
+    return finished(proof_steps(world, start, goals, rules))
+
+
+def proof_steps(
+    world: World, start: np.ndarray, goals: np.ndarray, rules: Rules | None = None
+) -> Steps[Unreachable | None]:
+    """Like `why_unreachable`, in short steps."""
     rules = rules or Rules()
     start, goals = np.asarray(start, dtype=np.int64), np.atleast_2d(np.asarray(goals, dtype=np.int64))
     goal = nearest_state(start, goals)
-    regions = find_foothold_regions(world, rules, 0.0)
+    regions = yield from foothold_region_steps(world, rules, 0.0)
     efforts = efforts_to(regions, world, goals)
+    yield
     foot = _stopped_foot(world, regions, efforts, start)
     if foot is not None:
         return _gap_of_foot(world, regions, efforts[foot], start, goal, foot)
     flood = PoseFlood(world, rules)
-    reached = flood.reached_from(start, rules.drive_only)
+    yield
+    reached = yield from flood.steps_from(start, rules.drive_only)
     if holds(reached, goals):
         return None
-    around_goal = flood.reached_from(goal, drive_only=True)
+    around_goal = yield from flood.steps_from(goal, drive_only=True)
     return _gap_of_base(world, (reached != 0).any(axis=0), (around_goal != 0).any(axis=0), start, goal)
 
 

@@ -7,7 +7,7 @@ round expands a state again when it finds a cheaper path to it; the heuristic ma
 The bound is independent of the heuristic that guides the rounds, see ``kernel.least_f``.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from hdsp.detailed.search import kernel
 from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
 from hdsp.detailed.search.estimate import Estimate
-from hdsp.detailed.search.life_cycle import AtEnd, Progress, Search
+from hdsp.detailed.search.life_cycle import FEW, AtEnd, Hopeless, Progress, Search
 from hdsp.detailed.search.outcome import Limits, Path, SearchResult, Status
 from hdsp.detailed.search.store import CUT, EXPANDED, find
 from hdsp.detailed.world.world import World
@@ -48,8 +48,8 @@ def improve(
     guide: Estimate | None = None,
     *,
     limits: Limits | None = None,
-    hopeless: Callable[[], bool] | None = None,
-    ask_after: int = 50_000,
+    hopeless: Hopeless | None = None,
+    ask_after: int = FEW,
     progress: Progress | None = None,
     at_end: AtEnd | None = None,
 ) -> Iterator[Improvement]:
@@ -84,11 +84,11 @@ def improve(
     for i, order in enumerate(rounds):
         status = search.begin_round(*order) if i else search.begin(*order)
         while status is None:
-            status = search.advance()
+            status = search.advance(ask_after if hopeless and not found.plan else None)
             if status is None and found.look():
                 yield found.improvement(order[1])
             elif status is None and hopeless and not found.plan and search.store.counts[EXPANDED] >= ask_after:
-                if hopeless():
+                if search.ask(hopeless):
                     found.lower_bound = np.inf
                     if at_end is not None:
                         at_end(search)

@@ -32,7 +32,14 @@ Progress = Callable[[int, float], object]
 #: Callback with a search that ended without a plan.
 AtEnd = Callable[["Search"], object]
 
-_SLICE = 20_000  # expansions between two checks of the clock
+#: Proof that no plan exists, tried during a search; returns whether it succeeds.
+Hopeless = Callable[[], bool]
+
+#: Expansions before a proof is tried; about a tenth of a second.
+FEW = 50_000
+_SLICE = 20_000  # expansions between two checks of the clock, at most
+_FIRST = 2_000  # the same while their time is unknown
+_LEAST = 200  # the same shortly before the time limit
 _ENDS = {
     kernel.SOLVED: Status.SOLVED,
     kernel.EXHAUSTED: Status.INFEASIBLE,
@@ -70,7 +77,7 @@ class Search:
         progress: Progress | None = None,
         nearest: bool = False,
     ):
-        self.began = time.perf_counter()
+        self.began, self.paused = time.perf_counter(), 0.0
         self.world, self.rules, self.limits, self.progress = world, rules or Rules(), limits or Limits(), progress
         self.start = int(pack_states(start, world.tables.lowest)[0])
         self.goals = pack_states(goals, world.tables.lowest)
@@ -134,12 +141,41 @@ class Search:
     def _memory_limit(self) -> Status | None:
         return None if self.nbytes() <= self.limits.memory else Status.MEMORY_LIMIT
 
-    def advance(self) -> Status | None:
-        """Continues the search for a slice; returns its final status, None if the search continues."""
-        left = self.limits.expansions - int(self.store.counts[EXPANDED])
+    def run(self, hopeless: Hopeless | None = None, ask_after: int = FEW) -> Status:
+        """Continues the search to its end; returns its final status.
+
+        Args:
+            hopeless: called once, after ``ask_after`` expansions without an end; True = proof that no plan exists. The
+                search then ends as infeasible, else it goes on from where it is.
+            ask_after: number of expansions.
+        """
+        ended = None
+        while ended is None:
+            ended = self.advance(None if hopeless is None else ask_after)
+            if ended is None and hopeless is not None and self.store.counts[EXPANDED] >= ask_after:
+                ended = Status.INFEASIBLE if self.ask(hopeless) else None
+                hopeless = None
+        return ended
+
+    def ask(self, hopeless: Hopeless) -> bool:
+        """Calls ``hopeless``; its time counts for the time limit, and not as time of the search."""
+        began = time.perf_counter()
+        proved = hopeless()
+        self.paused += time.perf_counter() - began
+        return proved
+
+    def advance(self, pause: int | None = None) -> Status | None:
+        """Continues the search for a slice; returns its final status, None if the search continues.
+
+        Args:
+            pause: number of expansions at which a slice ends.
+        """
+        done = int(self.store.counts[EXPANDED])
+        left = self.limits.expansions - done
         if left <= 0:
             return Status.EXPANSION_LIMIT
-        code = self._run(min(left, _SLICE))
+        slice_ = min(left, self._slice())
+        code = self._run(min(slice_, pause - done) if pause is not None and pause > done else slice_)
         if code in _ENDS:
             return _ENDS[code]
         if code == kernel.FULL and not self._grow():
@@ -148,6 +184,14 @@ class Search:
         if self.progress is not None:
             self.progress(int(self.store.counts[EXPANDED]), elapsed)
         return Status.TIME_LIMIT if elapsed > self.limits.time else None
+
+    def _slice(self) -> int:
+        """Number of expansions until the next look at the clock, so that the time limit is kept."""
+        done, elapsed = int(self.store.counts[EXPANDED]), time.perf_counter() - self.began
+        if done == 0:
+            return min(_FIRST, _SLICE)
+        possible = (self.limits.time - elapsed) * done / max(elapsed - self.paused, 1e-6)
+        return int(min(max(possible / 2, _LEAST), _SLICE))
 
     def _run(self, expansions: int) -> int:
         """Expands at most ``expansions`` states; returns the kernel's code."""
@@ -216,7 +260,7 @@ class Search:
         """Writes the resources used so far into a result."""
         result.expansions, result.seen = int(self.store.counts[EXPANDED]), int(self.store.counts[SEEN])
         result.memory, result.open_memory = self.nbytes(), self._open_nbytes()
-        result.seconds = time.perf_counter() - self.began
+        result.seconds = time.perf_counter() - self.began - self.paused
 
 
 def edge_cost(world: World, rules: Rules, key: int, reached: int, action: int) -> float:

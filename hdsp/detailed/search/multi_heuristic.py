@@ -28,7 +28,7 @@ from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.search import kernel, multi_kernel
 from hdsp.detailed.search.bounds import rounding, suboptimality
 from hdsp.detailed.search.estimate import Estimate
-from hdsp.detailed.search.life_cycle import AtEnd, Progress, Search
+from hdsp.detailed.search.life_cycle import AtEnd, Hopeless, Progress, Search
 from hdsp.detailed.search.open_list import first_f
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.search.store import CUT, find
@@ -46,6 +46,7 @@ def solve_multi(
     anchor_weight: float = 1.0,
     rules: Rules | None = None,
     limits: Limits | None = None,
+    hopeless: Hopeless | None = None,
     progress: Progress | None = None,
     at_end: AtEnd | None = None,
 ) -> SearchResult:
@@ -59,7 +60,7 @@ def solve_multi(
         guides: heuristics that may overestimate; a guide leaves states with the value inf to the other heuristics.
         weight: W1 >= 1, factor on all heuristics.
         anchor_weight: W2 >= 1, largest ratio between a guide's key and the anchor's least key.
-        rules, limits, progress, at_end: see ``solve``.
+        rules, limits, hopeless, progress, at_end: see ``solve``.
 
     Returns:
         A result with one status. The cost of a plan is at most ``bound <= W1 W2`` times the optimum.
@@ -76,8 +77,8 @@ def solve_multi(
     if (invalid := search.impossible) is not None:
         return SearchResult.of([invalid], [None])
     ended = search.begin_guided(anchor, guides, weight, anchor_weight)
-    while ended is None:
-        ended = search.advance()
+    if ended is None:
+        ended = search.run(hopeless)
     result = search.result(ended)
     if at_end is not None and ended != Status.SOLVED:
         at_end(search)

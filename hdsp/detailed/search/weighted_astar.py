@@ -6,7 +6,7 @@ from hdsp.base.errors import InputError
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.search.bounds import rounding
 from hdsp.detailed.search.estimate import Estimate
-from hdsp.detailed.search.life_cycle import AtEnd, Progress, Search
+from hdsp.detailed.search.life_cycle import AtEnd, Hopeless, Progress, Search
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.world.world import World
 
@@ -23,6 +23,7 @@ def solve(
     rules: Rules | None = None,
     limits: Limits | None = None,
     paths: bool = True,
+    hopeless: Hopeless | None = None,
     progress: Progress | None = None,
     nearest: bool = False,
     at_end: AtEnd | None = None,
@@ -49,6 +50,7 @@ def solve(
         rules: restrictions, for example in labelling.
         limits: limits that end the search.
         paths: whether to return states and actions.
+        hopeless: called once, after ``FEW`` expansions without an end; True = proof that no plan exists.
         progress: callback with (expansions, seconds), called regularly.
         nearest: whether the first settled goal ends the search. Its cost is then at most W times the least cost over
             all goals. Goals in which the robot cannot stand are left out.
@@ -69,8 +71,8 @@ def solve(
         wrong = [status for status in search.invalid if status][: 1 if nearest else None]
         return SearchResult.of(wrong, [None] * len(wrong))
     ended = search.begin(heuristic, weight, admissible, reopen)
-    while ended is None:
-        ended = search.advance()
+    if ended is None:
+        ended = search.run(hopeless)
     result = search.result(ended, paths)
     if at_end is not None and ended != Status.SOLVED:
         at_end(search)

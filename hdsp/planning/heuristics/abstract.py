@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from hdsp.abstract.abstract_costs import AbstractCosts, LocalCosts, Region
+from hdsp.abstract.abstract_costs import AbstractCosts, LocalCosts, Region, edge_steps
 from hdsp.abstract.prepared_graph import PreparedGraph
+from hdsp.base.gradual import Gradual, Steps, finished
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, efforts_to, find_foothold_regions
+from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, efforts_to, foothold_region_steps
 from hdsp.detailed.search.estimate import Estimate, geometric_estimate, least_foot_cost, with_step_efforts
 from hdsp.detailed.world.world import World
 from hdsp.planning.heuristics.heuristic import Heuristic
-from hdsp.planning.heuristics.standing import standing_states
+from hdsp.planning.heuristics.standing import standing_states, standing_steps
 from hdsp.planning.map_changes import changed_cells
 from hdsp.robot.lattice import (
     ABSTRACT_HEADINGS,
@@ -50,24 +51,53 @@ class AbstractHeuristic(Heuristic):
         self._standing = np.empty(0, bool)  # of the graph
         self._reached: tuple[np.ndarray, np.ndarray] | None = None  # abstract goals int64 [n, 3], distances to them
         self._foothold_regions: FootholdRegions | None = None
+        self._preparation: Gradual[None] | None = None  # begun, and not yet complete
 
     @property
     def graph(self) -> PreparedGraph:
         """The abstract graph for the whole map; computed at first use."""
-        if self._graph is None:
-            self._standing = standing_states(self.world)
-            self._graph = PreparedGraph.from_edges(self.costs.edges(self.terrain, mask=self._standing))
+        self.prepare()
+        assert self._graph is not None
         return self._graph
 
     @property
     def foothold_regions(self) -> FootholdRegions:
         """Regions in which feet can roll, and the steps between them; computed at first use."""
-        if self._foothold_regions is None:
-            self._foothold_regions = find_foothold_regions(self.world, Rules(), least_foot_cost(self.world))
+        self.prepare()
+        assert self._foothold_regions is not None
         return self._foothold_regions
 
     def prepare(self) -> None:
-        _ = self.graph.passed_over, self.foothold_regions
+        finished(self._prepared())
+
+    def steps_to(self, goals: np.ndarray, groups: np.ndarray | None = None) -> Steps[Estimate]:
+        yield from self._prepared()
+        abstract = self._abstract_goals(goals)
+        if self._reached is None or not np.array_equal(self._reached[0], abstract):
+            self._reached = abstract, (yield from self.graph.distance_steps(abstract))
+        return (yield from super().steps_to(goals, groups))
+
+    def _prepared(self) -> Steps[None]:
+        """Continues the preparation for the map, begun by this query or by an earlier one."""
+        while self._graph is None or self._foothold_regions is None:
+            if self._preparation is None or self._preparation.failed or self._preparation.done:
+                self._preparation = Gradual(self._preparation_steps())
+            self._preparation.step()
+            yield
+        self._preparation = None
+
+    def _preparation_steps(self) -> Steps[None]:
+        world, terrain = self.world, self.terrain
+        if self._foothold_regions is None:
+            self._foothold_regions = yield from foothold_region_steps(world, Rules(), least_foot_cost(world))
+        if self._graph is None:
+            standing = yield from standing_steps(world)
+            edges = yield from edge_steps(self.costs, terrain, standing)
+            yield
+            graph = PreparedGraph.from_edges(edges)
+            yield
+            _ = graph.passed_over
+            self._standing, self._graph = standing, graph
 
     def clear(self) -> None:
         super().clear()
@@ -77,9 +107,7 @@ class AbstractHeuristic(Heuristic):
         return self.estimate_for_nearest(goal[None], np.zeros(1, dtype=np.int64))
 
     def estimate_for_nearest(self, goals: np.ndarray, groups: np.ndarray) -> Estimate:
-        # Cells at the map's far borders may belong to no whole abstract cell.
-        last = *(n - 1 for n in abstract_shape(self.terrain.shape)), ABSTRACT_HEADINGS - 1
-        to_go = self._cost_to_go(np.unique(np.minimum(detailed_to_abstract(goals), last), axis=0))
+        to_go = self._cost_to_go(self._abstract_goals(goals))
         finite = to_go[np.isfinite(to_go)]
         efforts = efforts_to(self.foothold_regions, self.world, goals)
         geometric = geometric_estimate(self.world, goals, groups)
@@ -92,6 +120,12 @@ class AbstractHeuristic(Heuristic):
             heading_steps=HEADINGS_PER_ABSTRACT,
             outside=float(finite.max()) if len(finite) else 0.0,
         )
+
+    def _abstract_goals(self, goals: np.ndarray) -> np.ndarray:
+        """Distinct abstract states, int64 [n, 3] (ix, iy, heading), of goals [n, 7]."""
+        # Cells at the map's far borders may belong to no whole abstract cell.
+        last = *(n - 1 for n in abstract_shape(self.terrain.shape)), ABSTRACT_HEADINGS - 1
+        return np.unique(np.minimum(detailed_to_abstract(goals), last), axis=0)
 
     def _cost_to_go(self, goals: np.ndarray) -> np.ndarray:
         if self._reached is None or not np.array_equal(self._reached[0], goals):
@@ -106,7 +140,7 @@ class AbstractHeuristic(Heuristic):
         """
         changed = changed_cells(self.terrain, terrain, region)
         super().update(world, terrain, region)
-        self.terrain, self._foothold_regions = terrain, None
+        self.terrain, self._foothold_regions, self._preparation = terrain, None, None
         if self._graph is None or changed is None or not isinstance(self.costs, LocalCosts):
             self._graph = self._reached = None
             return

@@ -8,6 +8,7 @@ import numpy as np
 
 from hdsp.abstract.abstract_costs import Region
 from hdsp.base.errors import InputError
+from hdsp.base.gradual import Steps
 from hdsp.base.jit import njit
 from hdsp.detailed.search.estimate import Estimate, estimate, geometric_estimate
 from hdsp.detailed.states import pack_states
@@ -65,6 +66,20 @@ class Heuristic(ABC):
         goals, groups = np.asarray(goals, dtype=np.int64), np.asarray(groups, dtype=np.int64)
         self._estimate = self.estimate_for_nearest(goals, groups)
         return self._estimate
+
+    def steps_to(self, goals: np.ndarray, groups: np.ndarray | None = None) -> Steps[Estimate]:
+        """Does the work of ``prepare``, then of ``set_goal`` or ``set_goals``, in steps; returns the estimate.
+
+        A query with a time limit stops between two steps. A subclass that takes seconds to prepare overrides this
+        method, and keeps completed work for the next query.
+
+        Args:
+            goals: int64 [n, 7], lattice units.
+            groups: as for ``set_goals``; None for one goal, as for ``set_goal``.
+        """
+        self.prepare()
+        yield
+        return self.set_goal(goals[0]) if groups is None else self.set_goals(goals, groups)
 
     def __call__(self, states: np.ndarray) -> np.ndarray:
         """Estimated costs, float64 [n], for detailed states [n, 7].

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from hdsp.base.gradual import Steps, finished
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import foot_row
 from hdsp.detailed.world.body import body_is_free
@@ -14,34 +15,45 @@ from hdsp.robot.lattice import (
     abstract_shape,
 )
 
+_STATES = 4000  # states that are looked at between two looks at the clock
+
 
 def standing_states(world: World) -> np.ndarray:
     """Abstract states at whose anchor the robot can stand, bool [16, nx, ny].
 
     Some feet have footholds, far enough apart, and the body is free over the footholds nearest to neutral.
     """
+    return finished(standing_steps(world))
+
+
+def standing_steps(world: World) -> Steps[np.ndarray]:
+    """Like `standing_states`, in short steps."""
     nx, ny = abstract_shape((world.nx, world.ny))
-    return _standing_states(world, nx, ny)
+    result = np.zeros((ABSTRACT_HEADINGS, nx, ny), dtype=np.bool_)
+    rows = max(1, _STATES // max(ny, 1))
+    for k in range(ABSTRACT_HEADINGS):
+        for first in range(0, nx, rows):
+            _find_standing(world, result, k, first, min(first + rows, nx))
+            yield
+    return result
 
 
 @njit()
-def _standing_states(world, nx, ny):
-    result = np.zeros((ABSTRACT_HEADINGS, nx, ny), dtype=np.bool_)
+def _find_standing(world, result, k, first, end):
+    """Fills rows ``first`` to ``end`` of ``result`` at one abstract heading."""
     standable, feet, samples, n = world.standable, world.tables.feet, world.tables.n_samples, world.tables.n_offsets
     apart = 2 * world.constants.neutral_x - world.constants.min_separation
-    for k in range(ABSTRACT_HEADINGS):
-        heading = k * HEADINGS_PER_ABSTRACT
-        left_front, left_rear, right_rear, right_front = [foot_row(world.tables, heading, i, 0) for i in range(4)]
-        for a in range(nx):
-            for b in range(ny):
-                ix, iy = CELLS_PER_ABSTRACT * a + ABSTRACT_ANCHOR, CELLS_PER_ABSTRACT * b + ABSTRACT_ANCHOR
-                p = cell_index(world, ix, iy)
-                result[k, a, b] = (
-                    _side_stands(standable, feet, samples, n, p, left_front, left_rear, apart)
-                    and _side_stands(standable, feet, samples, n, p, right_front, right_rear, apart)
-                    and _is_free_near_neutral(world, heading, p)
-                )
-    return result
+    heading = k * HEADINGS_PER_ABSTRACT
+    left_front, left_rear, right_rear, right_front = [foot_row(world.tables, heading, i, 0) for i in range(4)]
+    for a in range(first, end):
+        for b in range(result.shape[2]):
+            ix, iy = CELLS_PER_ABSTRACT * a + ABSTRACT_ANCHOR, CELLS_PER_ABSTRACT * b + ABSTRACT_ANCHOR
+            p = cell_index(world, ix, iy)
+            result[k, a, b] = (
+                _side_stands(standable, feet, samples, n, p, left_front, left_rear, apart)
+                and _side_stands(standable, feet, samples, n, p, right_front, right_rear, apart)
+                and _is_free_near_neutral(world, heading, p)
+            )
 
 
 @njit(inline="always")
