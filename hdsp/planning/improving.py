@@ -104,6 +104,9 @@ def _rounds(
                     world, spent = world._replace(banned=refused.banned), plan.stats.expansions
                     weights = weights[weights.index(found.weight) :]
                     break
+                if refused.undecided:
+                    yield query.out_of_time(plan), Status.TIME_LIMIT
+                    return
                 cost = plan.cost
             if found.ended == Status.INFEASIBLE and not plan.solved and not refused.words:
                 proof.try_until(query.ends)

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.gradual import Gradual
 from hdsp.detailed.actions.action import Action
 from hdsp.detailed.causes import Cause
 from hdsp.detailed.motion.motion import Motion
-from hdsp.detailed.motion.refinement import refine
+from hdsp.detailed.motion.refinement import refine, refine_steps
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning.explanation import explain_ending, explain_plan
 from hdsp.planning.findings import Findings, Inquiry
@@ -115,6 +116,22 @@ class Plan:
         if not self.solved:
             raise InputError(f"there is no plan to refine: {self.explain()}")
         return self._motion
+
+    def refine_until(self, ends: float) -> bool:
+        """Refines the plan, at the latest until a moment on the clock `hdsp.base.gradual.now`.
+
+        Returns:
+            whether the motion is complete; ``refine`` then returns it at once.
+
+        Raises:
+            RefinementError: as in ``refine``.
+        """
+        if "_motion" not in self.__dict__:
+            steps = Gradual(refine_steps(self.terrain, self.robot, self.states, self.actions))
+            if not steps.run(ends):
+                return False
+            self.__dict__["_motion"] = steps.result
+        return True
 
     @cached_property
     def _motion(self) -> Motion:

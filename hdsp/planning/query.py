@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -224,6 +225,12 @@ class Query:
     def inquiry(self, status: Status, reached: Reached | None) -> Inquiry:
         """Returns the inquiry into the reasons for a search that ended without a plan."""
         return Inquiry(self.terrain, self.robot, self.wider, self.start, self.goal, status, reached)
+
+    def out_of_time(self, plan: Plan) -> Plan:
+        """Returns the answer where the time ended before a plan was refined: no plan, with the effort so far."""
+        path: dict[str, Any] = {"states": np.empty((0, 7)), "actions": (), "action_costs": np.empty(0)}
+        inquiry = self.inquiry(Status.TIME_LIMIT, None)
+        return replace(plan, status=Status.TIME_LIMIT, cost=np.inf, bound=np.inf, inquiry=inquiry, **path)
 
     def search_or_prove(self, search: Solver) -> Plan:
         """Searches; a search that takes long tries a proof of infeasibility, and goes on without one.

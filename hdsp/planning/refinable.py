@@ -7,7 +7,7 @@ from dataclasses import replace
 from hdsp.base.errors import RefinementError
 from hdsp.detailed.motion.refinement import ban, last_step
 from hdsp.planning.plans import Plan
-from hdsp.planning.query import Query, Search
+from hdsp.planning.query import Query, Solver
 
 
 class RefusedSteps:
@@ -16,11 +16,14 @@ class RefusedSteps:
     Attributes:
         words: one sentence per step.
         banned: int64 [n, 7], the steps as ``World.banned``.
+        undecided: whether the time of the query ended before the last plan was refined.
     """
 
     def __init__(self, query: Query):
         self.words: list[str] = []
         self.banned = query.world.banned
+        self.undecided = False
+        self._ends = query.ends
         self._world, self._grid = query.world, query.grid
 
     def refuse_from(self, plan: Plan) -> bool:
@@ -30,7 +33,7 @@ class RefusedSteps:
             RefinementError: an action before the first step cannot be carried out.
         """
         try:
-            plan.refine()
+            self.undecided = not plan.refine_until(self._ends)
         except RefinementError as error:
             k = last_step(plan.actions, error.action)
             if k is None:
@@ -41,7 +44,7 @@ class RefusedSteps:
         return False
 
 
-def refinable_plan(query: Query, search: Search, plan: Plan) -> Plan:
+def refinable_plan(query: Query, search: Solver, plan: Plan) -> Plan:
     """Searches again without the refused steps, until the robot can carry out the plan or no other plan exists.
 
     Args:
@@ -59,4 +62,6 @@ def refinable_plan(query: Query, search: Search, plan: Plan) -> Plan:
         plan = search(replace(query, world=query.world._replace(banned=refused.banned), limits=left), None)
         expansions += plan.stats.expansions
         seconds += plan.stats.search_seconds
+    if refused.undecided:
+        plan = query.out_of_time(plan)
     return plan.renewed({"expansions": expansions, "search_seconds": seconds}, refused=tuple(refused.words))

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hdsp.base.gradual import Steps, finished
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.inclination import Inclination, inclination
@@ -19,7 +20,7 @@ PHASES = ("roll", "lean", "lift", "swing", "lower")
 
 _EPS = 1e-6
 _TOUCH = 1e-4  # m; largest distance between the ground and a carrying foot, from rounding
-_BLOCK = 256  # configurations per pass of the clearance check
+_BLOCK = 64  # configurations per pass of the clearance check
 _DEEPEST = 1.0  # m; depth to which ground columns are sampled, from their tops
 
 
@@ -119,9 +120,15 @@ class Motion:
 
         Unknown ground does not count.
         """
+        return finished(self._penetration_steps())
+
+    def _penetration_steps(self) -> Steps[np.ndarray]:
         moved = np.concatenate([[True], (np.diff(self.base, axis=0) != 0).any(axis=1)])  # the base rests during a step
         shown = np.flatnonzero(moved)
-        deepest = [self._penetrations(shown[k : k + _BLOCK]) for k in range(0, len(shown), _BLOCK)]
+        deepest = []
+        for k in range(0, len(shown), _BLOCK):
+            deepest.append(self._penetrations(shown[k : k + _BLOCK]))
+            yield
         return np.concatenate(deepest)[np.cumsum(moved) - 1]
 
     def _penetrations(self, rows: np.ndarray) -> np.ndarray:
@@ -159,6 +166,10 @@ class Motion:
         lengths, roll and pitch are within their limits; carrying feet are on the ground, which is no steeper than the
         robot's limit, and no foot is below it; swinging feet and the body are clear of the ground.
         """
+        return finished(self.problem_steps())
+
+    def problem_steps(self) -> Steps[list[tuple[int, str]]]:
+        """Like `problems`, in short steps."""
         s, legs = self.robot.stance, self.robot.legs
         found: list[tuple[int, str]] = []
 
@@ -167,7 +178,8 @@ class Motion:
                 found.append((int(place[0]), words(*place)))
 
         margins, lengths, over = self.margins(), self.leg_lengths(), self.heights_over_ground()
-        clearances, depths = self.swing_clearances(), self.body_penetrations()
+        clearances = self.swing_clearances()
+        depths = yield from self._penetration_steps()
         report(
             ~(margins >= s.margin - _EPS),
             lambda n: f"the centre of mass is {margins[n]:.3f} m inside the support polygon; {s.margin:g} m are needed",

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hdsp.base.errors import RefinementError
+from hdsp.base.gradual import Steps, finished
 from hdsp.detailed.actions.action import Action, ActionKind
 from hdsp.detailed.actions.state_costs import foot_row
 from hdsp.detailed.base_pose import base_poses
@@ -51,7 +52,12 @@ def refine(terrain: HeightMap, robot: Robot, states: np.ndarray, actions: Sequen
     Raises:
         RefinementError: the robot cannot carry out an action; the message names the action and the reason.
     """
-    return _Refinement(terrain, robot, np.asarray(states, float), actions).motion()
+    return finished(refine_steps(terrain, robot, states, actions))
+
+
+def refine_steps(terrain: HeightMap, robot: Robot, states: np.ndarray, actions: Sequence[Action]) -> Steps[Motion]:
+    """Like `refine`, in short steps."""
+    return _Refinement(terrain, robot, np.asarray(states, float), actions).steps()
 
 
 def last_step(actions: Sequence[Action], before: int) -> int | None:
@@ -96,7 +102,7 @@ class _Refinement:
         self.wanted = self._wanted()
         self.parts: list[tuple] = []
 
-    def motion(self) -> Motion:
+    def steps(self) -> Steps[Motion]:
         lacking, resting = resting_stances(self.limits, self.ground, self.states[:, :3].copy(), self.feet, self.wanted)
         stances = np.concatenate([resting, self.states[:, 2:3]], axis=1)
         stances[:, 5] = np.unwrap(stances[:, 5])
@@ -109,8 +115,10 @@ class _Refinement:
                 self._step(k, foot, stances[k], stances[k + 1])
             else:
                 self._roll(k, stances[k], stances[k + 1])
+            yield
         motion = self._joined()
-        for configuration, words in motion.problems():
+        problems = yield from motion.problem_steps()
+        for configuration, words in problems:
             raise self._refusal(int(motion.action[configuration]), words)
         return motion
 

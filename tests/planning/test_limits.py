@@ -1,0 +1,218 @@
+"""Q4: one budget of time for preparation, search, proof and refinement, and nothing computed twice."""
+
+import time
+
+import numpy as np
+import pytest
+
+from hdsp import HeightMap, InputError, Planner, Status
+from hdsp.abstract import FlatCosts, prepared_graph
+from hdsp.abstract.prepared_graph import PreparedGraph
+from hdsp.base.gradual import Gradual, finished
+from hdsp.detailed.actions.successors import Rules
+from hdsp.detailed.relaxed import foothold_regions, heading_masks
+from hdsp.detailed.relaxed.foothold_regions import find_foothold_regions
+from hdsp.detailed.relaxed.heading_masks import PoseFlood
+from hdsp.detailed.search import anytime
+from hdsp.detailed.search.estimate import geometric_estimate, least_foot_cost
+from hdsp.detailed.search.life_cycle import FEW
+from hdsp.detailed.search.multi_heuristic import solve_multi
+from hdsp.detailed.search.outcome import Limits
+from hdsp.detailed.search.weighted_astar import solve
+from hdsp.planning import plans, query
+from hdsp.planning.heuristics import standing
+from hdsp.planning.heuristics.standing import standing_states
+from hdsp.terrain.random_arenas import random_arena
+
+START, GOAL = (0.9, 0.9, 0.0), (1.6, 1.1, 0.3)
+#: Time by which a step of the searches here may exceed a limit on a busy machine, s.
+LATE = 0.25
+
+
+@pytest.fixture(scope="module")
+def flat():
+    return Planner(HeightMap.flat((100, 100)))
+
+
+@pytest.fixture(scope="module")
+def long_task():
+    """A planner and two states, with a search of more expansions than a proof waits for."""
+    planner = Planner(random_arena(0, 5.0))
+    return planner, np.array([30, 172, 28, 0, 0, 0, 0]), np.array([178, 39, 48, 0, 0, 0, 0])
+
+
+def endless_steps(*_arguments):
+    while True:
+        time.sleep(0.002)
+        yield
+
+
+def test_q4_a_search_goes_on_after_a_failed_proof_as_if_it_had_not_paused(long_task):
+    planner, start, goal = long_task
+    world, view = planner.world, geometric_estimate(planner.world, goal)
+    wrong = view._replace(distance=3 * view.distance)
+    asked = []
+
+    def no_proof():
+        asked.append(1)
+        return False
+
+    limits, weights = Limits(expansions=150_000), (2.0, 1.5)
+    for search in (
+        lambda hopeless: solve(world, start, goal, view, weight=1.5, reopen=False, hopeless=hopeless),
+        lambda hopeless: solve_multi(world, start, goal, view, [wrong], weight=1.1, limits=limits, hopeless=hopeless),
+        lambda hopeless: (
+            [*anytime.improve(world, start, goal, weights, view, limits=limits, hopeless=hopeless)][-1].result
+        ),
+    ):
+        asked.clear()
+        paused, at_once = search(no_proof), search(None)
+        assert asked == [1] and at_once.expansions > FEW
+        assert (paused.expansions, paused.seen) == (at_once.expansions, at_once.seen)
+        assert paused.status == at_once.status and paused.lower_bound == at_once.lower_bound
+        np.testing.assert_array_equal(paused.cost, at_once.cost)
+        for one, other in zip(paused.paths, at_once.paths, strict=True):
+            assert (one is None) == (other is None)
+            if one is not None:
+                np.testing.assert_array_equal(one.states, other.states)
+                np.testing.assert_array_equal(one.actions, other.actions)
+
+
+def test_q4_no_expansion_is_made_twice_and_the_statistics_say_where_the_time_went(long_task, monkeypatch):
+    planner, start, goal = long_task
+    ends = planner.grid.to_world(start), planner.grid.to_world(goal)
+    at_once = solve(planner.world, start, goal, geometric_estimate(planner.world, goal), reopen=False, weight=1.5)
+    plan = planner.plan(*ends, 1.5)
+    assert plan.solved and plan.stats.expansions == at_once.expansions > FEW
+    assert plan.cost == at_once.cost[0]
+    stats = plan.stats
+    assert stats.proof_seconds > 0
+    assert stats.heuristic_seconds + stats.proof_seconds + stats.search_seconds <= stats.seconds
+
+
+def test_q4_a_proof_leaves_the_search_half_of_the_time(long_task, monkeypatch):
+    planner, start, goal = long_task
+    ends = planner.grid.to_world(start), planner.grid.to_world(goal)
+    monkeypatch.setattr(query, "proof_steps", endless_steps)
+    began = time.perf_counter()
+    plan = planner.plan(*ends, 1.0, time=0.6, expansions=100_000_000)
+    assert time.perf_counter() - began < 0.6 + LATE
+    assert plan.status == Status.TIME_LIMIT and plan.stats.expansions > FEW
+    assert 0.1 < plan.stats.proof_seconds < 0.35
+    *_, last = planner.improve(*ends, (1.0,), time=0.6)
+    assert last.stats.ended == "time_limit" and last.stats.proof_seconds < 0.35
+
+
+def test_q4_without_time_the_proof_proves_nothing_and_with_time_it_does(monkeypatch):
+    heights = np.zeros((160, 160), np.float32)
+    heights[78:82] = 1.0
+    planner = Planner(HeightMap(heights))
+    ends = (1.0, 2.0, 0.0), (3.0, 2.0, 0.0)
+    assert planner.plan(*ends).status == Status.INFEASIBLE
+    monkeypatch.setattr(query, "PROOF_SHARE", 0.0)
+    monkeypatch.setattr(heading_masks, "_VISITS", 1)
+    undecided = planner.plan(*ends, expansions=FEW + 1000)
+    assert undecided.status == Status.EXPANSION_LIMIT
+
+
+@pytest.mark.parametrize("name", ["regions", "flood", "standing", "dijkstra"])
+def test_q4_short_steps_and_long_ones_give_the_same(long_task, monkeypatch, name):
+    planner, start, _ = long_task
+    world = planner.world
+    module, constant, compute = {
+        "regions": (
+            foothold_regions, "_CELLS", lambda: find_foothold_regions(world, Rules(), least_foot_cost(world)).effort
+        ),
+        "flood": (heading_masks, "_VISITS", lambda: finished(PoseFlood(world, Rules()).steps_from(start, False))),
+        "standing": (standing, "_STATES", lambda: standing_states(world)),
+        "dijkstra": (
+            prepared_graph, "_ENTRIES",
+            lambda: PreparedGraph.from_edges(FlatCosts("momaro").edges(planner.terrain)).distances((30, 30, 3)),
+        ),
+    }[name]  # fmt: skip
+    monkeypatch.setattr(module, constant, 10**9)
+    at_once = compute()
+    monkeypatch.setattr(module, constant, 700)
+    np.testing.assert_array_equal(compute(), at_once)
+
+
+class Slow(FlatCosts):
+    """Costs whose edges take 30 steps of 10 ms."""
+
+    taken = 0
+
+    def edge_steps(self, height_map, region=None, mask=None):
+        for _ in range(30):
+            time.sleep(0.01)
+            self.taken += 1
+            yield
+        return super().edges(height_map, region, mask)
+
+
+def test_q4_a_heuristic_that_takes_longer_than_the_limit_is_prepared_over_several_queries(flat):
+    costs = Slow("momaro")
+    planner = Planner(flat.terrain, heuristic=costs)
+    began = time.perf_counter()
+    plan = planner.plan(START, GOAL, 1.5, time=0.1)
+    assert time.perf_counter() - began < 0.1 + LATE
+    assert plan.status == Status.TIME_LIMIT and plan.stats.expansions == 0
+    assert plan.stats.heuristic_seconds > 0.05 and 0 < costs.taken < 15
+    (undecided,) = planner.improve(START, GOAL, time=0.02)
+    assert undecided.stats.ended == "time_limit"
+    plan = planner.plan(START, GOAL, 1.5)
+    assert plan.solved and costs.taken == 30
+    fresh = Planner(flat.terrain, heuristic=FlatCosts("momaro")).plan(START, GOAL, 1.5)
+    np.testing.assert_array_equal(plan.states, fresh.states)
+
+
+def test_q4_a_changed_map_is_prepared_from_the_start(flat):
+    costs = Slow("momaro")
+    planner = Planner(flat.terrain, heuristic=costs)
+    planner.plan(START, GOAL, time=0.05)
+    heights = np.zeros((100, 100), np.float32)
+    heights[60:64, 10:60] = 0.02
+    taken = costs.taken
+    plan = planner.update(HeightMap(heights)).plan(START, GOAL, 1.5)
+    fresh = Planner(HeightMap(heights), heuristic=FlatCosts("momaro")).plan(START, GOAL, 1.5)
+    assert costs.taken == taken + 30
+    np.testing.assert_array_equal(plan.states, fresh.states)
+
+
+def test_q4_edges_of_a_subclass_count_before_the_steps_of_its_parent(flat):
+    class Other(Slow):
+        def edges(self, height_map, region=None, mask=None):
+            return 2 * super().edges(height_map, region, mask)
+
+    costs = Other("momaro")
+    Planner(flat.terrain, heuristic=costs).prepare()
+    assert costs.taken == 0
+
+
+def test_q4_a_plan_that_could_not_be_refined_in_time_is_no_plan(flat, monkeypatch):
+    monkeypatch.setattr(plans, "refine_steps", endless_steps)
+    began = time.perf_counter()
+    plan = flat.plan(START, GOAL, 1.5, time=0.3, refinable=True)
+    assert time.perf_counter() - began < 0.3 + LATE
+    assert plan.status == Status.TIME_LIMIT and len(plan.states) == 0 and np.isinf(plan.cost)
+    assert "not decided" in plan.explain() and plan.stats.expansions > 0
+    (undecided,) = flat.improve(START, GOAL, time=0.3, refinable=True)
+    assert undecided.status == Status.TIME_LIMIT and undecided.stats.ended == "time_limit"
+
+
+def test_q4_a_computation_that_failed_begins_again(flat):
+    class Failing(Slow):
+        def edge_steps(self, height_map, region=None, mask=None):
+            self.taken += 1
+            yield
+            if self.taken == 1:
+                raise InputError("no network")
+            return self.edges(height_map, region, mask)
+
+    costs = Failing("momaro")
+    planner = Planner(flat.terrain, heuristic=costs)
+    with pytest.raises(InputError, match="no network"):
+        planner.plan(START, GOAL)
+    assert planner.plan(START, GOAL).solved and costs.taken == 2
+    broken = Gradual(endless_steps())
+    with pytest.raises(RuntimeError, match="not finished"):
+        _ = broken.result
