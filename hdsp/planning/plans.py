@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.base.gradual import Gradual
+from hdsp.base.gradual import Gradual, finished
 from hdsp.detailed.actions.action import Action
 from hdsp.detailed.causes import Cause
 from hdsp.detailed.motion.motion import Motion
-from hdsp.detailed.motion.refinement import refine, refine_steps
+from hdsp.detailed.motion.refinement import refine_steps
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning.explanation import explain_ending, explain_plan
 from hdsp.planning.findings import Findings, Inquiry
@@ -135,7 +135,7 @@ class Plan:
 
     @cached_property
     def _motion(self) -> Motion:
-        return refine(self.terrain, self.robot, self.states, self.actions)
+        return finished(refine_steps(self.terrain, self.robot, self.states, self.actions))
 
     def show(self, path: str | Path | None = None):
         """Draws the plan on its terrain: a PNG with ``path``, else a matplotlib figure."""

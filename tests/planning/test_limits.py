@@ -150,18 +150,18 @@ class Slow(FlatCosts):
 
 
 def test_q4_a_heuristic_that_takes_longer_than_the_limit_is_prepared_over_several_queries(flat):
+    fresh = Planner(flat.terrain, heuristic=FlatCosts("momaro")).plan(START, GOAL, 1.5)
     costs = Slow("momaro")
     planner = Planner(flat.terrain, heuristic=costs)
     began = time.perf_counter()
-    plan = planner.plan(START, GOAL, 1.5, time=0.1)
-    assert time.perf_counter() - began < 0.1 + LATE
+    plan = planner.plan(START, GOAL, 1.5, time=0.15)
+    assert time.perf_counter() - began < 0.15 + LATE
     assert plan.status == Status.TIME_LIMIT and plan.stats.expansions == 0
-    assert plan.stats.heuristic_seconds > 0.05 and 0 < costs.taken < 15
+    assert plan.stats.heuristic_seconds > 0.05 and 0 < costs.taken < 20
     (undecided,) = planner.improve(START, GOAL, time=0.02)
     assert undecided.stats.ended == "time_limit"
     plan = planner.plan(START, GOAL, 1.5)
     assert plan.solved and costs.taken == 30
-    fresh = Planner(flat.terrain, heuristic=FlatCosts("momaro")).plan(START, GOAL, 1.5)
     np.testing.assert_array_equal(plan.states, fresh.states)
 
 
