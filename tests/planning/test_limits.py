@@ -8,7 +8,7 @@ import pytest
 from hdsp import HeightMap, InputError, Planner, Status
 from hdsp.abstract import FlatCosts, prepared_graph
 from hdsp.abstract.prepared_graph import PreparedGraph
-from hdsp.base.gradual import Gradual, finished
+from hdsp.base.gradual import Gradual
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.relaxed import foothold_regions, heading_masks
 from hdsp.detailed.relaxed.foothold_regions import find_foothold_regions
@@ -123,7 +123,7 @@ def test_q4_short_steps_and_long_ones_give_the_same(long_task, monkeypatch, name
         "regions": (
             foothold_regions, "_CELLS", lambda: find_foothold_regions(world, Rules(), least_foot_cost(world)).effort
         ),
-        "flood": (heading_masks, "_VISITS", lambda: finished(PoseFlood(world, Rules()).steps_from(start, False))),
+        "flood": (heading_masks, "_VISITS", lambda: PoseFlood(world, Rules()).reached_from(start, False)),
         "standing": (standing, "_STATES", lambda: standing_states(world)),
         "dijkstra": (
             prepared_graph, "_ENTRIES",

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hdsp.base.gradual import Steps
+from hdsp.base.gradual import Steps, finished
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.action import DRIVES
 from hdsp.detailed.actions.state_costs import feet_cells
@@ -43,11 +43,15 @@ class PoseFlood:
         self._allowed = np.uint64(_bits(allowed_headings(rules)))
         self._tables, self._masks = _mask_tables(world), _new_masks(world)
 
-    def steps_from(self, state: np.ndarray, drive_only: bool) -> Steps[np.ndarray]:
-        """Headings at each cell that a state int64 [7] can reach, as bits; uint64 [2, nx, ny]; in short steps.
+    def reached_from(self, state: np.ndarray, drive_only: bool) -> np.ndarray:
+        """Headings at each cell that a state int64 [7] can reach, as bits; uint64 [2, nx, ny].
 
         Layer 0 = on neutral feet, layer 1 = on any feet.
         """
+        return finished(self.steps_from(state, drive_only))
+
+    def steps_from(self, state: np.ndarray, drive_only: bool) -> Steps[np.ndarray]:
+        """Like `reached_from`, in short steps."""
         nx, ny = self._world.nx, self._world.ny
         reached = np.zeros((2, nx, ny), dtype=np.uint64)
         reached[int(state[3:].any()), state[0], state[1]] = _ONE << np.uint64(state[2])
@@ -142,7 +146,7 @@ def _flood(world, allowed, tables, masks, reached, queue, waits, ends, visits, d
         world: terrain and robot.
         allowed: headings under the rules of the search, as bits.
         tables, masks: actions, and possible headings.
-        reached: uint64 [2, nx, ny], see `PoseFlood.steps_from`; changed.
+        reached: uint64 [2, nx, ny], see `PoseFlood.reached_from`; changed.
         queue: int64 [nx * ny + 1], ring of waiting cells; changed.
         waits: bool [nx, ny], whether a cell waits; changed.
         ends: int64 [2], first and end of the waiting cells in the queue; changed.
