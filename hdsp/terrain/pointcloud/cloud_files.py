@@ -6,16 +6,17 @@ import bz2
 import gzip
 import io
 import os
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
 from hdsp.terrain.pointcloud.octree import read_octree
+from hdsp.terrain.pointcloud.pcd import read_pcd
+from hdsp.terrain.pointcloud.ply import read_ply
+from hdsp.terrain.pointcloud.text import read_text
 from hdsp.terrain.pointcloud.vtk import read_vtk
 
 _UNPACK: dict[str, Callable[[bytes], bytes]] = {".gz": gzip.decompress, ".bz2": bz2.decompress}
@@ -65,25 +66,14 @@ def read_points(path: str | os.PathLike, units: float = 1.0, axes: Sequence[str]
     return _turned(finite, axes) * _positive(units)
 
 
-def _read_pcd(content: bytes) -> np.ndarray:
-    from pypcd4 import PointCloud
-
-    cloud = PointCloud.from_fileobj(io.BufferedReader(io.BytesIO(content)))
-    points = cloud.numpy(("x", "y", "z"))
-    if len(points) != cloud.metadata.points:
-        raise ValueError(f"cut off: {len(points)} of {cloud.metadata.points} points")
-    return points
-
-
-def _read_mesh(kind: str) -> Callable[[bytes], np.ndarray]:
-    def read(content: bytes) -> np.ndarray:
-        import trimesh
-
-        loaded = trimesh.load(io.BytesIO(content), file_type=kind, process=False, maintain_order=True)
-        parts: list[Any] = list(loaded.geometry.values()) if isinstance(loaded, trimesh.Scene) else [loaded]
-        return np.concatenate([np.asarray(part.vertices) for part in parts] or [np.zeros((0, 3))])
-
-    return read
+def _read_obj(content: bytes) -> np.ndarray:
+    """Reads the vertices of a Wavefront file, lines ``v x y z``, in their order; faces and textures do not matter."""
+    lines = [
+        line.split()[1:4] for line in content.decode("utf-8", "replace").splitlines() if line.startswith(("v ", "v\t"))
+    ]
+    if any(len(words) < 3 for words in lines):
+        raise ValueError("a vertex has fewer than three numbers")
+    return np.array(lines, dtype=float).reshape(-1, 3)
 
 
 def _read_las(content: bytes) -> np.ndarray:
@@ -92,32 +82,19 @@ def _read_las(content: bytes) -> np.ndarray:
     return np.asarray(laspy.read(io.BytesIO(content)).xyz)
 
 
-def _read_text(content: bytes) -> np.ndarray:
-    """Reads lines x y z with optional further columns; spaces, commas or semicolons separate, # begins a comment."""
-    text = content.decode("utf-8").replace(",", " ").replace(";", " ")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # the caller reports an empty file
-        values = np.loadtxt(io.StringIO(text), ndmin=2)
-    if values.size == 0:
-        return np.zeros((0, 3))
-    if values.shape[1] < 3:
-        raise ValueError(f"lines of {values.shape[1]} numbers; need at least x y z")
-    return values[:, :3]
-
-
 #: Reader for each suffix: file contents -> points [n, 3] in the file's units.
 FORMATS: dict[str, Callable[[bytes], np.ndarray]] = {
-    ".pcd": _read_pcd,
-    ".ply": _read_mesh("ply"),
-    ".obj": _read_mesh("obj"),
+    ".pcd": read_pcd,
+    ".ply": read_ply,
+    ".obj": _read_obj,
     ".las": _read_las,
     ".laz": _read_las,
     ".vtk": read_vtk,
     ".bt": read_octree,
-    ".xyz": _read_text,
-    ".txt": _read_text,
-    ".csv": _read_text,
-    ".dat": _read_text,
+    ".xyz": read_text,
+    ".txt": read_text,
+    ".csv": read_text,
+    ".dat": read_text,
 }
 
 

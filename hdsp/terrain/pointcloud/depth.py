@@ -72,7 +72,7 @@ def depth_points(image: np.ndarray, camera: Camera, pose=None) -> np.ndarray:
     row, column = np.indices(image.shape)[:, :: camera.stride, :: camera.stride]
     depth = image[:: camera.stride, :: camera.stride] * camera.depth_scale
     x, y = (column - camera.cx) / camera.fx * depth, (row - camera.cy) / camera.fy * depth
-    points = np.stack([x, y, depth], axis=-1)[(depth >= camera.nearest) & (depth <= camera.farthest)]
+    points = np.stack([x, y, depth], axis=-1)[(depth > 0) & (depth >= camera.nearest) & (depth <= camera.farthest)]
     if pose is None:
         return points
     from scipy.spatial.transform import Rotation
