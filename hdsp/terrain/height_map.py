@@ -122,7 +122,9 @@ class HeightMap:
     def from_points(
         cls, points: np.ndarray, settings: MapSettings | None = None, resolution: float = RESOLUTION
     ) -> "HeightMap":
-        """Makes a map from a point cloud: levelled on its floor, without ceilings and overhangs, small holes filled.
+        """Makes a map from a point cloud: levelled if the sensor was tilted, without ceilings, small holes filled.
+
+        The frame of the map keeps the way back to the cloud, and notes on everything that was left out or levelled.
 
         Args:
             points: float [n, 3], m, z roughly up; points that are not finite are dropped.
@@ -136,7 +138,8 @@ class HeightMap:
             InputError: if no floor is found, no point is left, or the extent is implausible for metres.
         """
         mapped = map_points(points, settings, resolution)
-        return cls(mapped.heights, mapped.origin, mapped.resolution)
+        frame = MapFrame(to_source=mapped.to_source, notes=mapped.report.notes)
+        return cls(mapped.heights, mapped.origin, mapped.resolution, frame)
 
     def save(self, path: str | os.PathLike) -> Path:
         """Saves the map; the suffix selects the format: .npz, .h5 / .hdf5, or .tif / .tiff (GeoTIFF).

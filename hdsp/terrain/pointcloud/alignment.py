@@ -77,17 +77,21 @@ def fit_floor(points: np.ndarray, settings: FloorSettings | None = None) -> Plan
         InputError: if no nearly horizontal plane has enough points.
     """
     settings = settings or FloorSettings()
-    rest = thinned(points, settings.voxel)
-    floor, largest = None, 0
+    return lowest_plane(thinned(points, settings.voxel), settings, len(points))
+
+
+def lowest_plane(voxels: np.ndarray, settings: FloorSettings, points: int) -> Plane:
+    """Finds the floor among mean points in voxels [k, 3]; ``points`` is the number of points, for the message."""
+    floor, largest, rest = None, 0, voxels
     while True:
-        plane = _best_plane(rest, settings)
+        plane = best_plane(rest, settings, settings.max_tilt)
         if plane is None or plane.support < _LEAST_SUPPORT * largest:
             break
         floor, largest = plane, max(largest, plane.support)
         rest = rest[plane.heights(rest) < -_BELOW]
     if floor is None:
         tilt = math.degrees(settings.max_tilt)
-        raise InputError(f"no floor among {len(points)} points: no plane within {tilt:.0f} degrees of the horizontal")
+        raise InputError(f"no floor among {points} points: no plane within {tilt:.0f} degrees of the horizontal")
     return floor
 
 
@@ -96,9 +100,22 @@ def level(points: np.ndarray, floor: Plane) -> np.ndarray:
 
     The floor point below the middle of the cloud keeps its x and y.
     """
+    foot, turn = _foot(points, floor), _onto_vertical(floor.normal)
+    return (points - foot) @ turn.T + (*foot[:2], 0)
+
+
+def unlevelled(points: np.ndarray, floor: Plane) -> np.ndarray:
+    """Motion float64 [4, 4] from the frame after `level(points, floor)` back to the frame of the points, m."""
+    foot, turn = _foot(points, floor), _onto_vertical(floor.normal)
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = turn.T, foot - turn.T @ (*foot[:2], 0)
+    return motion
+
+
+def _foot(points: np.ndarray, floor: Plane) -> np.ndarray:
+    """The floor point below the middle of the cloud."""
     x, y = points[:, :2].mean(axis=0)
-    foot = np.array([x, y, (floor.offset - floor.normal[:2] @ (x, y)) / floor.normal[2]])
-    return (points - foot) @ _onto_vertical(floor.normal).T + (x, y, 0)
+    return np.array([x, y, (floor.offset - floor.normal[:2] @ (x, y)) / floor.normal[2]])
 
 
 def register(
@@ -123,7 +140,7 @@ def register(
 
     points, target = thinned(points, voxel), thinned(target, voxel)
     tree = cKDTree(target)
-    normals, flat = _normals(target, tree)
+    across, flat = normals(target, tree)
     motion = np.eye(4) if guess is None else np.array(guess, dtype=float)
     for limit in np.geomspace(reach, 2 * voxel, 40):
         moved = points @ motion[:3, :3].T + motion[:3, 3]
@@ -132,7 +149,7 @@ def register(
         paired[paired] = flat[nearest[paired]]
         if paired.sum() < 100:
             raise InputError(f"registration: {paired.sum()} pairs of points within {limit:.2f} m; need at least 100")
-        p, q, n = moved[paired], target[nearest[paired]], normals[nearest[paired]]
+        p, q, n = moved[paired], target[nearest[paired]], across[nearest[paired]]
         system = np.concatenate([np.cross(p, n), n], axis=1)
         small = np.linalg.lstsq(system, ((q - p) * n).sum(axis=1), rcond=None)[0]
         step = np.eye(4)
@@ -151,15 +168,15 @@ def thinned(points: np.ndarray, voxel: float) -> np.ndarray:
     return np.stack([np.bincount(which, axis) / count for axis in points.T], axis=1)
 
 
-def _best_plane(points: np.ndarray, settings: FloorSettings) -> Plane | None:
-    """Finds the nearly horizontal plane with the most points; None if fewer than ten points lie on it."""
+def best_plane(points: np.ndarray, settings: FloorSettings, max_tilt: float) -> Plane | None:
+    """Finds the plane with the most points, tilted by at most ``max_tilt`` rad; None with fewer than ten points on it."""
     from scipy.spatial import cKDTree
 
     if len(points) < 10:
         return None
     rng = np.random.default_rng(settings.seed)
     tree = cKDTree(points)
-    least = math.cos(settings.max_tilt)
+    least = math.cos(max_tilt)
     best, support = None, 9
     for first in rng.integers(len(points), size=_HYPOTHESES):
         near = tree.query_ball_point(points[first], settings.reach)
@@ -174,24 +191,24 @@ def _best_plane(points: np.ndarray, settings: FloorSettings) -> Plane | None:
         count = int(np.count_nonzero(np.abs(points @ normal - normal @ a) < settings.thickness))
         if count > support:
             best, support = (normal, float(normal @ a)), count
-    return _refined(points, Plane(*best, support), settings) if best else None
+    return _refined(points, Plane(*best, support), settings.thickness, max_tilt) if best else None
 
 
-def _refined(points: np.ndarray, plane: Plane, settings: FloorSettings) -> Plane:
+def _refined(points: np.ndarray, plane: Plane, thickness: float, max_tilt: float) -> Plane:
     """Fits the plane to its inliers by least squares until the inliers no longer change.
 
     A fit that exceeds the largest tilt is discarded.
     """
     inliers = np.zeros(len(points), bool)
     for _ in range(_REFINEMENTS):
-        near = np.abs(plane.heights(points)) < settings.thickness
+        near = np.abs(plane.heights(points)) < thickness
         if (near == inliers).all() or near.sum() < 3:
             break
         inliers = near
         middle = points[inliers].mean(axis=0)
         normal = np.linalg.svd(points[inliers] - middle, full_matrices=False)[2][2]
         normal = normal * math.copysign(1, normal[2])
-        if normal[2] < math.cos(settings.max_tilt):
+        if normal[2] < math.cos(max_tilt):
             break
         plane = Plane(normal, float(normal @ middle), int(inliers.sum()))
     return plane
@@ -204,9 +221,9 @@ def _onto_vertical(normal: np.ndarray) -> np.ndarray:
     return np.eye(3) + skew + skew @ skew / (1 + z)
 
 
-def _normals(points: np.ndarray, tree) -> tuple[np.ndarray, np.ndarray]:
-    """Normals [n, 3] from the ten nearest neighbours, and bool [n]: whether these neighbours lie on a plane."""
-    neighbours = points[tree.query(points, 10)[1]]
-    centred = neighbours - neighbours.mean(axis=1, keepdims=True)
+def normals(points: np.ndarray, tree, neighbours: int = 10) -> tuple[np.ndarray, np.ndarray]:
+    """Normals [n, 3] from the nearest neighbours, and bool [n]: whether these neighbours lie on a plane."""
+    near = points[tree.query(points, neighbours)[1]]
+    centred = near - near.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))
     return vectors[:, :, 0], values[:, 0] < 0.1 * values[:, 1]

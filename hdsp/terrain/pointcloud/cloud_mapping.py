@@ -1,4 +1,8 @@
-"""From a levelled cloud to a height map: no overhangs, small holes filled, noise smoothed, all other cells unknown."""
+"""From a cloud to a height map: levelled if the sensor was tilted, no overhangs, small holes filled, noise smoothed.
+
+Order: no-data values, cut around the box, lone points far away, extent, direction of gravity, levelling, box, heights.
+The report names every step that dropped points or moved the cloud. Cells without points stay unknown.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +16,10 @@ from hdsp.base.errors import InputError
 from hdsp.base.settings import Natural, NotNegative, Positive, checked, fault
 from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.filling import filled, smoothed
-from hdsp.terrain.pointcloud.alignment import FloorSettings, Plane, fit_floor, level, thinned
-
-_LARGEST_MAP = 100_000_000  # cells; a larger scan is probably not in metres
-_SMALLEST_EXTENT = 0.2  # m
-_GREATEST_RELIEF = 10_000.0  # m
+from hdsp.terrain.pointcloud.alignment import FloorSettings, Plane, fit_floor, level, thinned, unlevelled
+from hdsp.terrain.pointcloud.faults import Cleaned, check_extent, without_far_points, without_no_data
+from hdsp.terrain.pointcloud.gravity import Gravity, check_up, judge
+from hdsp.terrain.pointcloud.ground import ground_below
 
 
 @checked
@@ -24,10 +27,14 @@ class MapSettings:
     """Settings for the conversion from points to heights.
 
     Attributes:
-        level: whether the cloud is first levelled on its floor.
+        level: whether the cloud is levelled on its floor. True: always, so that the floor is the plane z = 0. False: z
+            stays as it is. None: only a tilt of the sensor is removed, slopes stay (`hdsp.terrain.pointcloud.gravity`),
+            and the floor below the middle of the cloud becomes z = 0.
         floor: settings for floor detection.
+        check_up: whether a cloud whose x or y seems to point up is refused; for ``level`` None only.
         box: (x_min, y_min, x_max, y_max) in m after levelling; points outside are dropped. None = all points are kept.
         lowest, highest: m above the floor; points outside are dropped: reflections below the floor, ceilings above it.
+            With ``level`` None, above the ground nearby, so that hills and stairs stay; with False, above z = 0.
         headroom: m; points above a vertical gap this large are dropped: lintels, table tops.
         surface: m; a cell's height is the mean over its points at most this far below its highest point.
         neighbours, near: points with fewer than ``neighbours`` other points within ``near`` m are dropped. 0 = none.
@@ -40,8 +47,9 @@ class MapSettings:
         InputError: if a value is out of range.
     """
 
-    level: bool = True
+    level: bool | None = None
     floor: FloorSettings = field(default_factory=FloorSettings)
+    check_up: bool = True
     box: tuple[float, float, float, float] | None = None
     lowest: float = -0.5
     highest: float = 1.9
@@ -70,16 +78,18 @@ class MappingReport(NamedTuple):
         kept: number of points after cuts, thinning and removal of lone points.
         floor: plane used to level the cloud; None = no levelling.
         filled: share of known cells without own points.
+        notes: what was left out, cut, levelled or kept, one phrase each.
     """
 
     points: int
     kept: int
     floor: Plane | None
     filled: float
+    notes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        floor = "" if self.floor is None else f"; floor tilted by {np.rad2deg(self.floor.tilt):.1f} degrees, levelled"
-        return f"{self.kept:,} of {self.points:,} points{floor}; {100 * self.filled:.0f}% of the known cells filled"
+        parts = [f"{self.kept:,} of {self.points:,} points", *self.notes]
+        return f"{'; '.join(parts)}; {100 * self.filled:.0f}% of the known cells filled"
 
 
 class MappedCloud(NamedTuple):
@@ -91,12 +101,14 @@ class MappedCloud(NamedTuple):
         origin: lower corner (x, y) of cell (0, 0) in the frame of the levelled cloud, m; a multiple of the resolution.
         resolution: cell size, m.
         report: report on the conversion.
+        to_source: float64 [4, 4], rigid motion from the frame of the map to the frame of the cloud, m.
     """
 
     heights: np.ndarray
     origin: tuple[float, float]
     resolution: float
     report: MappingReport
+    to_source: np.ndarray
 
 
 def map_points(points: np.ndarray, settings: MapSettings | None = None, resolution: float = RESOLUTION) -> MappedCloud:
@@ -108,19 +120,18 @@ def map_points(points: np.ndarray, settings: MapSettings | None = None, resoluti
         resolution: cell size, m.
 
     Raises:
-        InputError: if no point is left, or the extent is implausible for metres.
+        InputError: if no point is left, the extent is implausible for metres, no floor is found, or z is not up.
     """
     settings = settings or MapSettings()
     points = _finite(points)
-    given, floor = len(points), None
-    _check_extent(points, resolution)
-    if settings.level:
-        floor = fit_floor(points, settings.floor)
-        points = level(points, floor)
-    points = _cut(points, settings)
+    given = len(points)
+    points, notes = cleaned(points, settings.box)
+    check_extent(points, resolution)
+    points, floor, to_source, more = _levelled(points, settings)
+    points, cuts = _cut(points, settings)
     if len(points) == 0:
         raise InputError("height map of points: none is left in the box, between lowest and highest; check the axes")
-    _check_extent(points, resolution)
+    check_extent(points, resolution)
     points = thinned(points, resolution / 2)  # dense scans have many more points than the map needs
     points = _without_lone_points(points, settings)
     cells = np.floor(points[:, :2] / resolution + 1e-6).astype(np.int64)
@@ -132,8 +143,79 @@ def map_points(points: np.ndarray, settings: MapSettings | None = None, resoluti
     share = float((known & np.isnan(measured)).sum() / known.sum())
     heights, shift = _trimmed(heights)
     x, y = ((low + shift) * resolution).tolist()
-    report = MappingReport(given, len(points), floor, share)
-    return MappedCloud(heights.astype(np.float32), (x, y), resolution, report)
+    report = MappingReport(given, len(points), floor, share, (*notes, *more, *cuts))
+    return MappedCloud(heights.astype(np.float32), (x, y), resolution, report, to_source)
+
+
+def cleaned(points: np.ndarray, box: tuple[float, float, float, float] | None = None) -> Cleaned:
+    """Leaves out no-data values, points far outside the box, and lone points far away.
+
+    The margin around the box is its diagonal, at least 2 m, because the box is meant after levelling.
+
+    Args:
+        points: float64 [n, 3], m, finite.
+        box: (x_min, y_min, x_max, y_max), m.
+
+    Raises:
+        InputError: if no point is left.
+    """
+    points, no_data = without_no_data(points)
+    if box is not None and len(points):
+        low, high = np.array(box[:2]), np.array(box[2:])
+        margin = max(2.0, float(np.hypot(*(high - low))))
+        near = ((points[:, :2] > low - margin) & (points[:, :2] < high + margin)).all(axis=1)
+        if not near.any():
+            (x0, y0), (x1, y1) = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+            raise InputError(
+                f"height map of points: none is left in the box {box}; they span x {x0:.6g} to {x1:.6g}, "
+                f"y {y0:.6g} to {y1:.6g} m"
+            )
+        points = points[near]
+    points, far = without_far_points(points)
+    if len(points) == 0:
+        raise InputError(f"height map of points: no point is left: {'; '.join((*no_data, *far))}")
+    return Cleaned(points, (*no_data, *far))
+
+
+class _Levelled(NamedTuple):
+    points: np.ndarray
+    floor: Plane | None
+    to_source: np.ndarray
+    notes: tuple[str, ...]
+
+
+def _levelled(points: np.ndarray, settings: MapSettings) -> _Levelled:
+    if settings.level is False:
+        return _Levelled(points, None, np.eye(4), ())
+    if settings.level:
+        floor = fit_floor(points, settings.floor)
+        return _Levelled(level(points, floor), floor, unlevelled(points, floor), (about_tilt(floor),))
+    doubt = check_up(points, settings.floor) if settings.check_up else ""
+    found = judge(points, settings.floor)
+    notes = (about_gravity(found), *([doubt] if doubt else []))
+    if found.tilted:
+        floor = found.floor
+        return _Levelled(level(points, floor), floor, unlevelled(points, floor), notes)
+    x, y = points[:, :2].mean(axis=0)
+    floor = found.floor
+    to_source = np.eye(4)
+    to_source[2, 3] = (floor.offset - floor.normal[:2] @ (x, y)) / floor.normal[2]
+    return _Levelled(points - to_source[:3, 3], None, to_source, notes)
+
+
+def about_tilt(floor: Plane) -> str:
+    """A phrase on a floor that was levelled."""
+    return f"floor tilted by {np.rad2deg(floor.tilt):.1f} degrees, levelled"
+
+
+def about_gravity(found: Gravity) -> str:
+    """A phrase on the inclination of a cloud's floor, and what is done about it."""
+    if found.tilted:
+        return about_tilt(found.floor) + (f": {found.why}" if found.why else "")
+    degrees = np.rad2deg(found.ground.tilt)
+    return (
+        f"ground inclined by {degrees:.1f} degrees, kept: {found.why} (--max-tilt {np.ceil(degrees) + 1:.0f} levels it)"
+    )
 
 
 def _finite(points: np.ndarray) -> np.ndarray:
@@ -146,26 +228,21 @@ def _finite(points: np.ndarray) -> np.ndarray:
     return finite
 
 
-def _check_extent(points: np.ndarray, resolution: float) -> None:
-    extent = np.ptp(points[:, :2], axis=0)
-    if extent.max() < _SMALLEST_EXTENT:
-        raise InputError(f"points span {extent[0]:.3g} x {extent[1]:.3g} m: are they in metres? see the option units")
-    if np.ptp(points[:, 2]) > _GREATEST_RELIEF:
-        raise InputError(
-            f"points span {np.ptp(points[:, 2]):.3g} m in height: are they in metres? see the option units"
-        )
-    if np.prod(extent / resolution) > _LARGEST_MAP:
-        raise InputError(
-            f"points span {extent[0]:.4g} x {extent[1]:.4g} m, more than {_LARGEST_MAP:,} cells of {resolution} m: are "
-            "they in metres (option units)? or cut a box out of them"
-        )
-
-
-def _cut(points: np.ndarray, settings: MapSettings) -> np.ndarray:
-    keep = (points[:, 2] >= settings.lowest) & (points[:, 2] <= settings.highest)
+def _cut(points: np.ndarray, settings: MapSettings) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Points in the box and between the lowest and the highest height, and phrases on the others."""
     if settings.box:
-        keep &= (points[:, :2] >= settings.box[:2]).all(axis=1) & (points[:, :2] <= settings.box[2:]).all(axis=1)
-    return points[keep]
+        inside = (points[:, :2] >= settings.box[:2]).all(axis=1) & (points[:, :2] <= settings.box[2:]).all(axis=1)
+        points = points[inside]
+    if len(points) == 0:
+        return points, ()
+    above = points[:, 2] - (ground_below(points, settings.floor.thickness) if settings.level is None else 0.0)
+    low, high = above < settings.lowest, above > settings.highest
+    notes = []
+    if low.any():
+        notes.append(f"{low.sum():,} points lower than {-settings.lowest:g} m under the ground dropped")
+    if high.any():
+        notes.append(f"{high.sum():,} higher than {settings.highest:g} m dropped")
+    return points[~(low | high)], tuple(notes)
 
 
 def _without_lone_points(points: np.ndarray, settings: MapSettings) -> np.ndarray:

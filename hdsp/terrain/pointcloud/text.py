@@ -64,8 +64,8 @@ def read_text(content: bytes) -> np.ndarray:
     _check_count(counts, len(rows))
     labelled = not _is_number(rows[0][0]) and rows[0][0].lower() not in _MISSING
     width = len(rows[0])
-    first = int(labelled)
-    columns = _columns(titles, split, width) or (first, first + 1, first + 2)
+    start = int(labelled)
+    columns = _columns(titles, split, width) or (start, start + 1, start + 2)
     if width <= max(columns):
         raise ValueError(f"lines of {width} numbers; need at least x y z")
     return _values(rows, columns)

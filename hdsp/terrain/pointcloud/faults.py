@@ -1,0 +1,105 @@
+"""Points that are no measurements: no-data values and lone points far away; and extents that are no metres.
+
+Convention: points are float64 [n, 3] in metres.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+
+#: m; a no-data value lies at least this far, and twice the range of all other values, from the other values.
+_NO_DATA_GAP = 20.0
+_NO_DATA_POINTS = 3  # points with the same value; fewer may be measurements
+#: m; points are far away beyond this distance, and the extent of the middle 96 % of the points, from these.
+_FAR = 20.0
+_FAR_SHARE, _FAR_POINTS = 0.001, 10  # more points than this are a part of the place
+_SMALLEST_EXTENT = 0.2  # m
+_GREATEST_RELIEF = 10_000.0  # m
+_LARGEST_MAP = 100_000_000  # cells; a larger scan is probably not in metres
+_MILLIMETRES = 1000.0  # m; larger extents in all three axes are millimetres
+
+
+class Cleaned(NamedTuple):
+    """Points without the faulty ones, and a phrase on each kind of fault."""
+
+    points: np.ndarray
+    notes: tuple[str, ...]
+
+
+def without_no_data(points: np.ndarray) -> Cleaned:
+    """Leaves out points whose x, y or z is a no-data value.
+
+    A no-data value (-9999, -32768, 1e30, 0 in coordinates of a survey) is one value shared by three or more points, and
+    far from all other values: farther than 20 m and twice the range of the other values.
+    """
+    notes = []
+    for axis, name in enumerate("xyz"):
+        for value in _no_data_values(points[:, axis]):
+            hit = points[:, axis] == value
+            notes.append(f"{hit.sum():,} points with the no-data value {name} = {value:g} left out")
+            points = points[~hit]
+    return Cleaned(points, tuple(notes))
+
+
+def _no_data_values(values: np.ndarray) -> list[float]:
+    if len(values) == 0 or np.ptp(values) < _NO_DATA_GAP:
+        return []
+    distinct, counts = np.unique(values, return_counts=True)
+    parts = np.split(np.arange(len(distinct)), np.flatnonzero(np.diff(distinct) > _NO_DATA_GAP) + 1)
+    # Measured values differ from each other; of two single values, a no-data value is the larger one.
+    main = max(parts, key=lambda part: (len(part), -abs(distinct[part[0]])))
+    low, high = distinct[main[0]], distinct[main[-1]]
+    gap = max(_NO_DATA_GAP, 2 * (high - low))
+    single = [part[0] for part in parts if len(part) == 1 and part[0] != main[0] and counts[part[0]] >= _NO_DATA_POINTS]
+    return [float(distinct[k]) for k in single if max(low - distinct[k], distinct[k] - high) > gap]
+
+
+def without_far_points(points: np.ndarray) -> Cleaned:
+    """Leaves out a few points (at most 0.1 %, or ten) far away from all others: farther than 20 m and their extent."""
+    if len(points) == 0 or np.ptp(points, axis=0).max() < _FAR:
+        return Cleaned(points, ())
+    far = _far(points)
+    count = int(far.sum())
+    if not 0 < count <= max(_FAR_SHARE * len(points), min(_FAR_POINTS, len(points) / 20)):
+        return Cleaned(points, ())
+    example = ", ".join(f"{value:g}" for value in np.round(points[far][0], 2))
+    kind = "lone point" if count == 1 else "lone points"
+    return Cleaned(points[~far], (f"{count:,} {kind} far away left out, e.g. ({example})",))
+
+
+def _far(points: np.ndarray) -> np.ndarray:
+    low, high = np.quantile(points, [0.02, 0.98], axis=0)
+    beyond = np.maximum(_FAR, high - low)
+    return ((points < low - beyond) | (points > high + beyond)).any(axis=1)
+
+
+def check_extent(points: np.ndarray, resolution: float) -> None:
+    """Raises an InputError if the extents are implausible for metres, or too large for a map."""
+    extent = np.ptp(points, axis=0)
+    if extent[:2].max() < _SMALLEST_EXTENT:
+        raise InputError(f"points span {extent[0]:.3g} x {extent[1]:.3g} m: are they in metres? see the option units")
+    hint = millimetres(points)
+    if extent[2] > _GREATEST_RELIEF:
+        raise InputError(f"points span {extent[2]:.3g} m in height: are they in metres? {hint or 'see the option units'}")
+    if np.prod(extent[:2] / resolution) > _LARGEST_MAP:
+        low, high = np.quantile(points, [0.02, 0.98], axis=0)
+        text = f"points span {extent[0]:.4g} x {extent[1]:.4g} m, more than {_LARGEST_MAP:,} cells of {resolution} m"
+        where = f"x {low[0]:.6g} to {high[0]:.6g}, y {low[1]:.6g} to {high[1]:.6g}"
+        raise InputError(
+            f"{text}; most lie in {where}: are they in metres? {hint or 'see the option units'}; or cut a box out of them"
+        )
+
+
+def millimetres(points: np.ndarray) -> str:
+    """A phrase if the extents look like millimetres or centimetres; "" else."""
+    low, high = np.quantile(points, [0.01, 0.99], axis=0)
+    extent = high - low
+    if extent[2] > _MILLIMETRES and extent[:2].max() > _MILLIMETRES:
+        return "extents of thousands look like millimetres: units 0.001"
+    if extent[2] > _MILLIMETRES / 10 and extent[:2].max() < 100 * extent[2] and extent[:2].max() > _MILLIMETRES / 10:
+        return "a relief of hundreds of metres looks like centimetres (units 0.01) or millimetres (0.001)"
+    return ""
