@@ -13,12 +13,10 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from hdsp.base.downloads import verify
 from hdsp.base.errors import InputError
 from hdsp.base.settings import read_yaml
 from hdsp.labels.rules import LabelSettings
@@ -29,9 +27,8 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.map_formats import is_self_contained
 from hdsp.terrain.pointcloud import FORMATS
-from hdsp.terrain.scans import FOLDER, Scan, build_map, find_files
+from hdsp.terrain.scans import Scan, build_map, find_files, load_scan
 
-_PACKAGE = re.compile(r"^#\s*@package\s+scans\.sources\.(\S+)", re.MULTILINE)
 _PACKED = (".gz", ".bz2")
 
 
@@ -93,7 +90,7 @@ def read_scan_folder(
 
     named: set[Path] = set()
     for scan, path in _descriptions(folder):
-        files, reason = _files(scan, path.parent, data_dir)
+        files, reason = find_files(scan, data_dir, beside=path.parent)
         named.update(file.resolve() for file in files)
         if not files:
             skipped[scan.name] = reason
@@ -120,20 +117,8 @@ def read_scan_folder(
 
 def _descriptions(folder: Path) -> Iterator[Described]:
     for path in sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")]):
-        document = read_yaml(path, "description of a scan")
-        if "defaults" in document.values:  # the list of conf/scans, not a scan
-            continue
-        found = _PACKAGE.search(document.text)
-        name = found.group(1) if found else path.stem
-        yield Described(Scan.from_dict(name, document.values, document), path)
-
-
-def _files(scan: Scan, beside: Path, data_dir: str | os.PathLike | None) -> tuple[list[Path], str]:
-    """As ``hdsp.terrain.scans.find_files``, but looks beside the description first."""
-    for place in (beside / FOLDER / scan.name, beside / scan.name, beside):
-        if all((place / file.place).is_file() for file in scan.files):
-            return [verify(place / file.place, file.sha256) for file in scan.files], ""
-    return find_files(scan, data_dir)
+        if "defaults" not in read_yaml(path, "description of a scan").values:  # the list of conf/scans is no scan
+            yield Described(load_scan(path), path)
 
 
 def _maps(folder: Path, named: set[Path]) -> Iterator[Path]:

@@ -135,9 +135,15 @@ class HeightMap:
             the smallest map with all known cells, see `hdsp.terrain.pointcloud.MappedCloud`.
 
         Raises:
-            InputError: if no floor is found, no point is left, or the extent is implausible for metres.
+            InputError: if no floor is found, no point is left, x or y seems to be up, or the extent is implausible for
+                metres.
+
+        Warns:
+            UserWarning: if another axis than z may be up.
         """
         mapped = map_points(points, settings, resolution)
+        for doubt in mapped.report.doubts:
+            warnings.warn(f"height map of points: {doubt}", stacklevel=2)
         frame = MapFrame(to_source=mapped.to_source, notes=mapped.report.notes)
         return cls(mapped.heights, mapped.origin, mapped.resolution, frame)
 

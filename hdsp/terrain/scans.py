@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, field
 from pathlib import Path, PurePosixPath
@@ -18,7 +19,7 @@ from pydantic import Field, model_validator
 
 from hdsp.base.downloads import DATA_DIR_VARIABLE, data_folder, fetch, first_words, verify
 from hdsp.base.errors import InputError
-from hdsp.base.settings import Document, Name, NotNegative, Positive, checked, fault, load_settings
+from hdsp.base.settings import Document, Name, NotNegative, Positive, checked, fault, load_settings, read_yaml
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.pointcloud import (
     Camera,
@@ -33,6 +34,8 @@ from hdsp.terrain.pointcloud.depth import Elevation, elevation_points, read_imag
 
 #: Folder of the scans in a data folder: files lie in real/NAME/.
 FOLDER = "real"
+
+_PACKAGE = re.compile(r"^#\s*@package\s+scans\.sources\.(\S+)", re.MULTILINE)
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
@@ -113,8 +116,30 @@ class Scan:
         return load_settings(cls, {"name": name, **values}, f"scan {name}", document)
 
 
-def find_files(scan: Scan, data_dir: str | os.PathLike | None = None, timeout: float = 30.0) -> tuple[list[Path], str]:
+def load_scan(path: str | os.PathLike) -> Scan:
+    """Loads the description of a scan; its name is that of the line ``# @package scans.sources.NAME``, or the file's.
+
+    Raises:
+        InputError: if the file is missing, or a key is unknown or missing.
+    """
+    document = read_yaml(path, "description of a scan")
+    found = _PACKAGE.search(document.text)
+    return Scan.from_dict(found.group(1) if found else Path(path).stem, document.values, document)
+
+
+def find_files(
+    scan: Scan,
+    data_dir: str | os.PathLike | None = None,
+    timeout: float = 30.0,
+    beside: str | os.PathLike | None = None,
+) -> tuple[list[Path], str]:
     """Finds a scan's files in the data folder, or downloads them once from their address. Checksums are verified.
+
+    Args:
+        scan: the scan.
+        data_dir: the data folder; None = that of the environment.
+        timeout: s, for each download.
+        beside: folder of the description; the files may be in ``real/NAME/`` or ``NAME/`` below it, or in it.
 
     Returns:
         (paths in the order of the scan's files, ""), or ([], reason why a file is missing and how to get it).
@@ -122,6 +147,10 @@ def find_files(scan: Scan, data_dir: str | os.PathLike | None = None, timeout: f
     Raises:
         InputError: if a file in the data folder has another checksum.
     """
+    if beside is not None:
+        for place in (Path(beside) / FOLDER / scan.name, Path(beside) / scan.name, Path(beside)):
+            if all((place / file.place).is_file() for file in scan.files):
+                return [verify(place / file.place, file.sha256) for file in scan.files], ""
     folder = data_folder(data_dir)
     paths = []
     for file in scan.files:

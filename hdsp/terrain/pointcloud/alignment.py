@@ -169,7 +169,7 @@ def thinned(points: np.ndarray, voxel: float) -> np.ndarray:
 
 
 def best_plane(points: np.ndarray, settings: FloorSettings, max_tilt: float) -> Plane | None:
-    """Finds the plane with the most points, tilted by at most ``max_tilt`` rad; None with fewer than ten points on it."""
+    """Finds the plane with the most points, tilted by at most ``max_tilt`` rad; None with fewer than ten points."""
     from scipy.spatial import cKDTree
 
     if len(points) < 10:

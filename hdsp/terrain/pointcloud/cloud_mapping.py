@@ -79,6 +79,7 @@ class MappingReport(NamedTuple):
         floor: plane used to level the cloud; None = no levelling.
         filled: share of known cells without own points.
         notes: what was left out, cut, levelled or kept, one phrase each.
+        doubts: what a user should check, as an axis that may be up; also in the notes.
     """
 
     points: int
@@ -86,9 +87,11 @@ class MappingReport(NamedTuple):
     floor: Plane | None
     filled: float
     notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        parts = [f"{self.kept:,} of {self.points:,} points", *self.notes]
+        notes = [note for note in self.notes if note not in self.doubts]
+        parts = [f"{self.kept:,} of {self.points:,} points", *notes]
         return f"{'; '.join(parts)}; {100 * self.filled:.0f}% of the known cells filled"
 
 
@@ -127,7 +130,7 @@ def map_points(points: np.ndarray, settings: MapSettings | None = None, resoluti
     given = len(points)
     points, notes = cleaned(points, settings.box)
     check_extent(points, resolution)
-    points, floor, to_source, more = _levelled(points, settings)
+    points, floor, to_source, more, doubts = _levelled(points, settings)
     points, cuts = _cut(points, settings)
     if len(points) == 0:
         raise InputError("height map of points: none is left in the box, between lowest and highest; check the axes")
@@ -143,7 +146,7 @@ def map_points(points: np.ndarray, settings: MapSettings | None = None, resoluti
     share = float((known & np.isnan(measured)).sum() / known.sum())
     heights, shift = _trimmed(heights)
     x, y = ((low + shift) * resolution).tolist()
-    report = MappingReport(given, len(points), floor, share, (*notes, *more, *cuts))
+    report = MappingReport(given, len(points), floor, share, (*notes, *more, *cuts, *doubts), doubts)
     return MappedCloud(heights.astype(np.float32), (x, y), resolution, report, to_source)
 
 
@@ -182,6 +185,7 @@ class _Levelled(NamedTuple):
     floor: Plane | None
     to_source: np.ndarray
     notes: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
 
 def _levelled(points: np.ndarray, settings: MapSettings) -> _Levelled:
@@ -192,15 +196,15 @@ def _levelled(points: np.ndarray, settings: MapSettings) -> _Levelled:
         return _Levelled(level(points, floor), floor, unlevelled(points, floor), (about_tilt(floor),))
     doubt = check_up(points, settings.floor) if settings.check_up else ""
     found = judge(points, settings.floor)
-    notes = (about_gravity(found), *([doubt] if doubt else []))
+    notes, doubts = (about_gravity(found),), (doubt,) if doubt else ()
     if found.tilted:
         floor = found.floor
-        return _Levelled(level(points, floor), floor, unlevelled(points, floor), notes)
+        return _Levelled(level(points, floor), floor, unlevelled(points, floor), notes, doubts)
     x, y = points[:, :2].mean(axis=0)
     floor = found.floor
     to_source = np.eye(4)
     to_source[2, 3] = (floor.offset - floor.normal[:2] @ (x, y)) / floor.normal[2]
-    return _Levelled(points - to_source[:3, 3], None, to_source, notes)
+    return _Levelled(points - to_source[:3, 3], None, to_source, notes, doubts)
 
 
 def about_tilt(floor: Plane) -> str:

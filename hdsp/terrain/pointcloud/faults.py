@@ -11,8 +11,9 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 
-#: m; a no-data value lies at least this far, and twice the range of all other values, from the other values.
-_NO_DATA_GAP = 20.0
+#: A no-data value is at least so many m, and so many times the range of the other values, away from the other values:
+#: for x and y, where walls are far away, and for z.
+_NO_DATA_APART = (100.0, 10.0), (100.0, 10.0), (8.0, 3.0)
 _NO_DATA_POINTS = 3  # points with the same value; fewer may be measurements
 #: m; points are far away beyond this distance, and the extent of the middle 96 % of the points, from these.
 _FAR = 20.0
@@ -34,26 +35,26 @@ def without_no_data(points: np.ndarray) -> Cleaned:
     """Leaves out points whose x, y or z is a no-data value.
 
     A no-data value (-9999, -32768, 1e30, 0 in coordinates of a survey) is one value shared by three or more points, and
-    far from all other values: farther than 20 m and twice the range of the other values.
+    far from all other values: for a height 8 m and three times their range, for x or y 100 m and ten times their range.
     """
     notes = []
     for axis, name in enumerate("xyz"):
-        for value in _no_data_values(points[:, axis]):
+        for value in _no_data_values(points[:, axis], *_NO_DATA_APART[axis]):
             hit = points[:, axis] == value
             notes.append(f"{hit.sum():,} points with the no-data value {name} = {value:g} left out")
             points = points[~hit]
     return Cleaned(points, tuple(notes))
 
 
-def _no_data_values(values: np.ndarray) -> list[float]:
-    if len(values) == 0 or np.ptp(values) < _NO_DATA_GAP:
+def _no_data_values(values: np.ndarray, least: float, ranges: float) -> list[float]:
+    if len(values) == 0 or np.ptp(values) < least:
         return []
     distinct, counts = np.unique(values, return_counts=True)
-    parts = np.split(np.arange(len(distinct)), np.flatnonzero(np.diff(distinct) > _NO_DATA_GAP) + 1)
+    parts = np.split(np.arange(len(distinct)), np.flatnonzero(np.diff(distinct) > least) + 1)
     # Measured values differ from each other; of two single values, a no-data value is the larger one.
     main = max(parts, key=lambda part: (len(part), -abs(distinct[part[0]])))
     low, high = distinct[main[0]], distinct[main[-1]]
-    gap = max(_NO_DATA_GAP, 2 * (high - low))
+    gap = max(least, ranges * (high - low))
     single = [part[0] for part in parts if len(part) == 1 and part[0] != main[0] and counts[part[0]] >= _NO_DATA_POINTS]
     return [float(distinct[k]) for k in single if max(low - distinct[k], distinct[k] - high) > gap]
 
@@ -82,16 +83,14 @@ def check_extent(points: np.ndarray, resolution: float) -> None:
     extent = np.ptp(points, axis=0)
     if extent[:2].max() < _SMALLEST_EXTENT:
         raise InputError(f"points span {extent[0]:.3g} x {extent[1]:.3g} m: are they in metres? see the option units")
-    hint = millimetres(points)
+    hint = millimetres(points) or "see the option units"
     if extent[2] > _GREATEST_RELIEF:
-        raise InputError(f"points span {extent[2]:.3g} m in height: are they in metres? {hint or 'see the option units'}")
+        raise InputError(f"points span {extent[2]:.3g} m in height: are they in metres? {hint}")
     if np.prod(extent[:2] / resolution) > _LARGEST_MAP:
         low, high = np.quantile(points, [0.02, 0.98], axis=0)
         text = f"points span {extent[0]:.4g} x {extent[1]:.4g} m, more than {_LARGEST_MAP:,} cells of {resolution} m"
         where = f"x {low[0]:.6g} to {high[0]:.6g}, y {low[1]:.6g} to {high[1]:.6g}"
-        raise InputError(
-            f"{text}; most lie in {where}: are they in metres? {hint or 'see the option units'}; or cut a box out of them"
-        )
+        raise InputError(f"{text}; most lie in {where}: are they in metres? {hint}; or cut a box out of them")
 
 
 def millimetres(points: np.ndarray) -> str:

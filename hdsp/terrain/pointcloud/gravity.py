@@ -76,7 +76,8 @@ def judge(points: np.ndarray, settings: FloorSettings) -> Gravity:
         return Gravity(ground, ground, True, why)
     if ground.tilt <= SMALL_TILT and covers:
         return Gravity(ground, ground, True, "")
-    return Gravity(ground, ground, False, "nothing shows that the sensor was tilted" if covers else "it is a small part of the view")
+    why = "nothing shows that the sensor was tilted" if covers else "it is a small part of the view"
+    return Gravity(ground, ground, False, why)
 
 
 def _ground(voxels: np.ndarray, settings: FloorSettings, points: int) -> Plane:
@@ -123,7 +124,7 @@ def _surfaces(voxels: np.ndarray, ground: Plane, settings: FloorSettings) -> tup
 
 
 def _walls(voxels: np.ndarray, ground: Plane) -> str:
-    """"vertical", "perpendicular" (to the ground), or "" if walls do not tell."""
+    """ "vertical", "perpendicular" (to the ground), or "" if walls do not tell."""
     from scipy.spatial import cKDTree
 
     if len(voxels) < 30:
@@ -155,7 +156,7 @@ def _cells(voxels: np.ndarray) -> np.ndarray:
     """Number of the cell in plan for each voxel."""
     cells = np.floor(voxels[:, :2] / _CELL).astype(np.int64)
     cells -= cells.min(axis=0)
-    return np.ravel_multi_index(cells.T, cells.max(axis=0) + 1)
+    return np.asarray(np.ravel_multi_index(cells.T, cells.max(axis=0) + 1))
 
 
 class _Slab(NamedTuple):

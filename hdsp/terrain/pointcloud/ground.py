@@ -31,7 +31,7 @@ def ground_below(points: np.ndarray, thickness: float) -> np.ndarray:
     cells = np.floor(points[:, :2] / _CELL).astype(np.int64)
     cells -= cells.min(axis=0)
     shape = tuple(cells.max(axis=0) + 1)
-    flat = np.ravel_multi_index(cells.T, shape)
+    flat = np.asarray(np.ravel_multi_index(cells.T, shape))
     low, floor = _low(flat, points[:, 2], shape, 3 * thickness)
     ground = np.where(_connected(low, floor), low, np.nan)
     if np.isnan(ground).all():
