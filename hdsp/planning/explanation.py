@@ -46,7 +46,12 @@ def explain_plan(
 
 
 def explain_ending(
-    status: Status, stats: PlanStatistics, problems: Sequence[object], findings: Findings, refused: Sequence[str]
+    status: Status,
+    stats: PlanStatistics,
+    problems: Sequence[object],
+    findings: Findings,
+    limits: str | None,
+    refused: Sequence[str],
 ) -> str:
     """Describes the reason why a query ended without a plan.
 
@@ -55,13 +60,14 @@ def explain_ending(
         stats: effort of the search.
         problems: faults in start or goal.
         findings: further reasons.
+        limits: the robot's limits to blame, in words.
         refused: steps in former plans that could not be carried out.
     """
     if status in (Status.INVALID_START, Status.INVALID_GOAL):
         which = "start" if status == Status.INVALID_START else "goal"
         return "; ".join([f"the robot cannot stand at the {which}: " + "; ".join(map(str, problems)), *findings.advice])
     proved = "there is no way"
-    if findings.gap is None and not findings.limits:
+    if findings.gap is None and not limits:
         proved += ": everything that can be reached from the start was searched"
     endings = {
         Status.INFEASIBLE: proved,
@@ -72,8 +78,8 @@ def explain_ending(
     }
     words = endings[status]
     reasons = [str(findings.gap)] if findings.gap is not None else []
-    if findings.limits:
-        reasons.append(findings.limits)
+    if limits:
+        reasons.append(limits)
     reasons += [str(cause) for cause in findings.causes]
     if reasons:
         words += (": " if status == Status.INFEASIBLE else "; on the way to the goal ") + "; ".join(reasons)

@@ -1,14 +1,13 @@
 """Why a query ended without a plan: causes at their places, the nearest pose in reach, and advice.
 
-The findings take from a tenth of a second to some seconds, and half a minute where no obstacle shows. They are
-therefore computed when a plan is first asked for them.
+The findings take from a tenth of a second to some seconds, limits of the robot up to half a minute. They are therefore
+computed when a plan is first asked for them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -45,7 +44,6 @@ class Findings:
         gap: the gap between the poses in reach and the goal; None without one.
         nearest: the pose in reach that is nearest to the goal; None without a search.
         reached: bool [nx, ny], cells of the base that the search or a proof found in reach; None without a search.
-        limits: limits of the robot that keep it from the goal, in words; None if none are known.
         advice: changes that would or may help, in words.
     """
 
@@ -53,7 +51,6 @@ class Findings:
     gap: Gap | None = None
     nearest: Nearest | None = None
     reached: np.ndarray | None = None
-    limits: str | None = None
     advice: tuple[str, ...] = ()
 
 
@@ -88,13 +85,11 @@ class Inquiry:
         reached = self._reached(world)
         obstacle = self._obstacle(world, grid, reached)
         nearest = None if self.reached is None else self._nearest(world, grid, reached)
-        limits = self._limits(obstacle)
         return Findings(
             causes=obstacle.causes,
             gap=obstacle.gap,
             nearest=nearest,
             reached=reached != 0,
-            limits=limits() if limits is not None else None,
             advice=advice_for(self.terrain, self.robot, self.wider, obstacle.causes, nearest),
         )
 
@@ -116,15 +111,23 @@ class Inquiry:
             return obstacle_of_foot(self.proof, world, grid, self.wider)
         return find_obstacle(world, grid, self.wider, self.start, self.goal, reached)
 
-    def _limits(self, obstacle: Obstacle) -> Callable[[], str | None] | None:
-        """Finds the limits to blame; None where the ground alone is the cause, or nothing is proved."""
-        ground_alone = bool(obstacle.causes) and all(cause.kind != Kind.EDGE for cause in obstacle.causes)
+    def limits(self, causes: Sequence[Cause]) -> str | None:
+        """Returns the limits of the robot that keep it from the goal, in words.
+
+        Args:
+            causes: the causes found. Limits are sought where they are edges, over which other robots step.
+
+        Returns:
+            The words; None where the ground alone is the cause, nothing is proved, or ``REASON_SECONDS`` do not
+            suffice.
+        """
+        ground_alone = bool(causes) and all(cause.kind != Kind.EDGE for cause in causes)
         if self.status != Status.INFEASIBLE or ground_alone:
             return None
         if self.proof is not None and self.proof.proof == FOOT:
             line = np.concatenate([[self.proof.from_start], self.proof.blocked, [self.proof.from_goal]])
-            return partial(stopping_limits, self.terrain, self.wider, self.start, self.goal, line)
-        return partial(decisive_limits, self.terrain, self.wider, self.start, self.goal, REASON_SECONDS)
+            return stopping_limits(self.terrain, self.wider, self.start, self.goal, line)
+        return decisive_limits(self.terrain, self.wider, self.start, self.goal, REASON_SECONDS)
 
     def _nearest(self, world: World, grid: Grid, reached: np.ndarray) -> Nearest:
         assert self.reached is not None

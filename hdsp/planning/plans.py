@@ -80,11 +80,11 @@ class Plan:
         """Describes the plan, or the reason for its absence, in one line for an operator.
 
         Without a plan, the line names the causes at their places, the nearest pose that the search reached, and changes
-        that would help. The first call computes them (``findings``).
+        that would help. The first call computes them (``findings``, ``limits``).
         """
         if self.solved:
             return explain_plan(self.terrain, self.robot, self.states, self.actions, self.action_costs)
-        return explain_ending(self.status, self.stats, self.problems, self.findings, self.refused)
+        return explain_ending(self.status, self.stats, self.problems, self.findings, self.limits, self.refused)
 
     @property
     def causes(self) -> tuple[Cause, ...]:
@@ -98,12 +98,16 @@ class Plan:
 
     @cached_property
     def findings(self) -> Findings:
-        """Reasons for the absence of a plan, computed at the first use.
-
-        This takes up to some seconds. After a search that found no obstacle, it needs some more searches, at most half
-        a minute.
-        """
+        """Reasons for the absence of a plan, computed at the first use within some seconds."""
         return self.inquiry() if self.inquiry is not None else Findings()
+
+    @cached_property
+    def limits(self) -> str | None:
+        """The robot's limits without which there would be a plan, in words; None if none are known.
+
+        The first use may need searches, at most half a minute.
+        """
+        return self.inquiry.limits(self.findings.causes) if self.inquiry is not None else None
 
     def refine(self) -> Motion:
         """Returns the motion that follows the plan: base and feet in each configuration, all checked.

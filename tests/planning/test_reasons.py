@@ -90,7 +90,7 @@ def test_no_limit_is_blamed_beside_unknown_ground():
     heights = np.zeros((120, 50), np.float32)
     heights[55:70] = np.nan
     plan = Planner(HeightMap(heights)).plan((0.6, 0.6, 0.0), (2.4, 0.6, 0.0))
-    assert plan.status == Status.INFEASIBLE and plan.findings.limits is None
+    assert plan.status == Status.INFEASIBLE and plan.limits is None
     assert {cause.kind for cause in plan.causes} == {Kind.UNKNOWN} and "edge" not in plan.explain()
 
 
@@ -123,6 +123,6 @@ def test_a_search_through_everything_names_the_decisive_limit(robot, words, bett
 
     plan = plan_of(robot)
     assert plan.status == Status.INFEASIBLE and not plan.problems
-    assert plan.findings.limits == f"{words}; without this limit there is a way"
-    assert plan.findings.limits in plan.explain() and plan.causes and plan.nearest is not None
+    assert plan.limits == f"{words}; without this limit there is a way"
+    assert plan.limits in plan.explain() and plan.causes and plan.nearest is not None
     assert plan_of(better).solved and math.isinf(plan.cost)

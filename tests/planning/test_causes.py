@@ -1,0 +1,201 @@
+"""Causes of failures (M17, Q2): each kind is named where it is, and an independent check of the map bears it out."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from hdsp import HeightMap, Planner
+from hdsp.detailed.causes import Cause, Kind
+from hdsp.detailed.causes.gap import _resistance
+from hdsp.detailed.search.outcome import Status
+from hdsp.robot.lattice import HEADINGS
+from hdsp.robot.robot import Robot
+from tests.planning.cause_check import complaints, gap_complaints
+
+MOMARO = Robot.load("momaro")
+START, GOAL = (0.8, 1.5, 0.0), (2.6, 1.5, 0.0)
+X, Y = np.mgrid[:136, :120] * 0.025 + 0.0125  # m
+
+
+def ground(where, height):
+    """3.4 x 3 m of flat ground with another height, m or NaN, at some cells."""
+    return np.where(where, height, 0.0).astype(np.float32)
+
+
+def ring(centre):
+    away = np.hypot(X - centre[0], Y - centre[1])
+    return (away > 0.65) & (away < 0.85)
+
+
+RAMP = np.clip((X - 1.4) * math.tan(math.radians(30)), 0, 0.4)
+DOOR = (abs(X - 1.7) < 0.05) & (abs(Y - 1.5) > 0.3)
+
+#: Ground, kinds that have to be among the causes, kinds that must not, a test of a place.
+GROUNDS = {
+    "wall": (ground(abs(X - 1.7) < 0.05, 1.0), {Kind.EDGE}, {Kind.UNKNOWN}, lambda x, y: abs(x - 1.7) < 0.1),
+    "unknown stripe": (ground(abs(X - 1.7) < 0.2, np.nan), {Kind.UNKNOWN}, {Kind.EDGE}, lambda x, y: abs(x - 1.7) < 0.2),
+    "unknown ring at the start": (
+        ground(ring(START), np.nan), {Kind.UNKNOWN}, {Kind.EDGE}, lambda x, y: ring_holds(START, x, y),
+    ),
+    "unknown ring at the goal": (
+        ground(ring(GOAL), np.nan), {Kind.UNKNOWN}, {Kind.EDGE}, lambda x, y: ring_holds(GOAL, x, y),
+    ),
+    "ditch": (ground(abs(X - 1.7) < 0.3, -0.8), {Kind.EDGE}, {Kind.UNKNOWN}, lambda x, y: abs(x - 1.7) < 0.35),
+    "steep ramp": (RAMP.astype(np.float32), {Kind.SLOPE}, {Kind.EDGE, Kind.UNKNOWN}, lambda x, y: 1.3 < x < 2.2),
+    "high step": (ground(X > 1.7, 0.45), {Kind.EDGE}, {Kind.UNKNOWN}, lambda x, y: abs(x - 1.7) < 0.05),
+    "goal on a platform": (
+        ground((abs(X - 2.6) < 0.5) & (abs(Y - 1.5) < 0.5), 0.6), {Kind.EDGE}, {Kind.UNKNOWN},
+        lambda x, y: max(abs(x - 2.6), abs(y - 1.5)) < 0.55,
+    ),
+    "narrow door": (ground(DOOR, 1.0), {Kind.BODY}, {Kind.UNKNOWN}, lambda x, y: abs(x - 1.7) < 0.1),
+    "block under the body": (
+        np.where(abs(Y - 1.5) > 0.5, np.nan, ground((abs(X - 1.7) < 0.3) & (abs(Y - 1.5) < 0.08), 0.4)),
+        {Kind.BODY}, {Kind.UNKNOWN}, lambda x, y: abs(x - 1.7) < 0.3 and abs(y - 1.5) < 0.1,
+    ),
+}  # fmt: skip
+
+
+def ring_holds(centre, x, y):
+    return 0.6 < math.hypot(x - centre[0], y - centre[1]) < 0.9
+
+
+def checked(plan):
+    """The causes of a plan without a path, all of them borne out by its map."""
+    found = [words for cause in plan.causes for words in complaints(cause, plan.terrain, plan.robot)]
+    if plan.findings.gap is not None:
+        found += gap_complaints(plan.findings.gap)
+    assert not found, found
+    assert "\n" not in plan.explain()
+    return plan.causes
+
+
+@pytest.mark.parametrize("name", GROUNDS)
+def test_q2_each_kind_of_obstacle_is_named_at_its_place(name):
+    heights, kinds, others, is_there = GROUNDS[name]
+    plan = Planner(HeightMap(heights), heuristic="manual").plan(START, GOAL, weight=2)
+    causes = checked(plan)
+    named = {cause.kind for cause in causes}
+    assert plan.status == Status.INFEASIBLE and kinds <= named and not others & named, plan.explain()
+    assert all(is_there(*cause.place) for cause in causes if cause.kind in kinds), plan.explain()
+    assert plan.nearest is not None and 0 < plan.nearest.distance <= math.dist(START[:2], GOAL[:2])
+    assert Planner(plan.terrain).plan(START, plan.nearest.pose, weight=2).solved
+
+
+def test_q2_where_only_the_heading_is_out_of_reach_the_robot_cannot_turn_there():
+    # A slot along y crosses a slot along x: the robot passes ahead, and its body has no room to turn.
+    heights = np.ones_like(X, dtype=np.float32)
+    heights[X < 1.4] = 0
+    heights[(abs(Y - 1.5) < 0.36) | (abs(X - 2.4) < 0.36)] = 0
+    plan = Planner(HeightMap(heights), heuristic="manual").plan((0.7, 1.5, 0.0), (2.4, 1.5, math.pi / 2), weight=2)
+    causes = checked(plan)
+    assert plan.status == Status.INFEASIBLE, plan.explain()
+    assert causes[0].kind == Kind.HEADING and causes[0].amount == pytest.approx(math.pi / 2, abs=1e-6)
+    assert len(causes) > 1 and plan.findings.gap.turns, plan.explain()
+    assert plan.nearest.distance == 0 and plan.nearest.turn > 0.5
+    assert "free heading" in " ".join(plan.findings.advice)
+
+
+def test_m17_one_unknown_cell_beside_a_foot_is_unknown_ground_not_an_edge():
+    heights = np.zeros_like(X, dtype=np.float32)
+    planner = Planner(HeightMap(heights))
+    foot = MOMARO.foot_positions(np.array([*START, 0, 0, 0, 0]))[0]
+    cell = planner.grid.cell(foot + (0.0, 0.075))
+    heights[tuple(cell)] = np.nan
+    plan = Planner(HeightMap(heights)).plan((*START, 0, 0, 0, 0), GOAL)
+    (cause,) = checked(plan)
+    assert plan.status == Status.INVALID_START and cause.kind == Kind.UNKNOWN and cause.foot == "front_left"
+    assert cause.place == pytest.approx(planner.grid.center(cell)) and "edge" not in plan.explain()
+
+
+@pytest.mark.parametrize(
+    ("pose", "kind"), [((0.2, 1.5, 0.0), Kind.BORDER), ((1.7, 1.5, 0.0), Kind.EDGE), ((1.7, 0.9, 0.0), Kind.BODY)]
+)
+def test_q2_an_invalid_goal_is_explained_at_its_place(pose, kind):
+    heights = ground((abs(X - 1.7) < 0.06) & (abs(Y - 0.9) < 0.05), 0.9)
+    heights[(abs(X - 1.7) < 0.6) & (abs(Y - 1.5) < 0.3)] = 0.2
+    heights[60:72, 50:54] = 0.9
+    plan = Planner(HeightMap(heights)).plan((2.6, 2.3, 0.0), (*pose, 0, 0, 0, 0))
+    assert plan.status == Status.INVALID_GOAL and kind in {cause.kind for cause in checked(plan)}, plan.explain()
+
+
+def test_q2_an_undecided_search_tells_how_far_it_came():
+    plan = Planner(HeightMap(ground(abs(X - 1.7) < 0.05, 1.0))).plan(START, GOAL, expansions=2000)
+    assert plan.status == Status.EXPANSION_LIMIT
+    checked(plan)
+    assert 0 < plan.nearest.distance < math.dist(START[:2], GOAL[:2])
+    assert str(plan.nearest) in plan.explain()
+    free = Planner(HeightMap(np.zeros_like(X, dtype=np.float32))).plan(START, GOAL, expansions=5)
+    assert free.status == Status.EXPANSION_LIMIT and free.causes == () and free.nearest is not None
+
+
+def test_q2_advice_is_given_for_a_small_hole_for_a_near_pose_and_for_a_margin():
+    heights = ground((abs(X - 1.7) < 0.05) & (abs(Y - 1.5) > 0.42), 1.0)
+    assert Planner(HeightMap(heights)).plan(START, GOAL, weight=2).solved
+    plan = Planner(HeightMap(heights), margin=0.15).plan(START, GOAL, weight=2)
+    assert "without the margin" in " ".join(plan.findings.advice), plan.explain()
+    near = Planner(HeightMap(ground(abs(X - 1.9) < 0.2, np.nan))).plan(START, (2.6, 1.5, 0.0), weight=2)
+    assert not near.findings.advice
+    beside = Planner(HeightMap(ground(X > 2.9, 0.7))).plan(START, (2.7, 1.5, 0.0), weight=2)
+    assert beside.status == Status.INVALID_GOAL and {c.kind for c in checked(beside)} >= {Kind.EDGE}
+
+
+def random_ground(rng):
+    heights = np.zeros((110, 90), np.float32)
+    for _ in range(rng.integers(2, 7)):
+        x, y, long, wide = rng.integers(0, 110), rng.integers(0, 90), rng.integers(2, 60), rng.integers(2, 60)
+        heights[x : x + long, y : y + wide] = rng.choice([np.nan, -0.6, 0.08, 0.2, 0.5, 1.0])
+    if rng.random() < 0.3:
+        heights += np.clip(np.arange(110) - 50, 0, None)[:, None] * 0.025 * math.tan(rng.uniform(0.1, 0.6))
+    heights[rng.random(heights.shape) < rng.choice([0, 0.002])] = np.nan
+    return HeightMap(heights, origin=(-1.3, 2.05))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_q2_on_random_maps_every_cause_is_there_and_no_gap_has_equal_ends(seed):
+    rng, named = np.random.default_rng(seed), 0
+    for _ in range(6):
+        terrain = random_ground(rng)
+        planner = Planner(terrain)
+        poses = [(*rng.uniform((-1.2, 2.1), (1.4, 4.2)), rng.uniform(-3, 3)) for _ in range(12)]
+        valid = [pose for pose in poses if planner.valid(pose)]
+        pairs = [*pairwise(valid[:3]), *((pose, pose) for pose in poses if pose not in valid)][:4]
+        for start, goal in pairs:
+            plan = planner.plan(start, goal, weight=3, expansions=60_000)
+            if plan.solved:
+                continue
+            causes = checked(plan)
+            named += len(causes)
+            if plan.status == Status.INFEASIBLE:
+                assert causes or plan.limits, plan.explain()
+    assert named > 5
+
+
+def test_the_resistance_of_poses_equals_its_plain_twin():
+    rng = np.random.default_rng(3)
+    terrain = random_ground(rng)
+    planner = Planner(terrain)
+    world = planner.world
+    away = rng.random(len(world.standable)).astype(np.float32)
+    shift, headings = np.array([1, 2]), np.array([0, 9, 40])
+    found = _resistance(world, away, shift, 9, headings)
+    neutral = MOMARO.neutral_feet() / 0.025
+    for i, j, k in np.ndindex(found.shape):
+        x, y = shift + 9 * np.array([i, j])
+        angle = headings[k] * 2 * math.pi / HEADINGS
+        turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+        cells = np.floor(neutral @ turn.T + [x, y] + 0.5 + 1e-9).astype(int)
+        feet = sum(float(away[(a + world.pad) * world.stride + b + world.pad]) for a, b in cells)
+        assert found[i, j, k] - 2.0 * feet == pytest.approx(0.0, abs=0.5) or found[
+            i, j, k
+        ] - 2.0 * feet == pytest.approx(10.0, abs=0.5)
+
+
+def test_a_cause_is_a_value_with_words():
+    cause = Cause(Kind.EDGE, (1.0, 2.0), 0.153, 0.05, "rear_left", (1.1, 2.0))
+    assert cause == Cause(Kind.EDGE, (1.0, 2.0), 0.153, 0.05, "rear_left", (1.1, 2.0))
+    assert (
+        str(cause)
+        == "the rear_left foot cannot stand at (1.10, 2.00) m: an edge of 15.3 cm (wheels pass 5 cm) at (1.00, 2.00) m"
+    )
