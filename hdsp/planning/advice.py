@@ -1,7 +1,7 @@
 """Advice for a query without a plan: changes of the map or of the query that would or may help.
 
-Each piece of advice rests on a test of the case at hand: the tolerance within which the nearest pose lies, the size of
-a hole, an edge around a cell or two, a body that hits the ground with its margin only.
+Each piece of advice rests on a test of the case at hand: the tolerance within which the nearest pose lies, the ground
+in a conditioned map, a body that hits the ground with its margin only.
 """
 
 from __future__ import annotations
@@ -20,9 +20,6 @@ from hdsp.terrain.height_map import HeightMap
 
 _TOLERANCE = 0.5  # m, largest distance from a goal that is still worth a tolerance
 _ROUNDING = 0.02  # m, between a goal and the centre of its cell
-_HOLE = 400  # cells; a larger hole is no fault of the sensor
-_WINDOW = 3  # cells around an edge
-_AROUND = 20  # cells around a hole within which it must end
 
 
 def advice_for(
@@ -45,11 +42,8 @@ def advice_for(
     # With a tolerance, the robot arrives on neutral feet.
     if nearest is not None and nearest.distance <= _TOLERANCE and not any(nearest.pose[3:]):
         found.append(_tolerance(nearest.distance, nearest.turn))
-    grid = Grid(terrain.origin, terrain.shape)
-    if any(cause.kind == Kind.UNKNOWN and _is_small_hole(terrain, grid, cause) for cause in causes):
-        found.append("conditioning of the map may fill the unknown cells there")
-    elif any(cause.kind == Kind.EDGE and _is_noise(terrain, grid, cause) for cause in causes):
-        found.append("conditioning of the map may remove the edge there, which is around a cell or two")
+    if healed := _healed(terrain, causes):
+        found.append(f"a conditioned map has {healed} there")
     if wider != robot and any(cause.kind == Kind.BODY and not _hits(terrain, robot, cause) for cause in causes):
         found.append("without the margin the body does not hit the ground there")
     return tuple(found)
@@ -63,24 +57,20 @@ def _tolerance(distance: float, turn: float) -> str:
     return f"with a goal tolerance of {distance + _ROUNDING:.2f} m{also} there is a plan"
 
 
-def _is_small_hole(terrain: HeightMap, grid: Grid, cause: Cause) -> bool:
-    """Whether the unknown cells around a cause are few."""
-    from scipy.ndimage import label
-
-    x, y = grid.cell(cause.place)
-    low = max(x - _AROUND, 0), max(y - _AROUND, 0)
-    part = np.isnan(terrain.heights[low[0] : x + _AROUND + 1, low[1] : y + _AROUND + 1])
-    holes, _ = label(part, np.ones((3, 3)))
-    hole = holes == holes[x - low[0], y - low[1]]
-    ends = [hole[0], hole[-1], hole[:, 0], hole[:, -1]]
-    return int(hole.sum()) <= _HOLE and not any(side.any() for side in ends)
-
-
-def _is_noise(terrain: HeightMap, grid: Grid, cause: Cause) -> bool:
-    """Whether at most two cells around a cause rise from, or fall below, the other ground there by an edge."""
-    x, y = grid.cell(cause.place)
-    near = np.pad(terrain.heights, _WINDOW, constant_values=np.nan)[x : x + 2 * _WINDOW + 1, y : y + 2 * _WINDOW + 1]
-    return int((abs(near - np.nanmedian(near)) > (cause.limit or 0.0)).sum()) <= 2
+def _healed(terrain: HeightMap, causes: Sequence[Cause]) -> str | None:
+    """Ground at the causes in a conditioned map, in words, if conditioning removes a cause."""
+    if not any(cause.kind in (Kind.UNKNOWN, Kind.EDGE) for cause in causes):
+        return None
+    after = terrain.conditioned().terrain
+    grid = Grid(after.origin, after.shape)
+    for cause in causes:
+        x, y = grid.cell(cause.place)
+        near = after.heights[max(x - 1, 0) : x + 2, max(y - 1, 0) : y + 2]
+        if cause.kind == Kind.UNKNOWN and np.isfinite(after.heights[x, y]):
+            return "known ground"
+        if cause.kind == Kind.EDGE and np.nanmax(abs(near - after.heights[x, y])) <= (cause.limit or 0.0):
+            return "no edge"
+    return None
 
 
 def _hits(terrain: HeightMap, robot: Robot, cause: Cause) -> bool:

@@ -8,9 +8,10 @@ import pytest
 
 from hdsp import HeightMap, Planner
 from hdsp.detailed.causes import Cause, Kind
+from hdsp.detailed.causes.faults import cell_under, flat_index
 from hdsp.detailed.causes.gap import _resistance
+from hdsp.detailed.relaxed.proofs import body_hits
 from hdsp.detailed.search.outcome import Status
-from hdsp.robot.lattice import HEADINGS
 from hdsp.robot.robot import Robot
 from tests.planning.cause_check import complaints, gap_complaints
 
@@ -24,6 +25,10 @@ def ground(where, height):
     return np.where(where, height, 0.0).astype(np.float32)
 
 
+def planner_on(heights, **options):
+    return Planner(HeightMap(heights), conditioning=None, **options)
+
+
 def ring(centre):
     away = np.hypot(X - centre[0], Y - centre[1])
     return (away > 0.65) & (away < 0.85)
@@ -35,7 +40,9 @@ DOOR = (abs(X - 1.7) < 0.05) & (abs(Y - 1.5) > 0.3)
 #: Ground, kinds that have to be among the causes, kinds that must not, a test of a place.
 GROUNDS = {
     "wall": (ground(abs(X - 1.7) < 0.05, 1.0), {Kind.EDGE}, {Kind.UNKNOWN}, lambda x, y: abs(x - 1.7) < 0.1),
-    "unknown stripe": (ground(abs(X - 1.7) < 0.2, np.nan), {Kind.UNKNOWN}, {Kind.EDGE}, lambda x, y: abs(x - 1.7) < 0.2),
+    "unknown stripe": (
+        ground(abs(X - 1.7) < 0.2, np.nan), {Kind.UNKNOWN}, {Kind.EDGE}, lambda x, y: abs(x - 1.7) < 0.2,
+    ),
     "unknown ring at the start": (
         ground(ring(START), np.nan), {Kind.UNKNOWN}, {Kind.EDGE}, lambda x, y: ring_holds(START, x, y),
     ),
@@ -62,48 +69,48 @@ def ring_holds(centre, x, y):
 
 
 def checked(plan):
-    """The causes of a plan without a path, all of them borne out by its map."""
+    """The causes of a plan without a path, all borne out by its map."""
     found = [words for cause in plan.causes for words in complaints(cause, plan.terrain, plan.robot)]
     if plan.findings.gap is not None:
         found += gap_complaints(plan.findings.gap)
     assert not found, found
-    assert "\n" not in plan.explain()
     return plan.causes
 
 
 @pytest.mark.parametrize("name", GROUNDS)
 def test_q2_each_kind_of_obstacle_is_named_at_its_place(name):
     heights, kinds, others, is_there = GROUNDS[name]
-    plan = Planner(HeightMap(heights), heuristic="manual").plan(START, GOAL, weight=2)
+    plan = planner_on(heights, heuristic="manual").plan(START, GOAL, weight=2)
     causes = checked(plan)
     named = {cause.kind for cause in causes}
     assert plan.status == Status.INFEASIBLE and kinds <= named and not others & named, plan.explain()
     assert all(is_there(*cause.place) for cause in causes if cause.kind in kinds), plan.explain()
     assert plan.nearest is not None and 0 < plan.nearest.distance <= math.dist(START[:2], GOAL[:2])
-    assert Planner(plan.terrain).plan(START, plan.nearest.pose, weight=2).solved
+    assert Planner(plan.terrain, conditioning=None).plan(START, plan.nearest.pose, weight=2).solved
 
 
 def test_q2_where_only_the_heading_is_out_of_reach_the_robot_cannot_turn_there():
-    # A slot along y crosses a slot along x: the robot passes ahead, and its body has no room to turn.
+    # The robot drives into a bay. Its body, longer than wide, fits along and across, and its corners have no room.
     heights = np.ones_like(X, dtype=np.float32)
-    heights[X < 1.4] = 0
-    heights[(abs(Y - 1.5) < 0.36) | (abs(X - 2.4) < 0.36)] = 0
-    plan = Planner(HeightMap(heights), heuristic="manual").plan((0.7, 1.5, 0.0), (2.4, 1.5, math.pi / 2), weight=2)
+    heights[X < 1.3] = 0
+    heights[(abs(Y - 1.5) < 0.4) & (X < 2.88)] = 0
+    heights[(abs(Y - 1.5) < 0.48) & (abs(X - 2.45) < 0.43)] = 0
+    plan = planner_on(heights).plan((0.7, 1.5, 0.0), (2.4, 1.5, math.pi / 2), weight=2)
     causes = checked(plan)
     assert plan.status == Status.INFEASIBLE, plan.explain()
     assert causes[0].kind == Kind.HEADING and causes[0].amount == pytest.approx(math.pi / 2, abs=1e-6)
     assert len(causes) > 1 and plan.findings.gap.turns, plan.explain()
-    assert plan.nearest.distance == 0 and plan.nearest.turn > 0.5
-    assert "free heading" in " ".join(plan.findings.advice)
+    assert plan.nearest.distance < 0.1 and plan.nearest.turn > 0.5
+    assert "with a goal tolerance of" in plan.explain() and plan.limits is None
 
 
 def test_m17_one_unknown_cell_beside_a_foot_is_unknown_ground_not_an_edge():
     heights = np.zeros_like(X, dtype=np.float32)
-    planner = Planner(HeightMap(heights))
+    planner = planner_on(heights)
     foot = MOMARO.foot_positions(np.array([*START, 0, 0, 0, 0]))[0]
     cell = planner.grid.cell(foot + (0.0, 0.075))
     heights[tuple(cell)] = np.nan
-    plan = Planner(HeightMap(heights)).plan((*START, 0, 0, 0, 0), GOAL)
+    plan = planner_on(heights).plan((*START, 0, 0, 0, 0), GOAL)
     (cause,) = checked(plan)
     assert plan.status == Status.INVALID_START and cause.kind == Kind.UNKNOWN and cause.foot == "front_left"
     assert cause.place == pytest.approx(planner.grid.center(cell)) and "edge" not in plan.explain()
@@ -116,29 +123,33 @@ def test_q2_an_invalid_goal_is_explained_at_its_place(pose, kind):
     heights = ground((abs(X - 1.7) < 0.06) & (abs(Y - 0.9) < 0.05), 0.9)
     heights[(abs(X - 1.7) < 0.6) & (abs(Y - 1.5) < 0.3)] = 0.2
     heights[60:72, 50:54] = 0.9
-    plan = Planner(HeightMap(heights)).plan((2.6, 2.3, 0.0), (*pose, 0, 0, 0, 0))
+    plan = planner_on(heights).plan((2.6, 2.3, 0.0), (*pose, 0, 0, 0, 0))
     assert plan.status == Status.INVALID_GOAL and kind in {cause.kind for cause in checked(plan)}, plan.explain()
 
 
 def test_q2_an_undecided_search_tells_how_far_it_came():
-    plan = Planner(HeightMap(ground(abs(X - 1.7) < 0.05, 1.0))).plan(START, GOAL, expansions=2000)
+    plan = planner_on(ground(abs(X - 1.7) < 0.05, 1.0)).plan(START, GOAL, expansions=2000)
     assert plan.status == Status.EXPANSION_LIMIT
     checked(plan)
     assert 0 < plan.nearest.distance < math.dist(START[:2], GOAL[:2])
     assert str(plan.nearest) in plan.explain()
-    free = Planner(HeightMap(np.zeros_like(X, dtype=np.float32))).plan(START, GOAL, expansions=5)
+    free = planner_on(np.zeros_like(X, dtype=np.float32)).plan(START, GOAL, expansions=5)
     assert free.status == Status.EXPANSION_LIMIT and free.causes == () and free.nearest is not None
 
 
 def test_q2_advice_is_given_for_a_small_hole_for_a_near_pose_and_for_a_margin():
     heights = ground((abs(X - 1.7) < 0.05) & (abs(Y - 1.5) > 0.42), 1.0)
-    assert Planner(HeightMap(heights)).plan(START, GOAL, weight=2).solved
-    plan = Planner(HeightMap(heights), margin=0.15).plan(START, GOAL, weight=2)
+    assert planner_on(heights).plan(START, GOAL, weight=2).solved
+    plan = planner_on(heights, margin=0.15).plan(START, GOAL, weight=2)
     assert "without the margin" in " ".join(plan.findings.advice), plan.explain()
-    near = Planner(HeightMap(ground(abs(X - 1.9) < 0.2, np.nan))).plan(START, (2.6, 1.5, 0.0), weight=2)
-    assert not near.findings.advice
-    beside = Planner(HeightMap(ground(X > 2.9, 0.7))).plan(START, (2.7, 1.5, 0.0), weight=2)
-    assert beside.status == Status.INVALID_GOAL and {c.kind for c in checked(beside)} >= {Kind.EDGE}
+    heights = ground((X > 2.0) & (X < 2.06), np.nan)
+    plan = planner_on(heights).plan(START, GOAL, weight=2)
+    assert ("known ground" in plan.explain()) == Planner(HeightMap(heights)).plan(START, GOAL, weight=2).solved
+    heights = ground((abs(X - 1.7) < 0.05) & (abs(Y - 0.9) < 0.3), np.nan)
+    heights[abs(Y - 0.9) > 0.45] = 1.0
+    start, goal = (0.8, 0.9, 0.0), (2.6, 0.9, 0.0)
+    plan = planner_on(heights).plan(start, goal, weight=2)
+    assert ("known ground" in plan.explain()) == Planner(HeightMap(heights)).plan(start, goal, weight=2).solved
 
 
 def random_ground(rng):
@@ -152,12 +163,12 @@ def random_ground(rng):
     return HeightMap(heights, origin=(-1.3, 2.05))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))
 def test_q2_on_random_maps_every_cause_is_there_and_no_gap_has_equal_ends(seed):
     rng, named = np.random.default_rng(seed), 0
-    for _ in range(6):
+    for _ in range(4):
         terrain = random_ground(rng)
-        planner = Planner(terrain)
+        planner = Planner(terrain, conditioning=None)
         poses = [(*rng.uniform((-1.2, 2.1), (1.4, 4.2)), rng.uniform(-3, 3)) for _ in range(12)]
         valid = [pose for pose in poses if planner.valid(pose)]
         pairs = [*pairwise(valid[:3]), *((pose, pose) for pose in poses if pose not in valid)][:4]
@@ -167,29 +178,24 @@ def test_q2_on_random_maps_every_cause_is_there_and_no_gap_has_equal_ends(seed):
                 continue
             causes = checked(plan)
             named += len(causes)
-            if plan.status == Status.INFEASIBLE:
-                assert causes or plan.limits, plan.explain()
-    assert named > 5
+            assert causes or plan.status != Status.INFEASIBLE, plan.explain()
+    assert named > 3
 
 
 def test_the_resistance_of_poses_equals_its_plain_twin():
     rng = np.random.default_rng(3)
     terrain = random_ground(rng)
-    planner = Planner(terrain)
+    planner = Planner(terrain, conditioning=None)
     world = planner.world
     away = rng.random(len(world.standable)).astype(np.float32)
     shift, headings = np.array([1, 2]), np.array([0, 9, 40])
     found = _resistance(world, away, shift, 9, headings)
-    neutral = MOMARO.neutral_feet() / 0.025
     for i, j, k in np.ndindex(found.shape):
-        x, y = shift + 9 * np.array([i, j])
-        angle = headings[k] * 2 * math.pi / HEADINGS
-        turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-        cells = np.floor(neutral @ turn.T + [x, y] + 0.5 + 1e-9).astype(int)
-        feet = sum(float(away[(a + world.pad) * world.stride + b + world.pad]) for a, b in cells)
-        assert found[i, j, k] - 2.0 * feet == pytest.approx(0.0, abs=0.5) or found[
-            i, j, k
-        ] - 2.0 * feet == pytest.approx(10.0, abs=0.5)
+        state = np.array([*(shift + 9 * np.array([i, j])), headings[k], 0, 0, 0, 0])
+        feet = [flat_index(world, cell_under(world, state, foot)) for foot in range(4)]
+        under = world.height[[*feet, flat_index(world, state[:2])]]
+        blocked = bool(np.isinf(under).any()) or len(body_hits(world, state)) > 0
+        assert found[i, j, k] == pytest.approx(2.0 * away[feet].sum() + 10.0 * blocked, rel=1e-5), state
 
 
 def test_a_cause_is_a_value_with_words():
