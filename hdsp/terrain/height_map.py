@@ -100,13 +100,17 @@ class HeightMap:
             return cls._of_points(path, chosen)
         fields = read_map(path, chosen)
         try:
-            return cls(*fields)
+            return cls(fields.heights, fields.origin, fields.resolution, fields.frame)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 
     @classmethod
     def _of_points(cls, path: str | os.PathLike, options: ReadOptions) -> "HeightMap":
         suffixes = [suffix.lower() for suffix in Path(path).suffixes[-2:]]
+        if Path(path).is_dir():
+            raise InputError(
+                f"{path}: a folder without the metadata.yaml of a ROS 2 bag; need such a folder, or a file"
+            )
         if not {*suffixes} & {*FORMATS}:
             raise InputError(
                 f"{path}: suffix {Path(path).suffix!r}; need one of {', '.join(MAP_SUFFIXES)} (height maps) or "

@@ -7,6 +7,8 @@ import numpy as np
 #: Usual no-data values: of geographic rasters, of 16 bit integers.
 _USUAL = (-9999.0, -99999.0, -999999.0, -32768.0, -32767.0, -10000.0, -999.0, -9999.9, 9999.0, 99999.0, 999999.0)
 
+_LEAST = min(abs(value) for value in _USUAL)
+
 #: No ground is as far from 0, in any unit down to millimetres.
 _LIMIT = 1e7
 
@@ -27,6 +29,8 @@ def no_data_values(heights: np.ndarray) -> list[float]:
     Returns:
         the values, ascending; infinite ones among them.
     """
+    if not (np.abs(heights) >= _LEAST).any():
+        return []
     finite = np.isfinite(heights)
     huge = np.unique(heights[np.abs(heights) >= _LIMIT]).tolist()
     ordinary = finite & (np.abs(heights) < _LIMIT)

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -82,7 +82,7 @@ def _matrix(kinds, buffer, row_major):
     return kinds["std_msgs/msg/Float32MultiArray"](layout, np.ascontiguousarray(flat, np.float32))
 
 
-def write_bag(path, kind, topics):
+def write_bag(path, kind, topics, compression=CompressionMode.NONE):
     """Writes a bag of a kind: ``topics`` has the messages (or raw strings) of each topic; returns what to read."""
     if kind == "bag":
         with Writer1(path.with_suffix(".bag")) as writer:
@@ -91,7 +91,9 @@ def write_bag(path, kind, topics):
     if kind == "old":
         return _old_bag(path.with_suffix(".db3"), topics)
     plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-    with Writer2(path, version=9, storage_plugin=plugin) as writer:
+    writer = Writer2(path, version=9, storage_plugin=plugin)
+    writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
         _fill(writer, topics, 2)
     return path
 

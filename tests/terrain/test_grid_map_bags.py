@@ -3,6 +3,7 @@ import shutil
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import CompressionMode
 
 from hdsp.base.errors import InputError
 from hdsp.terrain.height_map import HeightMap
@@ -90,6 +91,15 @@ def test_m7_m19_the_file_of_a_ros_2_bag_is_enough_in_any_folder_and_spelling(tmp
     np.testing.assert_array_equal(HeightMap.load(odd / f"MAP.{kind.upper()}").heights, expected)
     (folder / "metadata.yaml").unlink()
     np.testing.assert_array_equal(HeightMap.load(folder).heights, expected)
+
+
+@pytest.mark.parametrize("kind", ["db3", "mcap"])
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_m7_packed_bags_are_read(tmp_path, kind, mode):
+    item = message(2, {"elevation": slanted})
+    path = write_bag(tmp_path / "run", kind, {"/map": [item]}, compression=mode)
+    x, y, heights = cells(HeightMap.load(path))
+    np.testing.assert_allclose(heights, slanted(x, y), atol=1e-5)
 
 
 def test_m7_unknown_cells_and_poses_that_were_never_set(tmp_path):

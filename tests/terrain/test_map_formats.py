@@ -84,6 +84,10 @@ def test_m7_no_data_masks_scale_offset_and_units_of_a_raster_count(tmp_path):
         equal(terrain, np.array(HEIGHTS) * 0.01 + 2, (100, 199))
         and "heights times 0.01 plus 2" in terrain.frame.notes[0]
     )
+    whole[0, 0] = -32768
+    terrain = HeightMap.load(geotiff(tmp_path / "f.tif", whole, tags={"scales": (0.01,)}), nodata=6)
+    assert equal(terrain, np.array([[4, math.nan], [5, 2], [math.nan, 3]]) * 0.01, (100, 199))
+    whole[0, 0] = 1
     terrain = HeightMap.load(geotiff(tmp_path / "d.tif", whole, tags={"units": ("ft",)}))
     assert equal(terrain, np.array(HEIGHTS) * 0.3048, (100, 199)) and "from ft to metres" in terrain.frame.notes[0]
     terrain = HeightMap.load(geotiff(tmp_path / "e.tif", whole, tags={"units": ("cubits",)}))
@@ -105,6 +109,26 @@ def test_m7_rasters_without_a_right_reading_are_refused(tmp_path, more, words):
     with pytest.raises(InputError, match=words) as error:
         HeightMap.load(geotiff(tmp_path / "a.tif", **more))
     assert "\n" not in str(error.value)
+
+
+def test_m7_an_alpha_band_is_a_mask(tmp_path):
+    path = tmp_path / "a.tif"
+    shape = {"count": 2, "height": 2, "width": 3, "dtype": "uint8"}
+    with rasterio.open(
+        path, "w", driver="GTiff", transform=NORTH_UP, photometric="MINISBLACK", alpha="YES", **shape
+    ) as file:
+        file.write(np.stack([PICTURE, [[0, 255, 255], [255, 255, 255]]]).astype(np.uint8))
+    assert equal(HeightMap.load(path), [[4, math.nan], [5, 2], [6, 3]], (100, 199))
+
+
+def test_m7_a_geotiff_of_another_library_is_placed_by_its_tags(tmp_path):
+    scale, tie = (33550, "d", 3, (0.5, 0.5, 0.0)), (33922, "d", 6, (0.0, 0.0, 0.0, 100.0, 200.0, 0.0))
+    keys = (34735, "H", 12, (1, 1, 0, 2, 1024, 0, 1, 1, 1025, 0, 1, 1))  # projected, pixels are areas
+    nodata = (42113, "s", 0, "6")
+    tifffile.imwrite(
+        tmp_path / "a.tif", PICTURE.astype(np.float32), extratags=[(*tag, True) for tag in (scale, tie, keys, nodata)]
+    )
+    assert equal(HeightMap.load(tmp_path / "a.tif"), [[4, 1], [5, 2], [math.nan, 3]], (100, 199))
 
 
 def test_m7_a_band_is_chosen_by_number_or_name(tmp_path):
@@ -303,6 +327,7 @@ def test_a_no_data_value_amid_heights_is_a_height(tmp_path):
     ("option", "words"),
     [
         ({"resolution": 0}, "option resolution is 0; need a positive number"),
+        ({"scale": 0}, "option scale is 0; need a non-zero number"),
         ({"scale": "mm"}, "option scale is 'mm'"),
         ({"origin": (1, math.nan)}, "option origin"),
         ({"origin": 3}, "option origin is 3; need two numbers"),

@@ -29,12 +29,16 @@ class MapFields(NamedTuple):
         origin: position (x, y) of the lower corner of cell (0, 0), m.
         resolution: cell size, m.
         frame: frame of the map, with notes on the file.
+        scale: m per unit of the heights.
+        offset: m, height of their zero.
     """
 
     heights: np.ndarray
     origin: tuple[float, float]
     resolution: float
     frame: MapFrame = MapFrame()
+    scale: float = 1.0
+    offset: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,8 @@ class ReadOptions:
     Attributes:
         resolution: cell size, m, for files without one.
         origin: position (x, y) of the lower corner of cell (0, 0), m, for files without one (default there: 0, 0).
-        scale: m per unit of the file's heights, e.g. 0.001 for millimetres, or m per grey step.
+        scale: m per unit of the file's heights, e.g. 0.001 for millimetres, or m per grey step; negative where the file
+            counts downwards.
         offset: height of the file's zero, m.
         nodata: value of unknown cells, in the file's units.
         layer: name or number of a layer, band or entry.
@@ -65,12 +70,13 @@ class ReadOptions:
     message: int | None = None
 
     def __post_init__(self):
-        for name in ("resolution", "scale"):
+        for name, need in (("resolution", "positive"), ("scale", "non-zero"), ("offset", "finite")):
             value = getattr(self, name)
-            if value is not None and not (_is_number(value) and math.isfinite(value) and value > 0):
-                raise InputError(f"option {name} is {value!r}; need a positive number")
-        if self.offset is not None and not (_is_number(self.offset) and math.isfinite(self.offset)):
-            raise InputError(f"option offset is {self.offset!r}; need a number of metres")
+            if value is None:
+                continue
+            finite = _is_number(value) and math.isfinite(value)
+            if not finite or (need == "positive" and value <= 0) or (need == "non-zero" and value == 0):
+                raise InputError(f"option {name} is {value!r}; need a {need} number of metres")
         if self.nodata is not None and not _is_number(self.nodata):
             raise InputError(f"option nodata is {self.nodata!r}; need a number")
         if self.message is not None and (isinstance(self.message, bool) or not isinstance(self.message, int)):

@@ -31,10 +31,14 @@ from hdsp.terrain.map_frame import MapFrame
 
 #: Drivers by suffix. Drivers whose files refer to other files or addresses are left out.
 _DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".asc": "AAIGrid", ".dem": "USGSDEM", ".img": "HFA"}
-_GRASS = "GRASSASCIIGrid"
+#: Drivers of texts, by their first words.
+_TEXTS = {
+    "AAIGrid": ("ncols", "nrows", "xll", "yll", "cellsize", "dx", "dy"),
+    "GRASSASCIIGrid": ("north", "south", "east", "west", "rows", "cols"),
+}
 
 #: Metres per vertical unit.
-_UNITS = {
+_METRES = {
     **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
     **dict.fromkeys(("ft", "foot", "feet", "international foot"), 0.3048),
     **dict.fromkeys(("us survey foot", "us-ft", "ftus", "us_survey_foot", "foot_us", "us survey feet"), 1200 / 3937),
@@ -64,8 +68,8 @@ def read_raster(path: Path, options: ReadOptions) -> MapFields:
         if kind not in "iuf":
             raise InputError(f"band {band} has the type {raster.dtypes[band - 1]}; need numbers")
         _check_crs(raster.crs)
-        rows = _ascii_heights(path, raster) if path.suffix.lower() == ".asc" else raster.read(band, masked=True)
-        heights, notes = _in_metres(rows, raster, band)
+        rows = _ascii_heights(path, raster) if raster.driver in _TEXTS else raster.read(band, masked=True)
+        scale, offset, notes = _units(raster, band)
         if raster.count > 1:
             notes.append(f"band {band} of {raster.count}")
         crs = raster.crs.to_string() if raster.crs else ""
@@ -73,9 +77,9 @@ def read_raster(path: Path, options: ReadOptions) -> MapFields:
         if raster.transform.is_identity:
             resolution = options.cell_size("it has no transform, so no cell size")
             frame = MapFrame(crs=crs, notes=tuple(notes))
-            return MapFields(heights.T[:, ::-1], options.origin or (0.0, 0.0), resolution, frame)
+            return MapFields(rows.T[:, ::-1], options.origin or (0.0, 0.0), resolution, frame, scale, offset)
         options.refuse(("resolution", "origin"), "the file has its own transform")
-        fields = _placed(heights, raster.transform, crs, tuple(notes))
+        fields = _placed(rows, raster.transform, crs, tuple(notes))._replace(scale=scale, offset=offset)
     return fields._replace(frame=frame_of_text(written)) if written else fields
 
 
@@ -118,17 +122,15 @@ def _opened(path: Path) -> Iterator[Any]:
     import rasterio
     from rasterio.io import MemoryFile
 
-    suffix = path.suffix.lower()
     with ExitStack() as stack:
         stack.enter_context(rasterio.Env())
         stack.enter_context(_quiet())
-        if suffix != ".asc":
-            yield stack.enter_context(rasterio.open(path, driver=_DRIVERS[suffix]))
-            return
-        encoding = _marked_encoding(path)
-        with path.open(encoding=encoding or "latin-1", errors="replace") as file:
-            first = file.read(100).lstrip().lower()
-        driver = _GRASS if first.startswith(("north", "south", "east", "west", "proj", "zone")) else _DRIVERS[suffix]
+        driver, encoding = _DRIVERS[path.suffix.lower()], None
+        if path.suffix.lower() in (".asc", ".dem"):
+            encoding = _marked_encoding(path)
+            with path.open(encoding=encoding or "latin-1", errors="replace") as file:
+                first = file.read(100).lstrip().lower()
+            driver = next((name for name, words in _TEXTS.items() if first.startswith(words)), driver)
         if encoding is None:
             yield stack.enter_context(rasterio.open(path, driver=driver))
         else:  # GDAL knows no byte-order marks
@@ -182,8 +184,9 @@ def _ascii_heights(path: Path, raster: Any) -> Any:
 
 def _band(raster: Any, layer: str | int | None) -> int:
     names = [name or "" for name in raster.descriptions]
-    if layer is None and raster.count == 1:
-        return 1
+    bands = [k + 1 for k, kind in enumerate(raster.colorinterp) if kind.name != "alpha"]
+    if layer is None and len(bands) == 1:
+        return bands[0]
     if layer is None and names.count("elevation") == 1:
         return names.index("elevation") + 1
     if layer is not None and str(layer) in names:
@@ -213,24 +216,21 @@ def _short(crs: Any) -> str:
     return text if len(text) < 60 else text[:57] + "..."
 
 
-def _in_metres(heights: Any, raster: Any, band: int) -> tuple[Any, list[str]]:
-    """Heights by the scale, offset and units of the band, and notes."""
-    notes: list[str] = []
-    scale, offset = raster.scales[band - 1], raster.offsets[band - 1]
+def _units(raster: Any, band: int) -> tuple[float, float, list[str]]:
+    """Scale and offset to metres by the scale, offset and units of the band, and notes."""
+    scale, offset, notes = raster.scales[band - 1], raster.offsets[band - 1], []
     if (scale, offset) != (1.0, 0.0):
-        heights = heights.astype(float) * scale + offset
         notes.append(f"heights times {scale:g} plus {offset:g}, as the band says")
     unit = str(raster.units[band - 1] or "").strip()
-    factor = _UNITS.get(unit.lower())
+    factor = _METRES.get(unit.lower())
     if factor is None:
         notes.append(f"unknown vertical units {unit!r}, taken as metres")
     elif factor != 1.0:
-        heights = heights.astype(float) * factor
         notes.append(f"heights converted from {unit} to metres")
-    return heights, notes
+    return scale * (factor or 1.0), offset * (factor or 1.0), notes
 
 
-def _placed(heights: np.ma.MaskedArray, transform: Any, crs: str, notes: tuple[str, ...]) -> MapFields:
+def _placed(heights: np.ndarray, transform: Any, crs: str, notes: tuple[str, ...]) -> MapFields:
     """Map with its lower left corner first, from rows and columns and their transform to world positions."""
     rows, columns = heights.shape
     along, down = np.array((transform.a, transform.d)), np.array((transform.b, transform.e))

@@ -268,6 +268,8 @@ def _in_metres(fields: MapFields, options: ReadOptions) -> MapFields:
         # A no-data value is a decimal text, the heights are float32 or float64.
         heights[(heights == options.nodata) | (heights == np.float32(options.nodata))] = np.nan
     heights, notes = without_no_data(heights)
+    if (fields.scale, fields.offset) != (1.0, 0.0):
+        heights = heights * fields.scale + fields.offset
     if options.scale is not None:
         heights = heights * options.scale
         notes = (*notes, f"heights times {options.scale:g}")
