@@ -33,6 +33,7 @@ from hdsp.robot.lattice import RESOLUTION, is_detailed
 COARSEST = 0.2
 _MOST_CELLS = 100_000_000  # of a result
 _LEAST_NOISE = 0.0005  # m; maps with less keep their heights
+_LEAST_BEND = 0.00005  # m; the same for differences between neighbours
 _NOISE_WINDOW = 9  # cells; the median over it is the ground in estimates of the noise
 _WINDOWS = 3, 5, 7, 9, 11  # cells, of the median filter
 _TILE, _TILES = 48, 5  # cells, tiles along each axis on which windows are tried
@@ -260,8 +261,9 @@ class Stages:
 def estimate_noise(heights: np.ndarray, resolution: float, settings: ConditioningSettings) -> Noise:
     """Estimates the noise of measured heights, and chooses the filter for it.
 
-    The deviation is the median absolute difference to the median over 9 x 9 cells, scaled to a standard deviation. On
-    exact maps it is 0 if more than half of the ground is plane on this scale.
+    The deviation is the median absolute difference to the median over 9 x 9 cells, scaled to a standard deviation. It
+    counts as noise only if most cells differ from the median of their neighbours, too: structures close to each other
+    leave most 3 x 3 cells plane.
 
     Args:
         heights, resolution, settings: as in ``Stages``.
@@ -270,11 +272,11 @@ def estimate_noise(heights: np.ndarray, resolution: float, settings: Conditionin
     if settings.roughness == 0 or not known.any():
         return Noise(0.0, 0)
     full = _everywhere(heights)
-    deviation = _deviation(full, known)
-    if deviation < _LEAST_NOISE:
+    deviation = _deviation(full, known, _NOISE_WINDOW)
+    if deviation < _LEAST_NOISE or _deviation(full, known, 3) < _LEAST_BEND:
         return Noise(0.0, 0)
     # Noise that is alike in nearby cells shows in every second cell. So do stairs, hence the limit.
-    deviation = max(deviation, min(_deviation(full[::2, ::2], known[::2, ::2]), 2 * deviation))
+    deviation = max(deviation, min(_deviation(full[::2, ::2], known[::2, ::2], _NOISE_WINDOW), 2 * deviation))
     # Windows are tried on some tiles; trials on the whole map would take longer than the filter itself.
     tiles = _tiles(known)
     for window in _WINDOWS:
@@ -284,8 +286,8 @@ def estimate_noise(heights: np.ndarray, resolution: float, settings: Conditionin
     return Noise(deviation, window)
 
 
-def _deviation(heights: np.ndarray, known: np.ndarray) -> float:
-    away = np.abs(heights - _median(heights, _NOISE_WINDOW))[known]
+def _deviation(heights: np.ndarray, known: np.ndarray, window: int) -> float:
+    away = np.abs(heights - _median(heights, window))[known]
     return _MAD * float(np.median(away)) if len(away) else 0.0
 
 
@@ -341,7 +343,8 @@ def _lone(heights: np.ndarray, away: np.ndarray, least: float, resolution: float
     """
     from scipy.ndimage import label, maximum_filter
 
-    result = np.zeros(heights.shape, bool)
+    result, border = np.zeros(heights.shape, bool), np.ones(heights.shape, bool)
+    border[1:-1, 1:-1] = False
     for sign in (1, -1):
         groups, count = label(sign * away > least, np.ones((3, 3)))  # false for NaN
         if count == 0:
@@ -351,6 +354,7 @@ def _lone(heights: np.ndarray, away: np.ndarray, least: float, resolution: float
         # A group that goes on in ground of about its height is a corner of it.
         goes_on = np.zeros(count + 1, bool)
         goes_on[groups[(groups > 0) & (beside > raised - 0.5 * sign * away)]] = True
+        goes_on[groups[border]] = True  # perhaps beyond the map
         small = np.bincount(groups.ravel(), minlength=count + 1) <= _spike_cells(resolution)
         result |= (small & ~goes_on)[groups] & (groups > 0)
     return result
@@ -393,7 +397,8 @@ def _closed(known: np.ndarray, radius: int) -> np.ndarray:
     from scipy.ndimage import binary_closing
 
     x, y = np.indices((2 * radius + 1,) * 2) - radius
-    padded = np.pad(known, radius)
+    # A gap of one cell at the border of the map is closed, too.
+    padded = np.pad(known, radius, mode="edge" if radius == 1 else "constant")
     return binary_closing(padded, x**2 + y**2 <= radius**2)[radius:-radius, radius:-radius]
 
 
