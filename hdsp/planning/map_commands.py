@@ -19,7 +19,7 @@ from hdsp.planning.map_file_commands import (
     map_options,
     refuse_given,
 )
-from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.height_map import HeightMap, check_readable
 from hdsp.terrain.map_formats import check_writable, is_map
 
 
@@ -57,6 +57,8 @@ def _map(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
     if not chosen.scan and any(is_map(path) for path in chosen.files):
         _picture(convert_map(chosen, parser), chosen)
         return
+    for file in chosen.files:
+        check_readable(file)
     _refuse_map_options(chosen, ("resolution",))
     check_writable(chosen.out)
     terrain, about = map_clouds(chosen)
@@ -76,6 +78,7 @@ def _picture(terrain: HeightMap, chosen: argparse.Namespace) -> None:
 def _info(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
     """Says what a height map, a shard of labels or a point cloud holds, and what looks wrong."""
     path = Path(chosen.file)
+    check_readable(path)
     if not is_map(path):
         _refuse_map_options(chosen, ())
         print(about_cloud(path, chosen))
@@ -96,7 +99,7 @@ def _shard(path: Path) -> str | None:
     """About a shard; None if the file is none. A damaged shard raises InputError."""
     from hdsp.labels.shards import is_shard, read_shard
 
-    if path.suffix != ".h5" or not path.is_file() or not is_shard(path):
+    if path.suffix.lower() != ".h5" or not path.is_file() or not is_shard(path):
         return None
     tasks, attributes = read_shard(path)
     names, counts = np.unique(tasks.category, return_counts=True)

@@ -20,7 +20,7 @@ from hdsp.robot.lattice import PATCH_CELLS, RESOLUTION
 from hdsp.terrain.conditioning import UNCHANGED, ConditioningReport, ConditioningSettings, Stages, is_conditioned
 from hdsp.terrain.map_formats import MAP_SUFFIXES, MapFields, ReadOptions, is_map, read_map, write_map
 from hdsp.terrain.map_frame import MapFrame
-from hdsp.terrain.no_data import implausible_heights
+from hdsp.terrain.no_data import implausible_heights, unmasked
 from hdsp.terrain.patches import TIE, checked_side, gather, nearest_cell, patch_offsets
 from hdsp.terrain.pointcloud.cloud_files import FORMATS, read_points
 from hdsp.terrain.pointcloud.cloud_mapping import MapSettings, map_points
@@ -49,7 +49,7 @@ class HeightMap:
     def __post_init__(self):
         try:
             with np.errstate(over="ignore"):  # a float64 too large for float32 becomes inf and is rejected below
-                heights = np.array(_unmasked(self.heights), dtype=np.float32, order="C")
+                heights = np.array(unmasked(self.heights), dtype=np.float32, order="C")
             origin = tuple(float(value) for value in self.origin)
             resolution = float(self.resolution)
         except (TypeError, ValueError) as error:
@@ -106,16 +106,7 @@ class HeightMap:
 
     @classmethod
     def _of_points(cls, path: str | os.PathLike, options: ReadOptions) -> "HeightMap":
-        suffixes = [suffix.lower() for suffix in Path(path).suffixes[-2:]]
-        if Path(path).is_dir():
-            raise InputError(
-                f"{path}: a folder without the metadata.yaml of a ROS 2 bag; need such a folder, or a file"
-            )
-        if not {*suffixes} & {*FORMATS}:
-            raise InputError(
-                f"{path}: suffix {Path(path).suffix!r}; need one of {', '.join(MAP_SUFFIXES)} (height maps) or "
-                f"{', '.join(FORMATS)} (point clouds)"
-            )
+        check_readable(path)
         for name in options.given:
             if name != "resolution":
                 raise InputError(f"point cloud {path}: option {name} does not apply; need resolution or none")
@@ -296,6 +287,24 @@ def as_height_map(terrain: "HeightMap | np.ndarray | str | os.PathLike", resolut
     return found
 
 
+def check_readable(path: str | os.PathLike) -> None:
+    """Refuses a path whose format is neither one of height maps nor one of point clouds.
+
+    Raises:
+        InputError: with the suffixes of both.
+    """
+    if is_map(path):
+        return
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path}: a folder without the metadata.yaml of a ROS 2 bag; need such a folder, or a file")
+    if not {suffix.lower() for suffix in path.suffixes[-2:]} & {*FORMATS}:
+        raise InputError(
+            f"{path}: suffix {path.suffix!r}; need one of {', '.join(MAP_SUFFIXES)} (height maps) or "
+            f"{', '.join(FORMATS)} (point clouds)"
+        )
+
+
 def _converted(terrain: "HeightMap | np.ndarray | str | os.PathLike", resolution: float | None) -> HeightMap:
     if isinstance(terrain, HeightMap):
         if resolution is not None and resolution != terrain.resolution:
@@ -308,13 +317,6 @@ def _converted(terrain: "HeightMap | np.ndarray | str | os.PathLike", resolution
     if resolution is None:
         raise InputError("terrain is an array, which has no cell size; need resolution=, the side of a cell in metres")
     return HeightMap(terrain, resolution=resolution)
-
-
-def _unmasked(heights):
-    """Heights with NaN in masked cells."""
-    if not isinstance(heights, np.ma.MaskedArray):
-        return heights
-    return np.ma.filled(heights.astype(float), math.nan)
 
 
 class Conditioned(NamedTuple):

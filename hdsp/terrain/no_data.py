@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 #: Usual no-data values: of geographic rasters, of 16 bit integers.
@@ -18,6 +20,13 @@ _APART = 0.5
 _FINE = 0.25  # m; cells up to this size show steps
 _RISE, _SHARE = 0.5, 0.2  # m; in ground in metres fewer steps between neighbours are so high
 _HIGH = 8.0  # m; in ground in metres some step is lower
+
+
+def unmasked(values: Any) -> Any:
+    """Values with NaN in the masked cells of a masked array; others as they are."""
+    if not isinstance(values, np.ma.MaskedArray):
+        return values
+    return np.ma.filled(values.astype(float), np.nan)
 
 
 def no_data_values(heights: np.ndarray) -> list[float]:

@@ -13,6 +13,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.jit import njit
 from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS
+from hdsp.terrain.no_data import unmasked
 
 #: Positions this close (in cells) to the border between two cells count as on the border, despite rounding errors.
 TIE = 1e-6
@@ -26,7 +27,7 @@ def crop_patches(
     """Crops many patches at once, each equal to `HeightMap.crop_cells` at its base.
 
     Args:
-        heights: float32 [nx, ny], metres.
+        heights: float32 [nx, ny], metres; NaN or masked = unknown.
         bases: int [n, 2], cells (ix, iy) with the bases at their centres; they may lie outside the map.
         headings: int [n], or one heading for all: index of the detailed heading in [0, 64).
         cells: side length of the patches in cells.
@@ -35,7 +36,7 @@ def crop_patches(
     Returns:
         float32 [n, cells, cells], NaN outside the map; ``out`` if given.
     """
-    heights = np.ascontiguousarray(heights, dtype=np.float32)
+    heights = np.ascontiguousarray(unmasked(heights), dtype=np.float32)
     bases = np.ascontiguousarray(bases, dtype=np.int64)
     if heights.ndim != 2 or bases.ndim != 2 or bases.shape[1] != 2:
         raise InputError(f"crop_patches: heights {heights.shape} and bases {bases.shape}; need [nx, ny] and [n, 2]")

@@ -94,7 +94,7 @@ def test_where_there_is_no_plan_the_reason_is_told(tmp_path, capsys):
         (["plan", "none.npz", "--start", "0", "0", "0", "--goal", "1", "1", "0"], "none.npz: no such file"),
         (["info", "none.pcd"], "none.pcd: no such file"),
         (["info", "none.h5"], "none.h5: no such file"),
-        (["info", "{}/none.docx"], "suffix '.docx'; need one of .pcd"),
+        (["info", "{}/none.docx"], "suffix '.docx'; need one of .npz, "),
         (["map", "{}/room.xyz", "--out", "{}/map.png"], "suffix '.png'; need one of .npz, .h5, .hdf5, .tif, .tiff"),
         (["map", "{}/room.xyz", "--out", "{}/map.npz", "--units", "0.0001"], "in metres"),
         (["map", "{}/room.xyz", "--out", "{}/map.npz", "--axes", "x,z"], "need each of x, y, z once"),

@@ -21,6 +21,7 @@ from hdsp.terrain.map_frame import MapFrame
 PICTURE = np.array([[1, 2, 3], [4, 5, 6]], float)
 #: The same as heights[ix, iy].
 HEIGHTS = [[4, 1], [5, 2], [6, 3]]
+RANDOM = np.random.default_rng(7)
 NORTH_UP = Affine(0.5, 0, 100, 0, -0.5, 200)
 
 
@@ -412,3 +413,13 @@ def test_formats_of_other_packages_are_found_by_entry_point(tmp_path, monkeypatc
         assert map_contents(tmp_path / "a.height") == "one height, a number"
     finally:
         registry._added.cache_clear()
+
+
+@pytest.mark.parametrize("head", ["", "x y z\n", "# from a scanner\n", "\ufeffX;Y;Z;I\n"])
+def test_m7_an_asc_file_of_points_is_a_cloud(tmp_path, head):
+    x, y = np.meshgrid(np.arange(0, 2, 0.02), np.arange(0, 1, 0.02), indexing="ij")
+    z = 0.001 * RANDOM.normal(size=x.shape)
+    lines = [f"{a:.3f};{b:.3f};{c:.4f};7" for a, b, c in zip(x.ravel(), y.ravel(), z.ravel(), strict=True)]
+    (tmp_path / "cloud.asc").write_text(head + "\n".join(lines), encoding="utf-8")
+    terrain = HeightMap.load(tmp_path / "cloud.asc")
+    assert terrain.size == pytest.approx((2, 1), abs=0.06) and np.nanmax(np.abs(terrain.heights)) < 0.01

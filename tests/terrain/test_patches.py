@@ -7,6 +7,7 @@ from hdsp.base.errors import InputError
 from hdsp.robot.lattice import HEADINGS, heading_angle
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.patches import crop_patches, patch_offsets
+from hdsp.terrain.pointcloud import Camera, depth_points
 
 
 @given(st.integers(0, HEADINGS - 1), st.sampled_from([72, 71, 8]))
@@ -44,3 +45,11 @@ def test_one_heading_serves_all_patches_and_wrong_shapes_are_refused():
         crop_patches(heights, bases, 16, out=out[:1])
     with pytest.raises(InputError, match=r"bases \(2,\)"):
         crop_patches(heights, np.array([60, 60]), 0)
+
+
+def test_m6_masked_cells_are_unknown_in_patches_and_clouds():
+    heights = np.ma.masked_array(np.zeros((9, 9)), mask=np.eye(9, dtype=bool))
+    (patch,) = crop_patches(heights, [[4, 4]], 0, 9)
+    assert (np.isnan(patch) == np.eye(9, dtype=bool)).all()
+    image = np.ma.masked_array(np.ones((2, 2)), mask=[[True, False], [False, False]])
+    assert len(depth_points(image, Camera(1.0, 1.0, 0.0, 0.0, depth_scale=1.0, nearest=0.1, farthest=9.0))) == 3

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -102,6 +103,9 @@ _WRITABLE = tuple(suffix for suffix, form in _FORMATS.items() if form.write)
 
 #: Cell sizes that a map in metres may have, m.
 _SMALLEST, _LARGEST = 1e-4, 1e4
+
+#: First characters of a text of points.
+_BEGINS = tuple(bytes([character]) for character in b"+-.#/0123456789")
 
 #: Name on the package index of a library whose module has another name.
 _DISTRIBUTION = {"PIL": "pillow"}
@@ -242,7 +246,7 @@ def _check_library(path: Path, form: MapFormat) -> None:
 
 
 def _is_text_of_points(path: Path) -> bool:
-    """Whether an .asc file begins with numbers, as a point cloud does, instead of with the header of a grid."""
+    """Whether an .asc file begins as a point cloud does: with numbers, a comment, or the names x, y and z."""
     if path.suffix.lower() != ".asc" or not path.is_file():
         return False
     try:
@@ -250,7 +254,8 @@ def _is_text_of_points(path: Path) -> bool:
             begin = file.read(400).replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n")
     except OSError:
         return False
-    return begin[:1] in b"+-.#/0123456789" and begin[:1] != b""
+    names = set(re.findall(rb"\w+", begin.partition(b"\n")[0].lower()))
+    return begin[:1] in _BEGINS or {b"x", b"y", b"z"} <= names
 
 
 def _in_metres(fields: MapFields, options: ReadOptions) -> MapFields:

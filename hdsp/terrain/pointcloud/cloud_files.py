@@ -92,6 +92,7 @@ FORMATS: dict[str, Callable[[bytes], np.ndarray]] = {
     ".vtk": read_vtk,
     ".bt": read_octree,
     ".xyz": read_text,
+    ".asc": read_text,
     ".txt": read_text,
     ".csv": read_text,
     ".dat": read_text,

@@ -16,6 +16,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.settings import Natural, NotNegative, Positive, checked, fault
 from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.filling import filled, smoothed
+from hdsp.terrain.no_data import unmasked
 from hdsp.terrain.pointcloud.alignment import FloorSettings, Plane, fit_floor, level, thinned, unlevelled
 from hdsp.terrain.pointcloud.faults import Cleaned, check_extent, without_far_points, without_no_data
 from hdsp.terrain.pointcloud.gravity import Gravity, check_up, judge
@@ -223,7 +224,7 @@ def about_gravity(found: Gravity) -> str:
 
 
 def _finite(points: np.ndarray) -> np.ndarray:
-    points = np.asarray(points, dtype=float)
+    points = np.asarray(unmasked(points), dtype=float)
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"points have shape {points.shape}; need [n, 3]: x, y, z in metres")
     finite = points[np.isfinite(points).all(axis=1)]

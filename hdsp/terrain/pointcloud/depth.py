@@ -11,6 +11,7 @@ from pydantic import model_validator
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
 from hdsp.base.settings import Count, NotNegative, Positive, checked, fault
+from hdsp.terrain.no_data import unmasked
 
 
 @checked
@@ -66,7 +67,7 @@ def depth_points(image: np.ndarray, camera: Camera, pose=None) -> np.ndarray:
     Returns:
         float64 [n, 3], m; one point for each pixel with a depth between the camera's nearest and farthest.
     """
-    image = np.asarray(image, dtype=float)
+    image = np.asarray(unmasked(image), dtype=float)
     if image.ndim != 2:
         raise InputError(f"depth image has shape {image.shape}; need [rows, columns]")
     row, column = np.indices(image.shape)[:, :: camera.stride, :: camera.stride]
