@@ -59,7 +59,7 @@ def test_no_module_imports_itself_by_way_of_others():
 def test_the_package_has_nine_rooms():
     entries = {path.name for path in PACKAGE.iterdir() if path.name != "__pycache__"}
     rooms = {"base", "robot", "terrain", "detailed", "abstract", "labels", "learning", "viz", "planning"}
-    assert entries == {"__init__.py", "py.typed", *rooms}
+    assert entries == {"__init__.py", "__main__.py", "py.typed", *rooms}
 
 
 def test_every_file_name_stands_for_one_thing():

@@ -13,7 +13,7 @@
 from hdsp.base.conformance import ConformanceError, Contract
 from hdsp.base.downloads import data_folder, fetch, verify
 from hdsp.base.errors import InputError, RefinementError
-from hdsp.base.files import existing_file, replacing
+from hdsp.base.files import existing_file, replacing, writable_file
 from hdsp.base.gradual import Gradual, Steps, finished
 from hdsp.base.jit import njit
 from hdsp.base.provenance import code_fingerprint, reached_code
@@ -48,4 +48,5 @@ __all__ = [
     "read_yaml",
     "replacing",
     "verify",
+    "writable_file",
 ]

@@ -2,7 +2,8 @@
 
 import os
 import secrets
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -31,6 +32,30 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
         # Leftover after a failure; after a success it no longer exists.
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def writable_file(path: str | os.PathLike, what: str, suffixes: Collection[str] = ()) -> Path:
+    """Returns ``path`` as a Path after a check that a file can be written there; a missing folder is created.
+
+    Args:
+        path: path of the file.
+        what: the file's name in messages.
+        suffixes: allowed suffixes in small letters; none: any.
+
+    Raises:
+        InputError: another suffix, a folder in place of the file, or a folder that cannot be written to.
+    """
+    path = Path(path)
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise InputError(f"{what} {path}: suffix {path.suffix!r}; need {' or '.join(suffixes)}")
+    if path.is_dir():
+        raise InputError(f"{what} {path}: is a folder, not a file")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=path.parent).close()
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror or error}".splitlines()[0]) from error
+    return path
 
 
 def existing_file(path: str | os.PathLike, what: str) -> Path:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import csv
-from pathlib import Path
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from hdsp.base.files import replacing
+from hdsp.base.files import writable_file
 from hdsp.planning.map_file_commands import add_cell_size, add_map_reading, map_options
-from hdsp.robot.robot import FEET
 from hdsp.terrain.height_map import HeightMap
 
 #: Exit status where there is no plan.
 NO_PLAN = 3
+_TABLES = ".csv", ".txt"
 
 
 def add_plan(commands) -> None:
@@ -39,7 +39,11 @@ def add_plan(commands) -> None:
         "--no-conditioning", dest="conditioning", action="store_false", help="plan on the map as it is, with its noise"
     )
     parser.add_argument("--time", type=float, default=60.0, help="s after which the search gives up (default: 60)")
-    parser.add_argument("--out", help="a CSV file of the states (m, rad) and of the actions that lead to them")
+    parser.add_argument(
+        "--out",
+        help="a CSV file of the states (m, rad) and of the actions that lead to them, also in the frame of the map's "
+        "source if that is another one",
+    )
     parser.add_argument("--picture", help="a PNG of the path")
     add_map_reading(parser)
     add_cell_size(parser)
@@ -50,31 +54,48 @@ def _plan(chosen: argparse.Namespace) -> int:
     """Plans a path and says what it does and costs, or why there is none (exit status 3)."""
     from hdsp.planning.planner import Planner
 
+    _check_outputs(chosen)
     terrain = HeightMap.load(chosen.map, **map_options(chosen))
     for note in terrain.frame.notes:
         print(f"map: {note}")
     planner = Planner(terrain, chosen.robot, chosen.heuristic, chosen.margin, conditioning=chosen.conditioning)
     if (report := planner.conditioning) is not None and (report.changed or report.unknown):
         print(f"map: {report}")
-    start, goal = (np.array([x, y, np.deg2rad(degrees)]) for x, y, degrees in (chosen.start, chosen.goal))
-    plan = planner.prepare().plan(start, goal, chosen.weight, time=chosen.time)
+    plan = planner.plan(_pose(chosen.start), _pose(chosen.goal), chosen.weight, time=chosen.time)
     print(plan.explain())
     if not plan.solved:
         return NO_PLAN
     print(f"{plan.stats.expansions:,} states expanded in {plan.stats.seconds:.2f} s")
     if chosen.out:
-        with replacing(chosen.out) as temporary:
-            _write_states(plan, temporary)
-        print(f"{chosen.out}: {len(plan.states)} states")
+        plan.write(chosen.out)
+        print(f"{chosen.out}: {len(plan.states)} states{_frames(terrain)}")
     if chosen.picture:
         plan.show(chosen.picture)
         print(f"{chosen.picture}: picture")
     return 0
 
 
-def _write_states(plan, path: Path) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(["action", "x", "y", "heading", *FEET])
-        for action, state in zip(["", *plan.actions], plan.states, strict=True):
-            table.writerow([action, *(f"{value:.6g}" for value in state)])
+def _check_outputs(chosen: argparse.Namespace) -> None:
+    """Checks the output files and the packages for them before the search."""
+    if chosen.out:
+        writable_file(chosen.out, "table", _TABLES)
+    if chosen.picture:
+        from hdsp.viz import save_planned_path  # noqa: F401, an extra that may be missing
+
+        writable_file(chosen.picture, "picture", (".png",))
+
+
+def _pose(values: Sequence[float]) -> np.ndarray:
+    """Pose (m, m, rad) from (m, m, degrees); full turns are dropped."""
+    x, y, degrees = values
+    return np.array([x, y, math.radians(math.remainder(degrees, 360) if math.isfinite(degrees) else degrees)])
+
+
+def _frames(terrain: HeightMap) -> str:
+    """Frames of the table, in words."""
+    frame = terrain.frame
+    if frame.is_source and not (frame.name or frame.crs):
+        return ""
+    name = frame.name or "the source"
+    source = f"{name} ({frame.crs})" if frame.crs else name
+    return f", in the frame {source}" if frame.is_source else f", in the frame of the map; source_*: in {source}"

@@ -20,6 +20,7 @@ from hdsp.planning.explanation import explain_ending, explain_plan
 from hdsp.planning.findings import Findings, Inquiry
 from hdsp.planning.nearest_pose import Nearest
 from hdsp.planning.plan_statistics import PlanStatistics
+from hdsp.planning.plan_table import SourcePoses, ground_poses, source_poses, write_table
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
@@ -148,6 +149,30 @@ class Plan:
         if path is None:
             return planned_path_figure(self.terrain, self.states, self.actions, self.robot)
         return save_planned_path(self.terrain, self.states, self.actions, self.robot, path)
+
+    def ground_poses(self) -> np.ndarray:
+        """Returns the base poses over the ground, map frame, float64 [n, 6]: x, y, z, roll, pitch, heading.
+
+        Convention: m and rad; z is the height of the ground under the base, between the feet. ``Rz(heading) Ry(pitch)
+        Rx(roll)`` rotates the base frame to the map frame.
+        """
+        return ground_poses(self.terrain, self.robot, self.states)
+
+    def in_source(self) -> SourcePoses:
+        """Returns the poses of `ground_poses` in the frame of the file or cloud from which the map was made."""
+        return source_poses(self.terrain, self.ground_poses())
+
+    def write(self, path: str | Path) -> Path:
+        """Writes the plan as a CSV table, whole or not at all: one row for each state.
+
+        Columns: ``action`` (it leads to the state), ``x``, ``y``, ``z`` (ground under the base, m), ``heading`` (rad),
+        the four foot offsets (m). If the map's frame is not its source's, the poses of `in_source` follow:
+        ``source_x``, ``source_y``, ``source_z`` (m), ``source_qx`` to ``source_qw``.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        return write_table(path, self.terrain, self.robot, self.states, self.actions)
 
     def renewed(self, stats: dict[str, Any] | None = None, **changes) -> Plan:
         """Returns a copy with other statistics, status, bound, problems or refused steps."""

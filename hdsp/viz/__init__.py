@@ -11,6 +11,8 @@ Matplotlib is loaded by the first use of a name; no other package in `hdsp` load
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from hdsp.base.errors import InputError
+
 if TYPE_CHECKING:
     from hdsp.viz.arena_figure import save_arena, save_courses, save_note
     from hdsp.viz.charts import (
@@ -85,4 +87,9 @@ _MODULES = {
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    try:
+        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "matplotlib":
+            raise
+        raise InputError("pictures need matplotlib: pip install 'hdsp[viz]'") from error

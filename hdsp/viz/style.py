@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from hdsp.base.files import replacing
+from hdsp.base.files import replacing, writable_file
 from hdsp.terrain.height_map import HeightMap
 
 # Okabe and Ito's colours: people with the common colour vision deficiencies can tell them apart.
@@ -60,8 +60,9 @@ def save(made: Figure, path: str | os.PathLike) -> Path:
     """Writes the figure as PNG, whole or not at all.
 
     Raises:
-        InputError: if the path is not writable.
+        InputError: if the path is not writable, or has another suffix than .png.
     """
+    writable_file(path, "picture", (".png",))
     with replacing(path) as temporary:
         made.savefig(temporary, format="png", facecolor="white")
     return Path(path)
