@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hdsp.abstract.transform import feet_at_all
 from hdsp.base.errors import InputError
 from hdsp.detailed.actions.state_costs import separated, state_costs
 from hdsp.detailed.causes import Cause
 from hdsp.detailed.states import pack_states
 from hdsp.detailed.world.world import World
 from hdsp.planning.arguments import number, pose_values
+from hdsp.planning.nearby import states_at
 from hdsp.planning.query import locate
 from hdsp.robot.lattice import HEADINGS, Grid, cells, heading_angle
 from hdsp.robot.robot import Robot
@@ -61,7 +61,7 @@ def arrival(world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: 
     within = _checked(tolerance)
     found, numbers, faults, exact = [], [], [], True
     for k, goal in enumerate(goals):
-        pose, free = _with_heading(goal)
+        pose, free = with_heading(goal)
         name = "goal" if len(goals) == 1 else f"goal {k}"
         state, wrong = locate(world, grid, robot, pose, name)
         if free or within is not None:
@@ -99,7 +99,7 @@ def several(goal) -> list | None:
     return list(goal) if all(inner) else None
 
 
-def _with_heading(goal) -> tuple[object, bool]:
+def with_heading(goal) -> tuple[object, bool]:
     """Returns a goal with a number for its heading, and whether it leaves the heading free."""
     if isinstance(goal, Sequence | np.ndarray) and len(goal) in (3, 7) and goal[2] is None:
         return (*goal[:2], 0.0, *goal[3:]), True
@@ -119,8 +119,8 @@ def _around(
 ) -> np.ndarray:
     """Valid states, int64 [n, 7], at the poses within a distance (m) and a difference in heading (rad)."""
     t, given = world.tables, len(values) == 7
-    feet = state[3:] if given else np.zeros(4, dtype=np.int64)
-    if (feet < t.lowest).any() or (feet >= t.lowest + t.n_offsets).any():
+    feet = state[3:]
+    if given and ((feet < t.lowest).any() or (feet >= t.lowest + t.n_offsets).any()):
         return np.empty((0, 7), dtype=np.int64)
     reach = math.ceil(cells(distance)) + 1
     reach = min(reach, max(grid.shape))
@@ -132,10 +132,9 @@ def _around(
     off = np.mod(heading_angle(np.arange(HEADINGS)) - values[2] + math.pi, 2 * math.pi) - math.pi
     headings = np.flatnonzero((abs(off) <= turn + _ROUNDING) | (np.arange(HEADINGS) == state[2]))
     bases = np.column_stack([np.repeat(at, len(headings), axis=0), np.tile(headings, len(at))])
+    if not given:
+        states, stands = states_at(world, bases)
+        return states[stands]
     states = np.column_stack([bases, np.broadcast_to(feet, (len(bases), 4))])
     keys = pack_states(states, t.lowest)
-    stands = np.isfinite(state_costs(world, keys))
-    if given:
-        return states[stands & separated(world.constants, int(keys[0]))]
-    displaced, valid = feet_at_all(world, bases[~stands])
-    return np.concatenate([states[stands], displaced[valid]])
+    return states[np.isfinite(state_costs(world, keys)) & separated(world.constants, int(keys[0]))]

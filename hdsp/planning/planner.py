@@ -12,19 +12,26 @@ from hdsp.abstract.abstract_costs import AbstractCosts, Region
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Gradual, now
 from hdsp.base.settings import shown
+from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.causes import Cause
+from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_foothold_regions
+from hdsp.detailed.search.estimate import Estimate, least_foot_cost, with_step_efforts
 from hdsp.detailed.search.life_cycle import Hopeless, Progress
 from hdsp.detailed.search.outcome import Limits, Status
-from hdsp.detailed.world.world import build_world
+from hdsp.detailed.search.reached import METRES_PER_RADIAN
+from hdsp.detailed.world.world import World, build_world
 from hdsp.detailed.world.world_update import updated_world
 from hdsp.learning.loading import abstraction_of, load_abstraction
-from hdsp.planning.arguments import callback, choice, falling_weights, limits_of, number
-from hdsp.planning.arrival import Tolerance, arrival, several
+from hdsp.planning.arguments import callback, choice, falling_weights, lattice_state, limits_of, number, pose_values
+from hdsp.planning.arrival import Arrival, Tolerance, arrival, several, with_heading
+from hdsp.planning.departure import departure
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
 from hdsp.planning.improving import improving_plans
+from hdsp.planning.invalid_end import InvalidEnd
 from hdsp.planning.map_changes import changed_cells
 from hdsp.planning.margin import with_margin
 from hdsp.planning.measured_map import MeasuredMap
+from hdsp.planning.nearby import can_leave, nearest_to_leave
 from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.planning.plans import Plan
 from hdsp.planning.query import Query, locate
@@ -158,10 +165,50 @@ class Planner:
     def valid(self, pose) -> bool:
         """Whether the robot can stand at a world pose (x, y, theta) with some feet, or in a state with 7 values.
 
+        A robot that can stand may still be unable to get away; see ``can_leave``.
+
         Raises:
             InputError: a value is not finite, or the pose lies off the map.
         """
         return not locate(self.world, self.grid, self._wider, pose, "pose")[1]
+
+    def can_leave(self, pose) -> bool:
+        """Whether the robot can stand at a pose and get away from it, to a base position as far away as it is long.
+
+        Many poses are valid only on feet off neutral, from which no way leads to neutral feet, on which the robot
+        drives. See ``hdsp.planning.nearby``.
+
+        Args:
+            pose: as for ``valid``.
+
+        Raises:
+            InputError: as from ``valid``.
+        """
+        state, faults = locate(self.world, self.grid, self._wider, pose, "pose")
+        return not faults and can_leave(self.world, self._wider, state)
+
+    def nearest(self, pose, radius: float = 1.0, *, per_radian: float = METRES_PER_RADIAN) -> np.ndarray | None:
+        """Returns the nearest state that the robot can leave, float64 [7], a start or goal for ``plan``.
+
+        The robot stands there on neutral feet, or where it cannot, on the feet from T_a->d.
+
+        Args:
+            pose: world pose (x, y, theta) in m and rad; a heading of None is free. Foot offsets do not count.
+            radius: largest distance, m.
+            per_radian: distance (m) for each radian of difference in heading; the sum of both counts.
+
+        Returns:
+            The state; None without any within the radius.
+
+        Raises:
+            InputError: as from ``valid``, or a negative radius or distance.
+        """
+        posed, free = with_heading(pose)
+        values = pose_values(posed, "pose", self._wider)
+        lattice_state(self.grid, values, "pose")
+        asked = number("radius", radius, 0.0), number("per_radian", per_radian, 0.0)
+        found = nearest_to_leave(self.world, self.grid, self._wider, values[:3], free, *asked)
+        return None if found is None else self.grid.to_world(found[0])
 
     def plan(
         self,
@@ -170,6 +217,7 @@ class Planner:
         weight: float = 1.0,
         *,
         tolerance: Tolerance | None = None,
+        start_free: bool = True,
         anchor_weight: float | None = None,
         cost: float = np.inf,
         expansions: int = Limits.expansions,
@@ -187,6 +235,9 @@ class Planner:
                 ``goal_index`` tells which one it reaches.
             tolerance: distance from the goal (m), or distance and difference in heading (m, rad), within which the
                 plan may end; see ``hdsp.planning.arrival``. None: the plan ends in the nearest lattice state.
+            start_free: whether the ground under a robot that stands at the start counts as known and free of itself.
+                Unknown cells and the robot's own body in the map then do not matter there; ``assumed`` names them. See
+                ``hdsp.planning.departure``.
             weight: W >= 1 in weighted A*. With an admissible heuristic the cost is at most W times the optimum.
             anchor_weight: W2 >= 1 in multi-heuristic A*. The heuristic guides, the geometric heuristic is the anchor.
                 The cost is at most W * W2 times the optimum; ``bound`` states the proved factor, often a smaller one.
@@ -208,8 +259,9 @@ class Planner:
         weight = number("weight", weight, 1.0)
         anchored = None if anchor_weight is None else number("anchor_weight", anchor_weight, 1.0)
         limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
+        start_free = choice("start_free", start_free)
         began = now()
-        query = self._query(start, goal, tolerance, weight, limits, callback("progress", progress))
+        query = self._query(start, goal, tolerance, start_free, weight, limits, callback("progress", progress))
         if isinstance(query, Plan):
             return query
         prepared = now() - began
@@ -250,6 +302,7 @@ class Planner:
         weights: Sequence[float] = (3.0, 2.0, 1.5, 1.25, 1.0),
         *,
         tolerance: Tolerance | None = None,
+        start_free: bool = True,
         cost: float = np.inf,
         expansions: int = Limits.expansions,
         memory: int = Limits.memory,
@@ -264,7 +317,7 @@ class Planner:
         the geometric heuristic, which may take long.
 
         Args:
-            start, goal, tolerance: as in ``plan``.
+            start, goal, tolerance, start_free: as in ``plan``.
             weights: weights of the rounds, falling, each >= 1.
             cost, expansions, memory, time: as in ``plan``, for all rounds together. Time runs from the first ``next``
                 on, also while the caller works.
@@ -283,45 +336,63 @@ class Planner:
         """
         weights = falling_weights(weights)
         limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
+        start_free = choice("start_free", start_free)
         began = now()
-        query = self._query(start, goal, tolerance, weights[0], limits, callback("progress", progress))
+        query = self._query(start, goal, tolerance, start_free, weights[0], limits, callback("progress", progress))
         if isinstance(query, Plan):
             query.stats.end(str(query.status))
             return iter([query])
         return improving_plans(query, weights, refinable, now() - began)
 
     def _query(
-        self, start, goal, tolerance: Tolerance | None, weight: float, limits: Limits, progress: Progress | None
+        self,
+        start,
+        goal,
+        tolerance: Tolerance | None,
+        start_free: bool,
+        weight: float,
+        limits: Limits,
+        progress: Progress | None,
     ) -> Query | Plan:
         """Returns the query, with the heuristic prepared for its goals, or a plan that ends before the search."""
         began = now()
-        state, faults = locate(self.world, self.grid, self._wider, start, "start")
-        if faults:
-            return self._no_plan(Status.INVALID_START, weight, began, faults)
-        ends = arrival(self.world, self.grid, self._wider, several(goal) or [goal], tolerance)
-        if ends.faults:
-            return self._no_plan(Status.INVALID_GOAL, weight, began, ends.faults)
+        begin = departure(self.terrain, self.world, self.grid, self._wider, start, start_free)
+        goals = several(goal) or [goal]
+        ends = arrival(begin.world, self.grid, self._wider, goals, tolerance)
+        wrong = (Status.INVALID_START, start, begin.faults) if begin.faults else None
+        if wrong is None and ends.faults:
+            wrong = Status.INVALID_GOAL, goals[0], ends.faults
+        if wrong is not None:
+            status, pose, faults = wrong
+            values, heading_free = with_heading(pose)
+            near = pose_values(values, "pose", self._wider)[:3]
+            inquiry = InvalidEnd(begin.world, self.grid, self._wider, near, heading_free)
+            return self._no_plan(status, weight, began, faults).renewed(inquiry=inquiry)
         exact = ends.exact and len(ends.states) == 1
         groups = None if exact else np.unique(ends.goal, return_inverse=True)[1].ravel()
         preparation = Gradual(self.heuristic.steps_to(ends.states, groups))
         if not preparation.run(began + limits.time):
             return self._no_plan(Status.TIME_LIMIT, weight, began)
+        same = begin.world is self.world
+        estimate = preparation.result if same else _on_ground(begin.world, preparation.result, ends)
         return Query(
-            terrain=self.terrain,
+            terrain=begin.terrain,
             robot=self.robot,
             wider=self._wider,
             grid=self.grid,
-            world=self.world,
+            world=begin.world,
             heuristic=self.heuristic,
-            estimate=preparation.result,
-            start=state,
+            estimate=estimate,
+            start=begin.state,
             goals=ends.states,
             goal_numbers=ends.goal,
-            admissible=self.heuristic.admissible,
-            consistent=self.heuristic.consistent,
+            # On other ground under the start, costs-to-go in the map may be too high.
+            admissible=self.heuristic.admissible and (same or len(estimate.table) == 0),
+            consistent=self.heuristic.consistent and (same or len(estimate.table) == 0),
             limits=limits,
             ends=began + limits.time,
             progress=progress,
+            assumed=begin.assumed,
         )
 
     def _no_plan(self, status: Status, weight: float, began: float, faults: Sequence[Cause | str] = ()) -> Plan:
@@ -331,3 +402,11 @@ class Planner:
         stats = PlanStatistics(self.heuristic.name, float(weight), heuristic_seconds=prepared, seconds=spent)
         nothing = np.empty((0, 7)), (), np.empty(0)
         return Plan(status, np.inf, *nothing, stats, self.terrain, self.robot, problems=tuple(faults))
+
+
+def _on_ground(world: World, estimate: Estimate, ends: Arrival) -> Estimate:
+    """Returns an estimate for a world with other ground under the start, where the map has no foothold regions."""
+    if len(estimate.effort) == 0:
+        return estimate
+    regions = find_foothold_regions(world, Rules(), least_foot_cost(world))
+    return with_step_efforts(estimate, regions.region, efforts_to(regions, world, ends.states))

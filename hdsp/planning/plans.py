@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +18,7 @@ from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.motion.refinement import refine_steps
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning.explanation import explain_ending, explain_plan
-from hdsp.planning.findings import Findings, Inquiry
+from hdsp.planning.findings import Findings
 from hdsp.planning.nearest_pose import Nearest
 from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.planning.plan_table import SourcePoses, ground_poses, source_poses, write_table
@@ -66,7 +67,7 @@ class Plan:
     goal_index: int | None = None
     assumed: tuple[str, ...] = ()
     ends: tuple[np.ndarray, ...] = field(default=(), repr=False)
-    inquiry: Inquiry | None = field(default=None, repr=False)
+    inquiry: Callable[[], Findings] | None = field(default=None, repr=False)
 
     @property
     def solved(self) -> bool:
@@ -84,8 +85,10 @@ class Plan:
         that would help. The first call computes them (``findings``, ``limits``).
         """
         if self.solved:
-            return explain_plan(self.terrain, self.robot, self.states, self.actions, self.action_costs)
-        return explain_ending(self.status, self.stats, self.problems, self.findings, self.limits, self.refused)
+            words = explain_plan(self.terrain, self.robot, self.states, self.actions, self.action_costs)
+        else:
+            words = explain_ending(self.status, self.stats, self.problems, self.findings, self.limits, self.refused)
+        return "; ".join([words, *self.assumed])
 
     @property
     def causes(self) -> tuple[Cause, ...]:

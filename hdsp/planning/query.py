@@ -215,7 +215,7 @@ class Query:
         """
         if proof is None:
             return plan
-        inquiry = self.inquiry(Status.INFEASIBLE, None) if plan.inquiry is None else plan.inquiry
+        inquiry = plan.inquiry if isinstance(plan.inquiry, Inquiry) else self.inquiry(Status.INFEASIBLE, None)
         return plan.renewed(
             {"lower_bound": np.inf},
             status=Status.INFEASIBLE,

@@ -1,0 +1,197 @@
+"""The start of a plan: the ground under a robot that stands there is known, and free of the robot itself.
+
+A map often shows the robot: unknown cells that its sensors do not see, or its own body. A start that is invalid for
+this reason is examined again on a map that is changed within the footprint alone:
+
+- Unknown cells become ground, interpolated from the known ground around the footprint.
+- If this does not suffice, objects that end within the footprint are the robot itself, and become ground as well. An
+  object that continues beyond the footprint is none: the start stays invalid.
+
+The footprint is the least rectangle around the body and the feet with their clearance, two cells wider because sensors
+blur edges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.detailed.causes import Cause
+from hdsp.detailed.world.geometry import rectangle_cells
+from hdsp.detailed.world.world import World
+from hdsp.detailed.world.world_update import updated_world
+from hdsp.planning.arguments import pose_values
+from hdsp.planning.nearby import can_leave
+from hdsp.planning.query import locate
+from hdsp.robot.lattice import Grid, metres
+from hdsp.robot.robot import Rectangle, Robot
+from hdsp.terrain.cost_maps import disc_mask
+from hdsp.terrain.height_map import HeightMap
+
+_BLUR = 2  # cells around the footprint
+_RIM = 4  # cells around these, in which the ground is looked for
+_ROUNDS = 8  # of the fit of a plane to the ground
+
+
+@dataclass(frozen=True, eq=False)
+class Departure:
+    """The start of a query.
+
+    Attributes:
+        state: int64 [7], lattice units.
+        faults: causes for which it is invalid; empty for a valid state.
+        terrain, world: the map with the ground under the start, and its compiled form.
+        assumed: changes in the map, in words; empty if the map is as it was.
+    """
+
+    state: np.ndarray
+    faults: list[Cause]
+    terrain: HeightMap
+    world: World
+    assumed: tuple[str, ...] = ()
+
+
+def departure(terrain: HeightMap, world: World, grid: Grid, robot: Robot, pose, free: bool) -> Departure:
+    """Returns the start at a pose, on the map as it is wherever the robot can leave it there.
+
+    Args:
+        terrain: the map.
+        world: terrain and robot, compiled.
+        grid: place of the terrain in the world.
+        robot: its limits.
+        pose: as for ``locate``.
+        free: whether the ground under the robot is known and free of itself.
+
+    Raises:
+        InputError: as from ``locate``.
+    """
+    state, faults = locate(world, grid, robot, pose, "start")
+    values = pose_values(pose, "start", robot)
+    # T_a->d chooses displaced feet where neutral ones have no foothold, and the robot may not get away from there.
+    chosen = len(values) == 3 and not faults and bool(state[3:].any())
+    if not free or not (faults or (chosen and not can_leave(world, robot, state))):
+        return Departure(state, faults, terrain, world)
+    footed = state if len(values) == 7 else np.concatenate([state[:3], np.zeros(4, dtype=np.int64)])
+    left = faults
+    for changed in _grounds(terrain, world, robot, footed):
+        heights = terrain.heights.copy()
+        heights[changed.cells] = changed.heights
+        ground = replace(terrain, heights=heights)
+        stood = updated_world(world, ground, robot, changed.cells)
+        there, left = locate(stood, grid, robot, values, "start")
+        if not left and (faults or can_leave(stood, robot, there)):
+            return Departure(there, [], ground, stood, changed.words)
+    return Departure(state, left if faults else [], terrain, world)
+
+
+class _Ground(NamedTuple):
+    """Changed ground under the robot: cells, bool [nx, ny], their heights, float32 [n], and the change in words."""
+
+    cells: np.ndarray
+    heights: np.ndarray
+    words: tuple[str, ...]
+
+
+def _grounds(terrain: HeightMap, world: World, robot: Robot, state: np.ndarray) -> Iterator[_Ground]:
+    """Yields changes of the ground under the robot, the smallest first."""
+    from scipy.ndimage import binary_dilation, label
+
+    own = _footprint(world, robot, state)
+    rows, columns = (np.flatnonzero(own.any(axis=axis)) for axis in (1, 0))
+    margin = _BLUR + _RIM + 1
+    part = tuple(slice(max(int(at[0]) - margin, 0), int(at[-1]) + margin + 1) for at in (rows, columns))
+    heights = terrain.heights[part].astype(float)
+    own = binary_dilation(own[part], disc_mask(_BLUR))
+    around = binary_dilation(own, disc_mask(_RIM))
+    rim = around & ~own & np.isfinite(heights)
+    plane = _plane(heights, rim if rim.any() else around, robot.drive.highest_edge)
+    if plane is None:
+        known = np.argwhere(np.isfinite(terrain.heights))
+        if len(known) == 0:
+            return
+        x, y = known[np.argmin(np.hypot(*(known - state[:2]).T))]
+        plane = np.full(heights.shape, float(terrain.heights[x, y]))
+    with np.errstate(invalid="ignore"):
+        objects = around & (heights - plane > robot.drive.highest_edge)
+    regions, _ = label(objects, np.ones((3, 3), int))
+    beyond = np.unique(regions[around & ~own])
+    itself = objects & ~np.isin(regions, beyond[beyond > 0])
+    unknown = own & np.isnan(heights)
+    for body in (np.zeros_like(own), itself):
+        missing = unknown | body
+        if not missing.any() or (body is itself and not itself.any()):
+            continue
+        words = []
+        if unknown.any():
+            words.append(f"{_area(unknown)} m2 of unknown ground under the robot at the start are taken as ground")
+        if body.any():
+            highest = float((heights - plane)[body].max())
+            words.append(
+                f"{_area(body)} m2 of the map under the start, up to {highest:.2f} m high, are taken as the robot"
+            )
+        changed = np.zeros(terrain.shape, dtype=bool)
+        changed[part] = missing
+        ground = around & ~missing & ~objects & np.isfinite(heights)
+        filled = plane + _interpolated(heights - plane, ground)
+        yield _Ground(changed, filled[missing].astype(np.float32), tuple(words))
+
+
+def _area(cells_of: np.ndarray) -> str:
+    return f"{np.count_nonzero(cells_of) * metres(1.0) ** 2:.2g}"
+
+
+def _footprint(world: World, robot: Robot, state: np.ndarray) -> np.ndarray:
+    """Cells of the map in the least rectangle around the body and the clearance of the feet, bool [nx, ny]."""
+    body, clear = robot.body.boxes, robot.feet.clearance
+    offsets = np.clip(metres(state[3:].astype(float)), robot.feet.offset_min, robot.feet.offset_max)
+    ahead = robot.neutral_feet()[:, 0] + offsets
+    rectangle = Rectangle(
+        x_min=min([float(ahead.min()) - clear, *(box.x_min for box in body)]),
+        x_max=max([float(ahead.max()) + clear, *(box.x_max for box in body)]),
+        half_width=max([robot.feet.neutral_y + clear, *(box.half_width for box in body)]),
+    )
+    at = state[:2] + rectangle_cells(rectangle, int(state[2]))
+    at = at[((at >= 0) & (at < (world.nx, world.ny))).all(axis=1)]
+    own = np.zeros((world.nx, world.ny), dtype=bool)
+    own[at[:, 0], at[:, 1]] = True
+    return own
+
+
+def _plane(heights: np.ndarray, around: np.ndarray, edge: float) -> np.ndarray | None:
+    """Plane through the ground: most known cells lie on it, at most an edge away; None without known cells."""
+    at = np.argwhere(around & np.isfinite(heights))
+    if len(at) == 0:
+        return None
+    known = heights[at[:, 0], at[:, 1]]
+    middle = at.mean(axis=0)
+    terms = np.column_stack([np.ones(len(at)), at - middle])
+    on = known <= np.median(known) + edge
+    for _ in range(_ROUNDS):
+        plane = np.linalg.lstsq(terms[on], known[on], rcond=1e-6)[0]
+        near = abs(known - terms @ plane) <= edge
+        if not near.any() or (near == on).all():
+            break
+        on = near
+    x, y = np.indices(heights.shape)
+    return plane[0] + plane[1] * (x - middle[0]) + plane[2] * (y - middle[1])
+
+
+def _interpolated(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Values of known cells, linear between them, and those of the nearest known cell beyond; 0 without known cells."""
+    from scipy.interpolate import LinearNDInterpolator
+    from scipy.ndimage import distance_transform_edt
+    from scipy.spatial import QhullError
+
+    if not known.any():
+        return np.zeros_like(values)
+    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    result = values[tuple(nearest)]
+    at = np.argwhere(known)
+    try:
+        between = LinearNDInterpolator(at, values[known])(*np.indices(values.shape))
+    except QhullError:  # all known cells lie in a line
+        return result
+    return np.where(np.isfinite(between), between, result)

@@ -1,0 +1,104 @@
+"""Poses that the robot can leave, and the nearest of them.
+
+The robot can stand at many poses that it cannot leave: its feet find footholds off neutral, but no way leads from there
+to neutral feet, on which it drives. It can leave a state if some way leads to a base position as far away as the robot
+is long.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hdsp.abstract.transform import feet_at_all
+from hdsp.detailed.actions.state_costs import state_costs
+from hdsp.detailed.search.leaving import leave
+from hdsp.detailed.states import pack_states
+from hdsp.detailed.world.world import World
+from hdsp.robot.lattice import HEADINGS, Grid, cells, heading_angle
+from hdsp.robot.robot import Robot
+
+_AT_ONCE = 512  # poses examined together
+
+
+def length_of(robot: Robot) -> float:
+    """Length (m) of body and neutral feet along the heading."""
+    ahead = [robot.feet.neutral_x, *(box.x_max for box in robot.body.boxes)]
+    behind = [-robot.feet.neutral_x, *(box.x_min for box in robot.body.boxes)]
+    return max(ahead) - min(behind)
+
+
+def can_leave(world: World, robot: Robot, state: np.ndarray) -> bool:
+    """Whether the robot can get from a valid state, int64 [7], to a base position as far away as it is long.
+
+    True is proved by a way. False is proved unless the search reached its limit
+    (``hdsp.detailed.search.leaving.MOST_EXPANSIONS``).
+    """
+    return leave(world, state, cells(length_of(robot))) is None
+
+
+def states_at(world: World, bases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the states, int64 [n, 7], in which the robot stands at base poses, and whether it stands, bool [n].
+
+    The robot stands on neutral feet, or where it cannot, on the feet from T_a->d.
+    """
+    states = np.concatenate([bases, np.zeros((len(bases), 4), dtype=np.int64)], axis=1)
+    stands = np.isfinite(state_costs(world, pack_states(states, world.tables.lowest)))
+    states[~stands], valid = feet_at_all(world, bases[~stands])
+    stands[~stands] = valid
+    return states, stands
+
+
+def nearest_to_leave(
+    world: World, grid: Grid, robot: Robot, pose: np.ndarray, heading_free: bool, radius: float, per_radian: float
+) -> tuple[np.ndarray, float] | None:
+    """Returns the nearest state that the robot can leave, int64 [7], and its distance; None without one.
+
+    Args:
+        world: terrain and robot, compiled.
+        grid: place of the terrain in the world.
+        robot: the robot.
+        pose: float64 [3], world pose.
+        heading_free: whether any heading is as near as the pose's.
+        radius: largest distance, m.
+        per_radian: distance for each radian of difference in heading, m.
+    """
+    bases, distance = _poses_within(grid, pose, heading_free, radius, per_radian)
+    length = cells(length_of(robot))
+    stuck: list[np.ndarray] = []
+    for first in range(0, len(bases), _AT_ONCE):
+        states, stands = states_at(world, bases[first : first + _AT_ONCE])
+        for k in np.flatnonzero(stands):
+            state = states[k]
+            if any(_is_stuck_too(state, seen, length) for seen in stuck):
+                continue
+            seen = leave(world, state, length)
+            if seen is None:
+                return state, float(distance[first + k])
+            stuck.append(seen)
+    return None
+
+
+def _is_stuck_too(state: np.ndarray, seen: np.ndarray, length: float) -> bool:
+    """Whether a state cannot be left because a search from another state has seen it, and nothing far from it."""
+    if np.hypot(*(seen[:, :2] - state[:2]).T).max() >= length:
+        return False
+    return bool((seen == state).all(axis=1).any())
+
+
+def _poses_within(grid: Grid, pose, heading_free: bool, radius: float, per_radian: float):
+    """Base poses int64 [n, 3] within a distance, and their distances, float64 [n], the nearest first."""
+    middle, reach = grid.cell(pose[:2]), math.ceil(cells(radius)) + 1
+    low, high = np.maximum(middle - reach, 0), np.minimum(middle + reach + 1, grid.shape)
+    at = np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)), indexing="ij"), axis=-1)
+    at = at.reshape(-1, 2)
+    away = np.hypot(*(grid.center(at) - pose[:2]).T)
+    angles = heading_angle(np.arange(HEADINGS))
+    turned = abs(np.mod(angles - pose[2] + math.pi, 2 * math.pi) - math.pi)
+    distance = away[:, None] + (0.0 if heading_free else per_radian) * turned
+    cell, heading = np.nonzero(distance <= radius + 1e-9)
+    # Among equally near poses, the heading nearest to the pose's comes first.
+    order = np.lexsort((turned[heading], distance[cell, heading]))
+    bases = np.column_stack([at[cell], heading])[order]
+    return bases.astype(np.int64), distance[cell, heading][order]

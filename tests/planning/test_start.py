@@ -1,0 +1,195 @@
+"""The start of a plan: ground under the robot that the map does not show, poses that the robot cannot leave."""
+
+import heapq
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from hdsp import HeightMap, InputError, Planner, Status
+from hdsp.detailed.search.leaving import leave
+from hdsp.detailed.world.world import build_world
+from hdsp.planning.nearby import can_leave, length_of
+from hdsp.robot.lattice import RESOLUTION, cells
+from tests.detailed.instances import NIMBLE, blocky, valid_states
+from tests.naive import Naive
+
+START, GOAL = (1.0, 2.0, 0.0), (3.2, 2.0, 0.0)
+
+
+def flat(cells_x=160, cells_y=160):
+    return np.zeros((cells_x, cells_y), np.float32)
+
+
+def disc(heights, pose, radius):
+    x, y = np.meshgrid(*((np.arange(n) + 0.5) * RESOLUTION for n in heights.shape), indexing="ij")
+    return np.hypot(x - pose[0], y - pose[1]) < radius
+
+
+def rectangle(heights, pose, length, width):
+    """Cells in a rectangle around a pose along its heading."""
+    x, y = np.meshgrid(*((np.arange(n) + 0.5) * RESOLUTION for n in heights.shape), indexing="ij")
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    ahead, left = (x - pose[0]) * cos + (y - pose[1]) * sin, (y - pose[1]) * cos - (x - pose[0]) * sin
+    return (abs(ahead) <= length / 2) & (abs(left) <= width / 2)
+
+
+def planner(heights, heuristic="geometric"):
+    return Planner(HeightMap(heights), heuristic=heuristic, conditioning=None)
+
+
+@pytest.mark.parametrize("heuristic", ["geometric", "manual"])
+@pytest.mark.parametrize("radius", [0.1, 0.25, 0.35])
+@pytest.mark.parametrize("heading", [0.0, 0.7])
+def test_m4_a_hole_under_the_robot_is_ground(heuristic, radius, heading):
+    heights, start = flat(), (*START[:2], heading)
+    heights[disc(heights, start, radius)] = np.nan
+    those = planner(heights, heuristic)
+    world, wanted = those.world, planner(flat()).plan(start, GOAL)
+    plan = those.plan(start, GOAL)
+    assert plan.cost == pytest.approx(wanted.cost, rel=0.03 if heuristic == "manual" else 1e-9)
+    assert "unknown ground under the robot" in plan.assumed[0] and plan.assumed[0] in plan.explain()
+    assert len(plan.refine().base) > 0
+    assert those.world is world and np.isnan(those.terrain.heights).sum() == np.isnan(heights).sum()
+    assert those.plan(start, GOAL, start_free=False).status == Status.INVALID_START
+    *_, last = those.improve(start, GOAL)
+    assert last.cost <= plan.cost + 1e-6 and last.bound == 1 and last.assumed == plan.assumed
+    anchored = those.plan(start, GOAL, anchor_weight=1.5)
+    assert last.cost - 1e-6 <= anchored.cost <= anchored.bound * last.cost + 1e-6
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.7, -2.0])
+@pytest.mark.parametrize("length, width, height", [(0.75, 0.5, 0.8), (0.4, 0.3, 0.9), (0.875, 0.575, 0.3)])
+def test_m4_the_robot_in_its_own_map_is_no_obstacle(heading, length, width, height):
+    heights, start = flat(), (*START[:2], heading)
+    heights[rectangle(heights, start, length, width)] = height
+    plan = planner(heights).plan(start, GOAL)
+    assert plan.cost == pytest.approx(planner(flat()).plan(start, GOAL).cost)
+    assert f"up to {height:.2f} m high, are taken as the robot" in plan.assumed[0]
+    assert np.isclose(plan.terrain.heights, 0, atol=1e-6).all() and plan.refine() is not None
+
+
+def test_m4_hole_and_body_on_a_slope_become_the_slope():
+    heights = flat()
+    slope = (np.arange(160)[:, None] * RESOLUTION * 0.15 + heights).astype(np.float32)
+    heights[:] = slope
+    heights[disc(heights, START, 0.35)] = np.nan
+    heights[rectangle(heights, START, 0.3, 0.2)] = 1.2
+    plan = planner(heights).plan(START, GOAL)
+    assert plan.solved and len(plan.assumed) == 2
+    np.testing.assert_allclose(plan.terrain.heights, slope, atol=1e-5)
+
+
+def test_m4_displaced_feet_stand_on_their_own_ground():
+    heights = flat()
+    state = (*START, 0.1, 0.0, -0.1, 0.0)
+    feet = Planner(HeightMap(flat())).robot.foot_positions(np.array(state))
+    for foot in feet:
+        heights[disc(heights, foot, 0.05)] = np.nan
+    plan = planner(heights).plan(state, GOAL)
+    assert plan.solved and plan.assumed
+    np.testing.assert_allclose(plan.states[0], planner(flat()).plan(state, GOAL).states[0])
+
+
+def test_m4_only_the_ground_under_the_robot_changes_and_only_where_needed():
+    heights = flat()
+    heights[disc(heights, START, 0.6)] = np.nan
+    plan = planner(heights).plan(START, GOAL)
+    changed = np.isnan(heights) & np.isfinite(plan.terrain.heights)
+    assert plan.status == Status.INFEASIBLE and changed.any()
+    assert not (changed & ~rectangle(heights, START, 1.15, 0.9)).any()
+    beside = flat()
+    beside[disc(beside, (2.0, 1.0), 0.3)] = np.nan
+    plan = planner(beside).plan(START, GOAL)
+    assert (plan.assumed == () and plan.terrain.heights is planner(beside).terrain.heights) or plan.solved
+
+
+@pytest.mark.parametrize("part", [np.s_[35:40, :], np.s_[20:60, 78:160], np.s_[33:47, 60:100]])
+def test_m4_an_object_that_continues_beyond_the_robot_is_not_the_robot(part):
+    heights = flat()
+    heights[part] = 0.8
+    heights[disc(heights, START, 0.1)] = np.nan
+    plan = planner(heights).plan(START, GOAL)
+    assert plan.status == Status.INVALID_START and plan.assumed == ()
+    assert "0.80 m" in plan.explain() or "an edge" in plan.explain()
+
+
+def test_m4_on_a_map_without_any_ground_nothing_stands():
+    assert planner(np.full((160, 160), np.nan, np.float32)).plan(START, GOAL).status == Status.INVALID_START
+    with pytest.raises(InputError, match="start_free"):
+        planner(flat()).plan(START, GOAL, start_free="yes")
+
+
+def leaves(twin, start, distance):
+    """Whether any reachable state lies at a distance (cells); the farthest states first."""
+    seen, waiting = {start}, [(0.0, start)]
+    while waiting:
+        _, state = heapq.heappop(waiting)
+        for _, reached, _ in twin.successors(state):
+            if reached in seen:
+                continue
+            away = math.hypot(reached[0] - start[0], reached[1] - start[1])
+            if away >= distance:
+                return True
+            seen.add(reached)
+            heapq.heappush(waiting, (-away, reached))
+    return False
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
+@given(seed=st.integers(0, 10_000), neutral=st.booleans())
+def test_q1_the_robot_can_leave_where_an_exhaustive_search_gets_away(seed, neutral):
+    rng = np.random.default_rng(seed)
+    heights = blocky(rng, cells=12, blocks=4, height=0.3)
+    twin, world = Naive(heights, NIMBLE), build_world(HeightMap(heights), NIMBLE)
+    states = valid_states(twin, rng, 3, neutral=neutral)
+    assume(states)
+    for state in states:
+        distance = cells(length_of(NIMBLE))
+        assert can_leave(world, NIMBLE, np.array(state)) == leaves(twin, tuple(state), distance)
+        seen = leave(world, np.array(state), distance)
+        assert seen is None or (np.hypot(*(seen[:, :2] - state[:2]).T) < distance).all()
+
+
+def test_q1_standing_and_leaving_are_told_apart():
+    free = planner(flat(100, 100))
+    assert free.valid((1.25, 1.25, 0.0)) and free.can_leave((1.25, 1.25, 0.0))
+    boxed = flat(100, 100)
+    boxed[28:72, 31:33] = boxed[28:72, 67:69] = boxed[28:30, 31:69] = boxed[70:72, 31:69] = 1.0
+    inside = planner(boxed)
+    assert inside.valid((1.25, 1.25, 0.0)) and not inside.can_leave((1.25, 1.25, 0.0))
+    assert not inside.valid((0.8, 0.9, 0.0)) and not inside.can_leave((0.8, 0.9, 0.0))
+
+
+def test_q1_the_nearest_pose_is_the_first_that_stands_and_leaves():
+    heights = flat(120, 120)
+    heights[60:] = 1.0
+    those = planner(heights)
+    asked = (1.4, 1.5, 0.0)
+    state = those.nearest(asked)
+    assert not those.valid(asked) and those.can_leave(state)
+    away = np.hypot(*(state[:2] - asked[:2])) + 0.3 * abs(state[2])
+    for x in np.arange(0.7, 1.5, RESOLUTION):
+        for heading in (-0.4, 0.0, 0.4, math.pi / 2):
+            if np.hypot(x - asked[0], 0) + 0.3 * abs(heading) < away - 0.03:
+                assert not those.can_leave((x, 1.5, heading))
+    turned = those.nearest((*asked[:2], None))
+    assert np.hypot(*(turned[:2] - asked[:2])) < np.hypot(*(state[:2] - asked[:2])) - 0.05
+    assert those.plan(state, (0.6, 1.5, 0.0)).solved
+    assert those.nearest((2.5, 1.5, 0.0), radius=0.2) is not None  # on the plateau
+    assert planner(np.full((60, 60), np.nan, np.float32)).nearest((0.7, 0.7, 0.0)) is None
+    with pytest.raises(InputError, match="radius"):
+        those.nearest(asked, radius=-1)
+
+
+def test_q1_an_invalid_end_names_the_nearest_pose_that_works():
+    heights = flat(120, 120)
+    heights[60:] = 1.0
+    those, inside = planner(heights), (0.7, 1.5, 0.0)
+    for plan in (those.plan((1.4, 1.5, 0.0), inside), those.plan(inside, (1.4, 1.5, 0.0))):
+        x, y = those.nearest((1.4, 1.5, 0.0))[:2]
+        assert f"the nearest pose that works is ({x:.2f}, {y:.2f}) m" in plan.explain()
+    nowhere = planner(np.full((60, 60), np.nan, np.float32)).plan((0.7, 0.7, 0.0), (0.8, 0.7, 0.0))
+    assert "no pose within 1 m works either" in nowhere.explain()
