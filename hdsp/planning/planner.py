@@ -359,15 +359,12 @@ class Planner:
         begin = departure(self.terrain, self.world, self.grid, self._wider, start, start_free)
         goals = several(goal) or [goal]
         ends = arrival(begin.world, self.grid, self._wider, goals, tolerance)
-        wrong = (Status.INVALID_START, start, begin.faults) if begin.faults else None
-        if wrong is None and ends.faults:
-            wrong = Status.INVALID_GOAL, goals[0], ends.faults
-        if wrong is not None:
-            status, pose, faults = wrong
+        if begin.faults or ends.faults:
+            status, pose = (Status.INVALID_START, start) if begin.faults else (Status.INVALID_GOAL, goals[0])
             values, heading_free = with_heading(pose)
             near = pose_values(values, "pose", self._wider)[:3]
             inquiry = InvalidEnd(begin.world, self.grid, self._wider, near, heading_free)
-            return self._no_plan(status, weight, began, faults).renewed(inquiry=inquiry)
+            return self._no_plan(status, weight, began, begin.faults or ends.faults).renewed(inquiry=inquiry)
         exact = ends.exact and len(ends.states) == 1
         groups = None if exact else np.unique(ends.goal, return_inverse=True)[1].ravel()
         preparation = Gradual(self.heuristic.steps_to(ends.states, groups))

@@ -23,7 +23,7 @@ def toy_scene(seed):
     """A planner for the toy robot, its textbook twin, a start, and a goal pose in world coordinates."""
     rng = np.random.default_rng(seed)
     heights = blocky(rng, cells=CELLS)
-    twin, planner = Naive(heights, NIMBLE), Planner(HeightMap(heights), NIMBLE)
+    twin, planner = Naive(heights, NIMBLE), Planner(HeightMap(heights), NIMBLE, conditioning=None)
     states = valid_states(twin, rng, 12, neutral=True)
     assume(len(states) >= 2)
     start, *goals = planner.grid.to_world(np.array(states))
@@ -75,7 +75,7 @@ def test_several_goals_cost_the_least_of_the_single_costs_and_more_tolerance_nev
     planner, _, _, start, goals = toy_scene(seed)
     single = [plan.cost for plan in planner.plan_each(start, goals)]
     assert [planner.plan(start, goal).cost for goal in goals] == single
-    guided = Planner(planner.terrain, NIMBLE, "manual") if manual else planner
+    guided = Planner(planner.terrain, NIMBLE, "manual", conditioning=None) if manual else planner
     plan = guided.plan(start, goals, weight)
     if np.isfinite(min(single)):
         end = goals[plan.goal_index]
@@ -107,7 +107,7 @@ def test_a_free_heading_is_reached_at_the_heading_that_costs_least():
 def test_a_proof_of_no_way_needs_all_goals_out_of_reach():
     heights = np.zeros((100, 100), np.float32)
     heights[60:64] = 1.0
-    planner = Planner(HeightMap(heights))
+    planner = Planner(HeightMap(heights), conditioning=None)
     beyond, before = (2.1, 1.25, 0.0), (0.6, 0.9, 0.3)
     plan = planner.plan(POSE, [beyond, (2.0, 1.0, 0.0)])
     assert plan.status == Status.INFEASIBLE and plan.stats.expansions <= 50_000 and plan.goal_index is None
@@ -120,7 +120,7 @@ def test_a_proof_of_no_way_needs_all_goals_out_of_reach():
 def test_a_goal_without_any_standing_pose_within_the_tolerance_is_invalid():
     heights = np.zeros((100, 100), np.float32)
     heights[50:60] = 1.0
-    planner = Planner(HeightMap(heights))
+    planner = Planner(HeightMap(heights), conditioning=None)
     plan = planner.plan(POSE, (1.375, 1.25, 0.0), tolerance=0.05)
     assert plan.status == Status.INVALID_GOAL
     assert "cannot stand" in plan.explain() and "nor at any other pose within the tolerance" in plan.explain()
