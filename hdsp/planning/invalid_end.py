@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from hdsp.detailed.causes import Cause
 from hdsp.detailed.search.reached import METRES_PER_RADIAN
 from hdsp.detailed.world.world import World
 from hdsp.planning.findings import Findings
@@ -49,3 +51,6 @@ class InvalidEnd:
         where = f"({x:.2f}, {y:.2f}) m, heading {degrees:.0f} degrees, {away:.2f} m away"
         feet = ", on displaced feet" if state[3:].any() else ""
         return Findings(advice=(f"the nearest pose that works is {where}{feet}",))
+
+    def limits(self, causes: Sequence[Cause]) -> None:
+        """Limits of the robot; here none, because the causes name them."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +17,8 @@ from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.motion.refinement import refine_steps
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning.explanation import explain_ending, explain_plan
-from hdsp.planning.findings import Findings
+from hdsp.planning.findings import Findings, Inquiry
+from hdsp.planning.invalid_end import InvalidEnd
 from hdsp.planning.nearest_pose import Nearest
 from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.planning.plan_table import SourcePoses, ground_poses, source_poses, write_table
@@ -67,7 +67,7 @@ class Plan:
     goal_index: int | None = None
     assumed: tuple[str, ...] = ()
     ends: tuple[np.ndarray, ...] = field(default=(), repr=False)
-    inquiry: Callable[[], Findings] | None = field(default=None, repr=False)
+    inquiry: Inquiry | InvalidEnd | None = field(default=None, repr=False)
 
     @property
     def solved(self) -> bool:
