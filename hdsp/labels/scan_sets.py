@@ -117,7 +117,8 @@ def read_scan_folder(
 
 def _descriptions(folder: Path) -> Iterator[Described]:
     for path in sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")]):
-        if "defaults" not in read_yaml(path, "description of a scan").values:  # the list of conf/scans is no scan
+        values = read_yaml(path, "description of a scan").values
+        if not {"defaults", "rosbag2_bagfile_information"} & {*values}:  # neither the list of conf/scans nor a bag
             yield Described(load_scan(path), path)
 
 

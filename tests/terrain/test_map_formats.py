@@ -306,6 +306,21 @@ def test_a_saved_geotiff_is_one_for_other_programs(tmp_path):
         assert file.transform.almost_equals(NORTH_UP) and file.crs.to_epsg() == 25832 and math.isnan(file.nodata)
 
 
+def test_a_map_that_another_program_reprojected_has_the_new_crs(tmp_path):
+    HeightMap(HEIGHTS, (100, 199), 0.5, MapFrame("odom", "EPSG:25832")).save(tmp_path / "map.tif")
+    with rasterio.open(tmp_path / "map.tif", "r+") as file:
+        file.crs = "EPSG:25833"
+    frame = HeightMap.load(tmp_path / "map.tif").frame
+    assert (frame.name, frame.crs) == ("odom", "EPSG:25833")
+
+
+def test_an_empty_file_is_called_so(tmp_path):
+    for suffix in registry.MAP_SUFFIXES:
+        (tmp_path / f"map{suffix}").touch()
+        with pytest.raises(InputError, match="the file is empty"):
+            HeightMap.load(tmp_path / f"map{suffix}")
+
+
 @pytest.mark.parametrize("value", [-9999, -32768, -3.4028234663852886e38, 1e20, math.inf, -math.inf])
 def test_obvious_no_data_values_become_unknown_and_are_named(tmp_path, value):
     heights = np.full((4, 5), 412.25)

@@ -97,8 +97,13 @@ def _opened(path: Path) -> Iterator[Any]:
             source = _only_file(source) or source
         link = Path(folder) / f"bag{source.suffix.lower() if source.is_file() else ''}"
         link.symlink_to(source)
-        with Reader2(link) as reader:
-            yield reader
+        try:
+            with Reader2(link) as reader:
+                yield reader
+        except InputError:
+            raise
+        except Exception as error:  # the message names the link
+            raise ValueError(str(error).replace(str(link), path.name)) from error
 
 
 def _only_file(folder: Path) -> Path | None:

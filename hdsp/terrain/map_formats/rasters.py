@@ -80,7 +80,10 @@ def read_raster(path: Path, options: ReadOptions) -> MapFields:
             return MapFields(rows.T[:, ::-1], options.origin or (0.0, 0.0), resolution, frame, scale, offset)
         options.refuse(("resolution", "origin"), "the file has its own transform")
         fields = _placed(rows, raster.transform, crs, tuple(notes))._replace(scale=scale, offset=offset)
-    return fields._replace(frame=frame_of_text(written)) if written else fields
+    if not written:
+        return fields
+    frame = frame_of_text(written)  # another program may have changed the CRS, but left the tag
+    return fields._replace(frame=replace(frame, crs=crs or frame.crs))
 
 
 def raster_contents(path: Path) -> str:

@@ -200,7 +200,8 @@ def _guarded(path: Path, form: MapFormat, work: Callable):
     except MemoryError:
         raise InputError(f"height map {path}: it needs more memory than there is") from None
     except Exception as error:  # file libraries raise errors of many types for damaged files
-        cause = error.__cause__ if isinstance(error.__cause__, Exception) else error  # rasterio hides the reason there
+        # rasterio hides the reason in the cause.
+        cause = error.__cause__ if type(error).__module__.startswith("rasterio") and error.__cause__ else error
         reason = " ".join(str(cause).split())[:200] or type(cause).__name__
         raise InputError(f"height map {path} cannot be read: {reason}") from error
 
@@ -215,6 +216,8 @@ def _found(path: str | os.PathLike) -> tuple[Path, MapFormat]:
         if known is None:
             raise InputError(f"height map {path}: suffix {path.suffix!r}; need one of {', '.join(_FORMATS)}")
         form, path = known, existing_file(path, "height map")
+        if path.stat().st_size == 0:
+            raise InputError(f"height map {path}: the file is empty")
     _check_library(path, form)
     return path, form
 
