@@ -361,6 +361,12 @@ def test_wrong_options_are_named(tmp_path, option, words):
         HeightMap.load(tmp_path / "any.npy", **option)
 
 
+@pytest.mark.parametrize("path", [3, ("map.npz",), b"map.npz", "a" * 5000 + ".npz"])
+def test_paths_that_are_none_are_refused(path):
+    with pytest.raises(InputError, match="path of a map"):
+        HeightMap.load(path)
+
+
 def claiming(kind, path):
     """A small file with a claim of about 10^11 cells."""
     side = 300_000

@@ -116,7 +116,7 @@ def is_map(path: str | os.PathLike) -> bool:
 
     An .asc file of points, without the header of a grid, is no map.
     """
-    path = Path(path)
+    path = _path(path)
     if path.is_dir():
         return is_bag_folder(path)
     return _known(path) is not None and not _is_text_of_points(path)
@@ -124,7 +124,7 @@ def is_map(path: str | os.PathLike) -> bool:
 
 def is_self_contained(path: str | os.PathLike) -> bool:
     """Whether a file is a map that needs no option, such as a cell size."""
-    form = _known(Path(path))
+    form = _known(_path(path))
     return form is not None and form.self_contained and is_map(path)
 
 
@@ -208,7 +208,7 @@ def _guarded(path: Path, form: MapFormat, work: Callable):
 
 def _found(path: str | os.PathLike) -> tuple[Path, MapFormat]:
     """Existing file or folder and its format, with its library installed."""
-    path = Path(path)
+    path = _path(path)
     if path.is_dir() and is_bag_folder(path):
         form = _BAG
     else:
@@ -220,6 +220,18 @@ def _found(path: str | os.PathLike) -> tuple[Path, MapFormat]:
             raise InputError(f"height map {path}: the file is empty")
     _check_library(path, form)
     return path, form
+
+
+def _path(path: str | os.PathLike) -> Path:
+    """Path that the operating system can look up."""
+    try:
+        found = Path(path)
+        found.is_dir()
+    except TypeError:
+        raise InputError(f"path of a map is a {type(path).__name__}; need a text or a Path") from None
+    except OSError as error:  # e.g. a name that is too long
+        raise InputError(f"path of a map {str(path)[:60]}...: {error.strerror}") from None
+    return found
 
 
 def _known(path: Path) -> MapFormat | None:
@@ -234,7 +246,7 @@ def _added() -> dict[str, MapFormat]:
 
 
 def _writer(path: str | os.PathLike) -> Callable[[MapFields], bytes]:
-    path = Path(path)
+    path = _path(path)
     form = _known(path)
     if form is None or form.write is None:
         raise InputError(f"height map {path}: suffix {path.suffix!r}; need one of {', '.join(_WRITABLE)} to write")
