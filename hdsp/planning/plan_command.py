@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hdsp.base.errors import InputError
 from hdsp.base.files import writable_file
 from hdsp.planning.map_file_commands import add_cell_size, add_map_reading, map_options
 from hdsp.terrain.height_map import HeightMap
@@ -24,7 +25,18 @@ def add_plan(commands) -> None:
     pose: dict[str, Any] = {"nargs": 3, "type": float, "required": True, "metavar": ("X", "Y", "DEGREES")}
     parser.add_argument("map", metavar="MAP", help="a height map with cells of up to 0.2 m, or a point cloud")
     parser.add_argument("--start", help="base position in m, heading against the x axis", **pose)
-    parser.add_argument("--goal", help="the same", **pose)
+    parser.add_argument(
+        "--goal", nargs="+", action="append", required=True, metavar=("X", "Y DEGREES"),
+        help="the same; without DEGREES, or with the word free, any heading. Several --goal: the one that costs least",
+    )  # fmt: skip
+    parser.add_argument(
+        "--tolerance", nargs="+", type=float, metavar=("M", "DEGREES"),
+        help="distance from the goal, and difference in heading, within which the path may end (default: none)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--no-start-free", dest="start_free", action="store_false",
+        help="at the start, unknown ground and the robot itself in the map count as they are",
+    )  # fmt: skip
     parser.add_argument("--robot", default="momaro", help="a preset or a YAML file (default: momaro)")
     parser.add_argument(
         "--heuristic", default="manual",
@@ -61,7 +73,13 @@ def _plan(chosen: argparse.Namespace) -> int:
     planner = Planner(terrain, chosen.robot, chosen.heuristic, chosen.margin, conditioning=chosen.conditioning)
     if (report := planner.conditioning) is not None and (report.changed or report.unknown):
         print(f"map: {report}")
-    plan = planner.plan(_pose(chosen.start), _pose(chosen.goal), chosen.weight, time=chosen.time)
+    goals = [_goal(words) for words in chosen.goal]
+    plan = planner.plan(
+        _pose(chosen.start), goals if len(goals) > 1 else goals[0], chosen.weight, time=chosen.time,
+        tolerance=_tolerance(chosen.tolerance), start_free=chosen.start_free,
+    )  # fmt: skip
+    if len(goals) > 1 and plan.goal_index is not None:
+        print(f"goal {plan.goal_index + 1} of {len(goals)}: {' '.join(chosen.goal[plan.goal_index])}")
     print(plan.explain())
     if not plan.solved:
         return NO_PLAN
@@ -89,6 +107,36 @@ def _pose(values: Sequence[float]) -> np.ndarray:
     """Pose (m, m, rad) from (m, m, degrees); full turns are dropped."""
     x, y, degrees = values
     return np.array([x, y, math.radians(math.remainder(degrees, 360) if math.isfinite(degrees) else degrees)])
+
+
+def _goal(words: Sequence[str]) -> tuple[float, float, float | None]:
+    """Goal (m, m, rad) from the words X Y DEGREES; None for a free heading.
+
+    Raises:
+        InputError: other words.
+    """
+    free = len(words) == 2 or (len(words) == 3 and words[2] == "free")
+    try:
+        values = [float(word) for word in words[: 2 if free else None]]
+    except ValueError:
+        values = []
+    if len(values) != (2 if free else 3):
+        raise InputError(f"--goal {' '.join(words)}: need X Y DEGREES, X Y free, or X Y")
+    x, y, heading = _pose([*values, 0.0] if free else values).tolist()
+    return x, y, None if free else heading
+
+
+def _tolerance(values: Sequence[float] | None) -> float | tuple[float, float] | None:
+    """Tolerance (m, rad) from (m, degrees).
+
+    Raises:
+        InputError: more than two values.
+    """
+    if values is None or len(values) == 1:
+        return None if values is None else values[0]
+    if len(values) > 2:
+        raise InputError(f"--tolerance takes M, or M DEGREES, not {len(values)} values")
+    return values[0], math.radians(values[1])
 
 
 def _frames(terrain: HeightMap) -> str:
