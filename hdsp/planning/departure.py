@@ -26,6 +26,7 @@ from hdsp.detailed.world.world_update import updated_world
 from hdsp.planning.arguments import pose_values
 from hdsp.planning.nearby import can_leave
 from hdsp.planning.query import locate
+from hdsp.planning.way_out import WayOut, find_way_out
 from hdsp.robot.lattice import Grid, metres
 from hdsp.robot.robot import Rectangle, Robot
 from hdsp.terrain.cost_maps import disc_mask
@@ -45,6 +46,7 @@ class Departure:
         faults: causes for which it is invalid; empty for a valid state.
         terrain, world: the map with the ground under the start, and its compiled form.
         assumed: changes in the map, in words; empty if the map is as it was.
+        way: the way out of the clearance of obstacles to ``state``; None if the plan begins there.
     """
 
     state: np.ndarray
@@ -52,38 +54,49 @@ class Departure:
     terrain: HeightMap
     world: World
     assumed: tuple[str, ...] = ()
+    way: WayOut | None = None
 
 
-def departure(terrain: HeightMap, world: World, grid: Grid, robot: Robot, pose, free: bool) -> Departure:
+def departure(
+    terrain: HeightMap, world: World, grid: Grid, robot: Robot, wider: Robot, pose, free: bool, way_out: bool
+) -> Departure:
     """Returns the start at a pose, on the map as it is wherever the robot can leave it there.
 
     Args:
         terrain: the map.
         world: terrain and robot, compiled.
         grid: place of the terrain in the world.
-        robot: its limits.
+        robot: the robot.
+        wider: the robot with its margin.
         pose: as for ``locate``.
         free: whether the ground under the robot is known and free of itself.
+        way_out: whether the robot may drive out of the clearance of obstacles first.
 
     Raises:
         InputError: as from ``locate``.
     """
-    state, faults = locate(world, grid, robot, pose, "start")
-    values = pose_values(pose, "start", robot)
+    state, faults = locate(world, grid, wider, pose, "start")
+    values = pose_values(pose, "start", wider)
     # T_a->d chooses displaced feet where neutral ones have no foothold, and the robot may not get away from there.
     chosen = len(values) == 3 and not faults and bool(state[3:].any())
-    if not free or not (faults or (chosen and not can_leave(world, robot, state))):
+    if not (free or way_out) or not (faults or (chosen and not can_leave(world, wider, state))):
         return Departure(state, faults, terrain, world)
     footed = state if len(values) == 7 else np.concatenate([state[:3], np.zeros(4, dtype=np.int64)])
-    left = faults
-    for changed in _grounds(terrain, world, robot, footed):
+    left, assumed = faults, tuple[str, ...]()
+    grounds = [(terrain, world, assumed)]
+    for changed in _grounds(terrain, world, wider, footed) if free else ():
         heights = terrain.heights.copy()
         heights[changed.cells] = changed.heights
         ground = replace(terrain, heights=heights)
-        stood = updated_world(world, ground, robot, changed.cells)
-        there, left = locate(stood, grid, robot, values, "start")
-        if not left and (faults or can_leave(stood, robot, there)):
+        stood = updated_world(world, ground, wider, changed.cells)
+        there, left = locate(stood, grid, wider, values, "start")
+        if not left and (faults or can_leave(stood, wider, there)):
             return Departure(there, [], ground, stood, changed.words)
+        grounds.append((ground, stood, changed.words))
+    for ground, stood, assumed in grounds if way_out else ():
+        way = find_way_out(ground, stood, robot, wider, footed)
+        if way is not None:
+            return Departure(way.states[-1], [], ground, stood, assumed, way)
     return Departure(state, left if faults else [], terrain, world)
 
 

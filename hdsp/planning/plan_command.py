@@ -37,6 +37,9 @@ def add_plan(commands) -> None:
         "--no-start-free", dest="start_free", action="store_false",
         help="at the start, unknown ground and the robot itself in the map count as they are",
     )  # fmt: skip
+    parser.add_argument(
+        "--way-out", action="store_true", help="a robot too near to obstacles at the start drives away from them first"
+    )
     parser.add_argument("--robot", default="momaro", help="a preset or a YAML file (default: momaro)")
     parser.add_argument(
         "--heuristic", default="manual",
@@ -76,7 +79,7 @@ def _plan(chosen: argparse.Namespace) -> int:
     goals = [_goal(words) for words in chosen.goal]
     plan = planner.plan(
         _pose(chosen.start), goals if len(goals) > 1 else goals[0], chosen.weight, time=chosen.time,
-        tolerance=_tolerance(chosen.tolerance), start_free=chosen.start_free,
+        tolerance=_tolerance(chosen.tolerance), start_free=chosen.start_free, way_out=chosen.way_out,
     )  # fmt: skip
     if len(goals) > 1 and plan.goal_index is not None:
         print(f"goal {plan.goal_index + 1} of {len(goals)}: {' '.join(chosen.goal[plan.goal_index])}")

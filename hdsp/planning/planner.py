@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -218,6 +219,7 @@ class Planner:
         *,
         tolerance: Tolerance | None = None,
         start_free: bool = True,
+        way_out: bool = False,
         anchor_weight: float | None = None,
         cost: float = np.inf,
         expansions: int = Limits.expansions,
@@ -238,6 +240,8 @@ class Planner:
             start_free: whether the ground under a robot that stands at the start counts as known and free of itself.
                 Unknown cells and the robot's own body in the map then do not matter there; ``assumed`` names them. See
                 ``hdsp.planning.departure``.
+            way_out: whether a robot that stands within the clearance of obstacles may drive straight out first, each
+                action away from them (``hdsp.planning.way_out``). The plan's ``way_out`` counts these actions.
             weight: W >= 1 in weighted A*. With an admissible heuristic the cost is at most W times the optimum.
             anchor_weight: W2 >= 1 in multi-heuristic A*. The heuristic guides, the geometric heuristic is the anchor.
                 The cost is at most W * W2 times the optimum; ``bound`` states the proved factor, often a smaller one.
@@ -259,9 +263,9 @@ class Planner:
         weight = number("weight", weight, 1.0)
         anchored = None if anchor_weight is None else number("anchor_weight", anchor_weight, 1.0)
         limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
-        start_free = choice("start_free", start_free)
+        start_free, way_out = choice("start_free", start_free), choice("way_out", way_out)
         began = now()
-        query = self._query(start, goal, tolerance, start_free, weight, limits, callback("progress", progress))
+        query = self._query(start, goal, tolerance, start_free, way_out, weight, limits, callback("progress", progress))
         if isinstance(query, Plan):
             return query
         prepared = now() - began
@@ -274,7 +278,7 @@ class Planner:
         plan = query.search_or_prove(search)
         if refinable:
             plan = refinable_plan(query, search, plan)
-        return plan.renewed({"heuristic_seconds": prepared, "seconds": now() - began})
+        return query.from_start(plan.renewed({"heuristic_seconds": prepared, "seconds": now() - began}))
 
     def plan_each(self, start, goals: Sequence, weight: float = 1.0, **options) -> list[Plan]:
         """Plans from start to each of several goals; returns one plan for each goal.
@@ -303,6 +307,7 @@ class Planner:
         *,
         tolerance: Tolerance | None = None,
         start_free: bool = True,
+        way_out: bool = False,
         cost: float = np.inf,
         expansions: int = Limits.expansions,
         memory: int = Limits.memory,
@@ -317,7 +322,7 @@ class Planner:
         the geometric heuristic, which may take long.
 
         Args:
-            start, goal, tolerance, start_free: as in ``plan``.
+            start, goal, tolerance, start_free, way_out: as in ``plan``.
             weights: weights of the rounds, falling, each >= 1.
             cost, expansions, memory, time: as in ``plan``, for all rounds together. Time runs from the first ``next``
                 on, also while the caller works.
@@ -336,13 +341,16 @@ class Planner:
         """
         weights = falling_weights(weights)
         limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
-        start_free = choice("start_free", start_free)
+        start_free, way_out = choice("start_free", start_free), choice("way_out", way_out)
         began = now()
-        query = self._query(start, goal, tolerance, start_free, weights[0], limits, callback("progress", progress))
+        query = self._query(
+            start, goal, tolerance, start_free, way_out, weights[0], limits, callback("progress", progress)
+        )
         if isinstance(query, Plan):
             query.stats.end(str(query.status))
             return iter([query])
-        return improving_plans(query, weights, refinable, now() - began)
+        plans = improving_plans(query, weights, refinable, now() - began)
+        return (query.from_start(plan) for plan in plans)
 
     def _query(
         self,
@@ -350,13 +358,16 @@ class Planner:
         goal,
         tolerance: Tolerance | None,
         start_free: bool,
+        way_out: bool,
         weight: float,
         limits: Limits,
         progress: Progress | None,
     ) -> Query | Plan:
         """Returns the query, with the heuristic prepared for its goals, or a plan that ends before the search."""
         began = now()
-        begin = departure(self.terrain, self.world, self.grid, self._wider, start, start_free)
+        begin = departure(
+            self.terrain, self.world, self.grid, self.robot, self._wider, start, start_free, way_out
+        )  # fmt: skip
         goals = several(goal) or [goal]
         ends = arrival(begin.world, self.grid, self._wider, goals, tolerance)
         if begin.faults or ends.faults:
@@ -370,6 +381,7 @@ class Planner:
         preparation = Gradual(self.heuristic.steps_to(ends.states, groups))
         if not preparation.run(began + limits.time):
             return self._no_plan(Status.TIME_LIMIT, weight, began)
+        spent = 0.0 if begin.way is None else float(begin.way.costs.sum())
         same = begin.world is self.world
         estimate = preparation.result if same else _on_ground(begin.world, preparation.result, ends)
         return Query(
@@ -386,10 +398,11 @@ class Planner:
             # On other ground under the start, costs-to-go in the map may be too high.
             admissible=self.heuristic.admissible and (same or len(estimate.table) == 0),
             consistent=self.heuristic.consistent and (same or len(estimate.table) == 0),
-            limits=limits,
+            limits=replace(limits, cost=limits.cost - spent),
             ends=began + limits.time,
             progress=progress,
             assumed=begin.assumed,
+            way=begin.way,
         )
 
     def _no_plan(self, status: Status, weight: float, began: float, faults: Sequence[Cause | str] = ()) -> Plan:

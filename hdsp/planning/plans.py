@@ -50,6 +50,8 @@ class Plan:
         assumed: changes to the map under the robot at the start, in words: unknown ground that was filled in, the
             robot's own body that was removed. ``terrain`` contains them.
         ends: start and goal of the query, world poses with 3 or 7 values; empty if unknown.
+        way_out: number of first actions that lead the robot out of the clearance of obstacles; 0 for a valid start. The
+            bound then holds among the plans that begin so.
         inquiry: finds the reasons for the absence of a plan, at the first use of ``findings``.
     """
 
@@ -66,6 +68,7 @@ class Plan:
     bound: float = np.inf
     goal_index: int | None = None
     assumed: tuple[str, ...] = ()
+    way_out: int = 0
     ends: tuple[np.ndarray, ...] = field(default=(), repr=False)
     inquiry: Inquiry | InvalidEnd | None = field(default=None, repr=False)
 

@@ -30,6 +30,7 @@ from hdsp.planning.findings import Inquiry
 from hdsp.planning.heuristics import Heuristic
 from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.planning.plans import Plan
+from hdsp.planning.way_out import WayOut
 from hdsp.robot.lattice import Grid, heading_index
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -93,6 +94,7 @@ class Query:
         goal_numbers: int64 [n], number of the goal to which each state belongs.
         admissible, consistent: whether ``estimate`` is, as in ``Heuristic``.
         assumed: changes in the map under the start, in words; see ``Plan``.
+        way: way out of the clearance of obstacles, which comes before ``start``; None without one.
         limits: of the whole query; ``ends`` counts instead of the time.
         ends: moment on the clock ``now`` at which the time is over.
         progress: called now and then with (expansions, seconds).
@@ -114,6 +116,7 @@ class Query:
     ends: float = np.inf
     progress: Progress | None = None
     assumed: tuple[str, ...] = ()
+    way: WayOut | None = None
 
     @property
     def goal(self) -> np.ndarray:
@@ -200,6 +203,22 @@ class Query:
             assumed=self.assumed,
             ends=(self.grid.to_world(self.start), self.grid.to_world(self.goal)),
             inquiry=None if status == Status.SOLVED else self.inquiry(status, reached.found),
+        )
+
+    def from_start(self, plan: Plan) -> Plan:
+        """Returns a plan with the way out of the clearance of obstacles before it."""
+        way = self.way
+        if way is None or not plan.solved:
+            return plan
+        before = float(way.costs.sum())
+        return replace(
+            plan,
+            cost=plan.cost + before,
+            states=np.concatenate([self.grid.to_world(way.states[:-1]), plan.states]),
+            actions=(*(action_of(int(code)) for code in way.actions), *plan.actions),
+            action_costs=np.concatenate([way.costs, plan.action_costs]),
+            assumed=(*plan.assumed, way.words),
+            way_out=len(way.actions),
         )
 
     def proof(self) -> Proof:

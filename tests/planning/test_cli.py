@@ -114,3 +114,19 @@ def test_a_call_without_a_command_shows_the_usage(capsys):
         main([])
     assert end.value.code == 2
     assert "usage: hdsp" in capsys.readouterr().err
+
+
+def test_m4_the_nearest_of_several_goals_with_a_free_heading_and_a_tolerance(tmp_path, capsys):
+    heights = np.zeros((100, 100))
+    heights[20:30, 36:44] = np.nan  # under the robot at the start
+    more = ["--goal", "1.6", "1.8", "free", "--goal", "1.2", "1.0", "--tolerance", "0.2", "30"]
+    assert plan_on(tmp_path, heights, *more, "--no-conditioning") == 0
+    told = capsys.readouterr().out
+    assert "goal 3 of 3: 1.2 1.0" in told and "unknown ground under the robot at the start" in told
+    assert plan_on(tmp_path, heights, *more, "--no-conditioning", "--no-start-free") == NO_PLAN
+
+
+@pytest.mark.parametrize("more", [["--goal", "1", "1", "up"], ["--goal", "1"], ["--tolerance", "1", "2", "3"]])
+def test_a_goal_in_other_words_is_refused(tmp_path, more, capsys):
+    assert plan_on(tmp_path, np.zeros((100, 100)), *more) == 1
+    assert more[0] in capsys.readouterr().err

@@ -193,3 +193,48 @@ def test_q1_an_invalid_end_names_the_nearest_pose_that_works():
         assert f"the nearest pose that works is ({x:.2f}, {y:.2f}) m" in plan.explain()
     nowhere = planner(np.full((60, 60), np.nan, np.float32)).plan((0.7, 0.7, 0.0), (0.8, 0.7, 0.0))
     assert "no pose within 1 m works either" in nowhere.explain()
+
+
+def edge_distances(heights, those, states):
+    """Distance (m) from the nearest foot to the nearest cell beside an edge, at each state."""
+    edges = np.zeros(heights.shape, bool)
+    steps = abs(np.diff(heights, axis=0)) > those.robot.drive.highest_edge
+    edges[:-1] |= steps
+    edges[1:] |= steps
+    at = those.grid.center(np.argwhere(edges))
+    feet = those.robot.foot_positions(states)
+    return np.hypot(*(feet[:, :, None] - at).transpose(3, 0, 1, 2)).min(axis=(1, 2))
+
+
+@pytest.mark.parametrize("gap, heading, free", [(0.03, 0.0, True), (0.06, 0.3, False), (0.09, math.pi, True)])
+def test_m4_a_robot_too_near_to_an_edge_drives_away_from_it_first(gap, heading, free):
+    heights = flat()
+    heights[60:] = 0.15
+    those, goal = planner(heights), (0.9, 1.7, heading)
+    ahead = those.robot.foot_positions(np.array([0, 0, heading, 0, 0, 0, 0]))[:, 0].max()
+    start = (1.5 - gap - ahead - RESOLUTION / 2, 2.0, heading)
+    asked = (*start, 0.0, 0.0, 0.0, 0.0)
+    assert those.plan(asked, goal, start_free=free).status == Status.INVALID_START
+    plan = those.plan(asked, goal, start_free=free, way_out=True)
+    assert plan.solved and plan.way_out > 0 and f"the first {plan.way_out} actions lead out" in plan.explain()
+    np.testing.assert_allclose(plan.states[0][:2], asked[:2], atol=RESOLUTION)
+    assert plan.action_costs.sum() == pytest.approx(plan.cost) and len(plan.actions) == len(plan.states) - 1
+    away = edge_distances(heights, those, plan.states[: plan.way_out + 1])
+    assert (np.diff(away) >= -1e-9).all() and away[0] < those.robot.feet.clearance <= away[-1] + 1e-9
+    assert those.can_leave(plan.states[plan.way_out]) and not those.valid(plan.states[plan.way_out - 1])
+    assert len(plan.refine().base) > len(plan.actions)
+    *_, last = those.improve(asked, goal, start_free=free, way_out=True)
+    assert last.way_out == plan.way_out and last.cost == pytest.approx(plan.cost)
+
+
+def test_m4_a_body_within_its_margin_drives_away_and_a_body_in_a_wall_does_not():
+    heights = flat()
+    heights[:, 96:] = 1.0  # 0.4 m beside the base
+    those = Planner(HeightMap(heights), margin=0.15, conditioning=None)
+    plan = those.plan((1.5, 2.0, 0.0), (2.5, 1.0, 0.0), way_out=True)
+    assert those.plan((1.5, 2.0, 0.0), (2.5, 1.0, 0.0)).status == Status.INVALID_START
+    assert plan.solved and plan.way_out > 0 and plan.states[plan.way_out][1] < 2.0 and plan.refine() is not None
+    within = those.plan((1.5, 2.3, 0.0), (2.5, 1.0, 0.0), way_out=True)
+    assert within.status == Status.INVALID_START and within.way_out == 0
+    free = planner(flat()).plan(START, GOAL, way_out=True)
+    assert free.solved and free.way_out == 0 and free.assumed == ()
