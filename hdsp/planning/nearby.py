@@ -20,6 +20,7 @@ from hdsp.robot.lattice import HEADINGS, Grid, cells, heading_angle
 from hdsp.robot.robot import Robot
 
 _AT_ONCE = 512  # poses examined together
+_FEW = 20_000  # expansions for each pose near an asked one; a way on free ground takes a few dozen
 
 
 def length_of(robot: Robot) -> float:
@@ -55,6 +56,8 @@ def nearest_to_leave(
 ) -> tuple[np.ndarray, float] | None:
     """Returns the nearest state that the robot can leave, int64 [7], and its distance; None without one.
 
+    Poses from which the way is hard to find, i.e. takes more than 20,000 expansions, do not count.
+
     Args:
         world: terrain and robot, compiled.
         grid: place of the terrain in the world.
@@ -66,25 +69,21 @@ def nearest_to_leave(
     """
     bases, distance = _poses_within(grid, pose, heading_free, radius, per_radian)
     length = cells(length_of(robot))
-    stuck: list[np.ndarray] = []
+    # Base positions that a search has reached from a state without getting away, by packed state.
+    stuck: dict[int, np.ndarray] = {}
     for first in range(0, len(bases), _AT_ONCE):
         states, stands = states_at(world, bases[first : first + _AT_ONCE])
+        keys = pack_states(states, world.tables.lowest)
         for k in np.flatnonzero(stands):
             state = states[k]
-            if any(_is_stuck_too(state, seen, length) for seen in stuck):
+            places = stuck.get(int(keys[k]))
+            if places is not None and np.hypot(*(places - state[:2]).T).max() < length:
                 continue
-            seen = leave(world, state, length)
+            seen = leave(world, state, length, _FEW)
             if seen is None:
                 return state, float(distance[first + k])
-            stuck.append(seen)
+            stuck |= dict.fromkeys(pack_states(seen, world.tables.lowest).tolist(), np.unique(seen[:, :2], axis=0))
     return None
-
-
-def _is_stuck_too(state: np.ndarray, seen: np.ndarray, length: float) -> bool:
-    """Whether a state cannot be left because a search from another state has seen it, and nothing far from it."""
-    if np.hypot(*(seen[:, :2] - state[:2]).T).max() >= length:
-        return False
-    return bool((seen == state).all(axis=1).any())
 
 
 def _poses_within(grid: Grid, pose, heading_free: bool, radius: float, per_radian: float):

@@ -18,8 +18,8 @@ from hdsp.detailed.search.store import BLOCK, BLOCKS, CLOSED, EXPANDED, SEEN, ha
 from hdsp.detailed.states import unpack, unpack_states
 from hdsp.detailed.world.world import World
 
-#: Expansions after which a state counts as one that the robot cannot leave; about half a second.
-MOST_EXPANSIONS = 500_000
+#: Expansions after which a state counts as one that the robot cannot leave; about a quarter second.
+MOST_EXPANSIONS = 200_000
 
 
 def leave(world: World, start: np.ndarray, distance: float, expansions: int = MOST_EXPANSIONS) -> np.ndarray | None:
