@@ -6,6 +6,7 @@ import bz2
 import gzip
 import io
 import os
+import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -76,9 +77,29 @@ def _read_obj(content: bytes) -> np.ndarray:
     return np.array(lines, dtype=float).reshape(-1, 3)
 
 
+def _check_las(content: bytes) -> None:
+    """Checks the numbers of records in the header of a LAS file, which laspy trusts: it reads on for hours."""
+    if len(content) < 227 or content[:4] != b"LASF":
+        raise ValueError("not a LAS file, or cut off")
+    header, start, variable = struct.unpack_from("<HII", content, 94)
+    if not header <= start <= len(content) or 54 * variable > start - header:
+        raise ValueError(f"cut off or damaged: {variable} records of variable length, points at byte {start}")
+    if content[25] >= 4 and len(content) >= 375:
+        at, extended = struct.unpack_from("<QI", content, 235)
+        if extended and at + 60 * extended > len(content):
+            raise ValueError(f"cut off or damaged: {extended} extended records at byte {at}")
+        count = struct.unpack_from("<Q", content, 247)[0]
+    else:
+        count = struct.unpack_from("<I", content, 107)[0]
+    kind, length = struct.unpack_from("<BH", content, 104)
+    if kind < 128 and start + count * length > len(content):  # higher numbers are compressed points
+        raise ValueError(f"cut off: {(len(content) - start) // max(1, length)} of {count} points")
+
+
 def _read_las(content: bytes) -> np.ndarray:
     import laspy
 
+    _check_las(content)
     return np.asarray(laspy.read(io.BytesIO(content)).xyz)
 
 

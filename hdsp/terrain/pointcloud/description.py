@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.pointcloud.alignment import FloorSettings, Plane, fit_floor
 from hdsp.terrain.pointcloud.cloud_mapping import MapSettings, about_gravity, about_tilt, cleaned
-from hdsp.terrain.pointcloud.faults import millimetres
+from hdsp.terrain.pointcloud.faults import check_extent, millimetres
 from hdsp.terrain.pointcloud.gravity import check_up, judge
 
 _SPACING_SAMPLE = 2000  # points
@@ -34,6 +35,7 @@ def describe_points(points: np.ndarray, settings: FloorSettings | None = None, l
         if suspicion := millimetres(rest):
             phrases.append(suspicion)
             return "; ".join(phrases)
+        check_extent(rest, RESOLUTION)
         phrases += _ground(rest, settings, level)
     except InputError as error:
         phrases.append(str(error))
@@ -42,7 +44,8 @@ def describe_points(points: np.ndarray, settings: FloorSettings | None = None, l
 
 def _spans(points: np.ndarray) -> str:
     low, high = points.min(axis=0), points.max(axis=0)
-    return ", ".join(f"{name} {a:.2f} to {b:.2f}" for name, a, b in zip("xyz", low, high, strict=True))
+    ends = [[f"{value:.2f}" if abs(value) < 1e7 else f"{value:g}" for value in row] for row in (low, high)]
+    return ", ".join(f"{name} {a} to {b}" for name, a, b in zip("xyz", *ends, strict=True))
 
 
 def _ground(points: np.ndarray, settings: FloorSettings, level: bool) -> list[str]:

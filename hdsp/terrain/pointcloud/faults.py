@@ -14,6 +14,7 @@ from hdsp.base.errors import InputError
 #: A no-data value is at least so many m, and so many times the range of the other values, away from the other values:
 #: for x and y, where walls are far away, and for z.
 _NO_DATA_APART = (100.0, 10.0), (100.0, 10.0), (8.0, 3.0)
+_MOST_NO_DATA = 3  # values in a file
 _NO_DATA_POINTS = 3  # points with the same value; fewer may be measurements
 #: m; points are far away beyond this distance, and the extent of the middle 96 % of the points, from these.
 _FAR = 20.0
@@ -56,7 +57,8 @@ def _no_data_values(values: np.ndarray, least: float, ranges: float) -> list[flo
     low, high = distinct[main[0]], distinct[main[-1]]
     gap = max(least, ranges * (high - low))
     single = [part[0] for part in parts if len(part) == 1 and part[0] != main[0] and counts[part[0]] >= _NO_DATA_POINTS]
-    return [float(distinct[k]) for k in single if max(low - distinct[k], distinct[k] - high) > gap]
+    found = [float(distinct[k]) for k in single if max(low - distinct[k], distinct[k] - high) > gap]
+    return found if len(found) <= _MOST_NO_DATA else []  # more are the rows of a grid in smaller units
 
 
 def without_far_points(points: np.ndarray) -> Cleaned:
@@ -81,16 +83,19 @@ def _far(points: np.ndarray) -> np.ndarray:
 def check_extent(points: np.ndarray, resolution: float) -> None:
     """Raises an InputError if the extents are implausible for metres, or too large for a map."""
     extent = np.ptp(points, axis=0)
+    text = f"points span {extent[0]:.4g} x {extent[1]:.4g} x {extent[2]:.4g} m"
     if extent[:2].max() < _SMALLEST_EXTENT:
-        raise InputError(f"points span {extent[0]:.3g} x {extent[1]:.3g} m: are they in metres? see the option units")
-    hint = millimetres(points) or "see the option units"
+        raise InputError(f"{text}: are they in metres? see the option units")
+    unit = millimetres(points)
     if extent[2] > _GREATEST_RELIEF:
-        raise InputError(f"points span {extent[2]:.3g} m in height: are they in metres? {hint}")
+        raise InputError(f"{text}, much in height: are they in metres? {unit or 'see the option units'}")
     if np.prod(extent[:2] / resolution) > _LARGEST_MAP:
+        text = f"{text}, more than {_LARGEST_MAP:,} cells of {resolution} m: are they in metres?"
+        if unit:
+            raise InputError(f"{text} {unit}")
         low, high = np.quantile(points, [0.02, 0.98], axis=0)
-        text = f"points span {extent[0]:.4g} x {extent[1]:.4g} m, more than {_LARGEST_MAP:,} cells of {resolution} m"
-        where = f"x {low[0]:.6g} to {high[0]:.6g}, y {low[1]:.6g} to {high[1]:.6g}"
-        raise InputError(f"{text}; most lie in {where}: are they in metres? {hint}; or cut a box out of them")
+        most = f"x {low[0]:.6g} to {high[0]:.6g}, y {low[1]:.6g} to {high[1]:.6g}"
+        raise InputError(f"{text} see the option units; or cut a box out of them: most lie in {most}")
 
 
 def millimetres(points: np.ndarray) -> str:

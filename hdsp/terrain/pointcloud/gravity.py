@@ -28,7 +28,7 @@ _WALL_EVIDENCE, _WALL_VOXELS = 0.03, 60
 _COVERAGE = 0.3  # of the cells in plan, that a floor covers
 _CELL = 0.25  # m, in plan
 _MOST_VOXELS = 60_000
-_STOREY = 2.0, 5.0  # m, height of rooms
+_STOREY = 2.0, 3.6  # m, height of rooms
 #: Axes for `read_points` after which this axis of the file is up.
 _AXES_FOR_UP = {"y": "z,x,y", "-y": "z,-x,-y", "x": "y,z,x", "-x": "-y,z,-x", "-z": "x,-y,-z"}
 
@@ -202,8 +202,9 @@ def check_up(points: np.ndarray, settings: FloorSettings) -> str:
     hint = f"--axes={_AXES_FOR_UP[name]} makes it up, --axes=x,y,z keeps z"
     text = f"{name} may be up: the largest plane lies across {name[-1]}, {times:.1f} times as large as the one across z"
     alley = slab.paired and not here.paired
-    room = storey and slab.paired and extent[2] > 1.5 * _STOREY[0]
-    if not alley and (times > 3 or room or (here.paired and not slab.paired)):
+    # Between walls and under a ceiling, a storey's height tells a room from a hallway.
+    room = storey and (extent[2] > _STOREY[1] if slab.paired else here.paired)
+    if not alley and (times > 3 or room):
         raise InputError(f"{text}; {hint}")
     return f"{text}; {hint}"
 

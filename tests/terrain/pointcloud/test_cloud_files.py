@@ -106,6 +106,138 @@ def test_packed_files_are_unpacked(tmp_path, suffix, pack):
         read_points(path)
 
 
+GRID = np.random.default_rng(1).uniform(-5, 5, (400, 3)).astype(np.float32)
+
+
+@pytest.mark.parametrize("order", ["<", ">", "ascii"])
+def test_m13_vertices_of_meshes_with_textures_stay_as_they_are(tmp_path, order):
+    name = {"<": "binary_little_endian", ">": "binary_big_endian"}.get(order, order)
+    head = f"ply\nformat {name} 1.0\nelement camera 2\nproperty list uchar int hits\nproperty short id\n"
+    head += "element vertex 400\nproperty uchar red\nproperty float Z\nproperty float x\nproperty float y\n"
+    head += "element face 300\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\nend_header\n"
+    corners = np.random.default_rng(2).integers(0, 400, (300, 3))
+    camera, texture = [[1, 2], [3]], [0.25, 0.5, 0.75, 0.5, 0.25, 1.0]
+    if order == "ascii":
+        lines = [f"{len(hits)} {' '.join(map(str, hits))} 7" for hits in camera]
+        lines += [f"9 {z:.7f} {x:.7f} {y:.7f}" for x, y, z in GRID]
+        lines += [f"3 {a} {b} {c} 6 {' '.join(map(str, texture))}" for a, b, c in corners]
+        body = "\n".join(lines).encode() + b"\n"
+    else:
+        body = b"".join(struct.pack(f"{order}B{len(hits)}ih", len(hits), *hits, 7) for hits in camera)
+        body += b"".join(struct.pack(f"{order}Bfff", 9, z, x, y) for x, y, z in GRID)
+        body += b"".join(struct.pack(f"{order}B3iB6f", 3, *face, 6, *texture) for face in corners)
+    (tmp_path / "mesh.PLY").write_bytes(head.encode() + body)
+    np.testing.assert_allclose(read_points(tmp_path / "mesh.PLY"), GRID, atol=1e-6)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "obj"])
+def test_m13_meshes_of_another_library_keep_their_vertices(tmp_path, suffix):
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.Trimesh(GRID, np.random.default_rng(2).integers(0, 400, (300, 3)), process=False)
+    mesh.visual = trimesh.visual.TextureVisuals(uv=np.random.default_rng(3).random((400, 2)))
+    mesh.export(tmp_path / f"mesh.{suffix}")
+    np.testing.assert_allclose(read_points(tmp_path / f"mesh.{suffix}"), GRID, atol=1e-5)
+
+
+def pcd(fields, sizes, types, counts, body, points, data="binary"):
+    head = f"VERSION 0.7\nFIELDS {fields}\nSIZE {sizes}\nTYPE {types}\nCOUNT {counts}\nWIDTH {points}\nHEIGHT 1\n"
+    return f"{head}VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA {data}\n".encode() + body
+
+
+def test_m14_padded_pcd_files_are_read(tmp_path):
+    padded = b"".join(struct.pack("<fff4xf12x", *point, 3) for point in GRID)
+    content = pcd("x y z _ intensity _", "4 4 4 1 4 1", "F F F U F U", "1 1 1 4 1 12", padded, 400)
+    ouster = b"".join(struct.pack("<fffH", *point, 3) for point in GRID)
+    for text in (content, pcd("X Y Z _ T", "4 4 4 1 2", "F F F U U", "1 1 1 0 1", ouster, 400)):
+        (tmp_path / "padded.pcd").write_bytes(text)
+        np.testing.assert_array_equal(read_points(tmp_path / "padded.pcd"), GRID)
+
+
+def test_m14_other_types_and_orders_of_fields(tmp_path):
+    body = b"".join(struct.pack("<dhd", point[2], 7, point[0]) + struct.pack("<d", point[1]) for point in GRID)
+    (tmp_path / "mixed.pcd").write_bytes(pcd("Z ring X Y", "8 2 8 8", "f I F F", "1 1 1 1", body, 400))
+    np.testing.assert_array_equal(read_points(tmp_path / "mixed.pcd"), GRID)
+    whole = np.rint(GRID * 100).astype(int)
+    body = b"".join(struct.pack("<ihi", *point) for point in whole)
+    (tmp_path / "whole.pcd").write_bytes(pcd("x y z", "4 2 4", "I I I", "1 1 1", body, 400))
+    np.testing.assert_array_equal(read_points(tmp_path / "whole.pcd"), whole)
+
+
+def test_m14_compressed_fields_lie_one_after_the_other(tmp_path):
+    lzf = pytest.importorskip("lzf")
+    fields = [np.zeros(400, "<u2"), *np.ascontiguousarray(GRID.T.astype("<f8"))]
+    body = b"".join(field.tobytes() for field in fields)
+    packed = lzf.compress(body, 2 * len(body)) or b""
+    content = struct.pack("<II", len(packed), len(body)) + packed
+    (tmp_path / "small.pcd").write_bytes(
+        pcd("ring x y z", "2 8 8 8", "U F F F", "1 1 1 1", content, 400, "binary_compressed")
+    )
+    np.testing.assert_array_equal(read_points(tmp_path / "small.pcd"), GRID)
+
+
+def test_m19_ascii_numbers_keep_all_digits_whatever_their_size(tmp_path):
+    body = b"412345.678 5654321.123 59.254\n412346.001 5654322.002 59.255\n"
+    (tmp_path / "utm.pcd").write_bytes(pcd("x y z", "4 4 4", "F F F", "1 1 1", body, 2, "ascii"))
+    expected = [[412345.678, 5654321.123, 59.254], [412346.001, 5654322.002, 59.255]]
+    np.testing.assert_allclose(read_points(tmp_path / "utm.pcd"), expected, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"), [("x y intensity", "need x, y and z once each"), ("x x y", "need x, y and z once each")]
+)
+def test_m14_pcd_files_without_coordinates_are_refused(tmp_path, fields, words):
+    (tmp_path / "a.pcd").write_bytes(pcd(fields, "4 4 4", "F F F", "1 1 1", b"\0" * 12, 1))
+    with pytest.raises(InputError, match=words):
+        read_points(tmp_path / "a.pcd")
+
+
+def mutations(content, count, seed):
+    """Copies with bytes flipped, removed, doubled or exchanged, or with the end missing."""
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        data = bytearray(content)
+        for _ in range(rng.integers(1, 4)):
+            at, width = int(rng.integers(len(data))), int(rng.integers(1, 9))
+            # Half of the changes are in the header, where they matter most.
+            at = at % min(len(data), 300) if rng.random() < 0.5 else at
+            match rng.integers(5):
+                case 0:
+                    data[at] ^= 1 << int(rng.integers(8))
+                case 1:
+                    del data[at : at + width]
+                case 2:
+                    data[at:at] = data[at : at + width]
+                case 3:
+                    data[at : at + width] = rng.bytes(width)
+                case 4:
+                    del data[max(1, at) :]
+            data = data or bytearray(b"?")
+        yield bytes(data)
+
+
+MUTABLE = [name for name in WRITERS if not name.endswith("laz")]
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", MUTABLE)
+def test_damaged_files_give_one_line_or_points(tmp_path, name):
+    WRITERS[name](tmp_path / name, POINTS)
+    whole = (tmp_path / name).read_bytes()
+    refused = 0
+    for content in mutations(whole, 200, seed=len(name)):
+        (tmp_path / name).write_bytes(content)
+        try:
+            points = read_points(tmp_path / name)
+        except InputError as error:
+            assert "\n" not in str(error) and name in str(error)
+            refused += 1
+            continue
+        assert points.dtype == np.float64 and points.shape[1] == 3 and np.isfinite(points).all()
+        if len(content) == len(whole):  # no line or record came or went
+            assert len(points) <= len(POINTS)
+    assert refused > 20
+
+
 def test_units_and_axes_are_changed_to_ours(tmp_path):
     (tmp_path / "mm.xyz").write_text("1000 2000 3000\n")
     read = read_points(tmp_path / "mm.xyz", units=0.001, axes=("z", "-x", "-y"))

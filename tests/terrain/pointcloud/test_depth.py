@@ -27,6 +27,13 @@ def test_pixels_without_a_measurement_or_out_of_range_give_no_points():
     assert depth_points(image, CAMERA)[0, 2] == pytest.approx(1.5)
 
 
+def test_m19_zeros_are_no_points_for_a_camera_without_a_nearest_depth():
+    camera = Camera(100.0, 100.0, 80.0, 60.0, 0.001, nearest=0.0)
+    image = np.zeros((10, 10))
+    image[2, 3] = 1200
+    np.testing.assert_allclose(depth_points(image, camera)[:, 2], [1.2])
+
+
 def test_a_stride_takes_every_nth_pixel():
     camera = Camera(100.0, 100.0, 80.0, 60.0, 0.001, stride=2)
     image = np.random.default_rng(0).integers(500, 3000, (20, 30))
