@@ -5,6 +5,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numba
 
+from hdsp.base import compilation as _compilation  # noqa: F401, listens to Numba
 from hdsp.base.kernel_cache import keep_on_disk
 
 Arguments = ParamSpec("Arguments")

@@ -25,6 +25,7 @@ from hdsp.detailed.world.world_update import updated_world
 from hdsp.learning.loading import abstraction_of, load_abstraction
 from hdsp.planning.arguments import callback, choice, falling_weights, lattice_state, limits_of, number, pose_values
 from hdsp.planning.arrival import Arrival, Tolerance, arrival, several, with_heading
+from hdsp.planning.compiled import compile_for
 from hdsp.planning.departure import departure
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
 from hdsp.planning.improving import improving_plans
@@ -264,6 +265,7 @@ class Planner:
         anchored = None if anchor_weight is None else number("anchor_weight", anchor_weight, 1.0)
         limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
         start_free, way_out = choice("start_free", start_free), choice("way_out", way_out)
+        compile_for(self.robot, self.heuristic, anchored=anchored is not None, refinable=refinable)
         began = now()
         query = self._query(start, goal, tolerance, start_free, way_out, weight, limits, callback("progress", progress))
         if isinstance(query, Plan):
@@ -342,6 +344,7 @@ class Planner:
         weights = falling_weights(weights)
         limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
         start_free, way_out = choice("start_free", start_free), choice("way_out", way_out)
+        compile_for(self.robot, self.heuristic, anytime=True, refinable=refinable)
         began = now()
         query = self._query(
             start, goal, tolerance, start_free, way_out, weights[0], limits, callback("progress", progress)

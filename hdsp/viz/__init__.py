@@ -11,8 +11,6 @@ Matplotlib is loaded by the first use of a name; no other package in `hdsp` load
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from hdsp.base.errors import InputError
-
 if TYPE_CHECKING:
     from hdsp.viz.arena_figure import save_arena, save_courses, save_note
     from hdsp.viz.charts import (
@@ -92,4 +90,5 @@ def __getattr__(name: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "matplotlib":
             raise
-        raise InputError("pictures need matplotlib: pip install 'hdsp[viz]'") from error
+        errors = import_module("hdsp.base.errors")
+        raise errors.InputError("pictures need matplotlib: pip install 'hdsp[viz]'") from error

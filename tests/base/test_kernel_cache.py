@@ -185,7 +185,8 @@ def test_q5_kernels_of_a_read_only_installation_are_kept_among_the_temporary_fil
     (folder,) = (tmp_path / "spare").iterdir()
     assert folder.stat().st_mode & 0o077 == 0
     for done in (first, second):
-        assert done.returncode == 0 and done.stderr.count("\n") == 1 and str(folder) in done.stderr
+        warned = [line for line in done.stderr.splitlines() if not line.startswith("compiling the planner")]
+        assert done.returncode == 0 and len(warned) == 1 and str(folder) in warned[0]
 
 
 def test_q5_a_folder_that_others_may_write_is_not_trusted(read_only, tmp_path):
@@ -200,4 +201,7 @@ def test_q5_without_any_folder_each_process_compiles(read_only, tmp_path):
     shutil.rmtree(tmp_path / "spare")
     script = SCRIPT.replace("\nfrom", "\nimport tempfile; tempfile.tempdir = '/dev/null'\nfrom", 1)
     done = read_only(script)
-    assert done.stdout.split() == ["93.0", "0"] and done.stderr.count("\n") == 1
+    assert done.stdout.split() == ["93.0", "0"]
+    assert [line.partition(";")[0] for line in done.stderr.splitlines()] == [
+        "no folder for compiled kernels can be written", "compiling the planner for this machine, once"
+    ]  # fmt: skip

@@ -1,0 +1,154 @@
+"""Compilation before the clock: the kernels of a query are compiled, or loaded from disk, before its time begins.
+
+A trial, a query of the same kind on a small map, uses each kernel of such a query. It runs once in a process for each
+kind. `hdsp.base.compilation` says that kernels are compiled.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hdsp.abstract.abstract_costs import checked_region, close_exits, close_states
+from hdsp.base.errors import InputError, RefinementError
+from hdsp.detailed.relaxed.heading_masks import missing_feet
+from hdsp.detailed.search.outcome import Limits
+from hdsp.detailed.world.world import build_world, cell_index
+from hdsp.planning.arrival import arrival
+from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
+from hdsp.planning.improving import improving_plans
+from hdsp.planning.query import Query, locate
+from hdsp.planning.refinable import refinable_plan
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS, Grid, cells, metres
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+
+if TYPE_CHECKING:
+    from hdsp.learning.learned_costs import LearnedCosts
+
+
+@dataclass(frozen=True)
+class QueryKind:
+    """Kind of a query, by the kernels that it uses.
+
+    Attributes:
+        abstract: the heuristic comes from an abstraction.
+        learned: a network computes its costs.
+        anchored: the search is multi-heuristic A*.
+        anytime: the search is ARA*.
+        refinable: plans are refined.
+    """
+
+    abstract: bool = False
+    learned: bool = False
+    anchored: bool = False
+    anytime: bool = False
+    refinable: bool = False
+
+
+_DONE: set[QueryKind] = set()
+_LOCK = threading.Lock()
+
+
+def compile_for(
+    robot: Robot, heuristic: Heuristic, *, anchored: bool = False, anytime: bool = False, refinable: bool = False
+) -> None:
+    """Compiles or loads the kernels of a query, unless this process did.
+
+    Args:
+        robot: the robot of the planner.
+        heuristic: its heuristic.
+        anchored: the query has an anchor.
+        anytime: the query improves its plan.
+        refinable: the query refines its plans.
+    """
+    abstract = isinstance(heuristic, AbstractHeuristic)
+    learned = _learned(heuristic)
+    kind = QueryKind(abstract, learned is not None, anchored and not heuristic.admissible, anytime, refinable)
+    if kind in _DONE:
+        return
+    with _LOCK:
+        if kind in _DONE:
+            return
+        # A robot that cannot do the trial fails in the query too, with its reason.
+        with suppress(InputError, RefinementError):
+            _try(robot, kind, learned)
+        _DONE.add(kind)
+
+
+def _learned(heuristic: Heuristic) -> LearnedCosts | None:
+    """Costs of a network; only a planner with such costs has loaded the network."""
+    costs = heuristic.costs if isinstance(heuristic, AbstractHeuristic) else None
+    if type(costs).__module__ != "hdsp.learning.learned_costs":
+        return None
+    return costs  # type: ignore[return-value]
+
+
+def _try(robot: Robot, kind: QueryKind, learned: LearnedCosts | None) -> None:
+    terrain = _ground(robot)
+    world, grid = build_world(terrain, robot), Grid(terrain.origin, terrain.shape)
+    heuristic: Heuristic = GeometricHeuristic(world)
+    if kind.abstract:
+        heuristic = AbstractHeuristic(world, terrain, _EvenCosts())
+    if learned is not None:
+        mask = np.zeros((ABSTRACT_HEADINGS, *(n // 4 for n in terrain.shape)), bool)
+        mask[1, mask.shape[1] // 4, mask.shape[2] // 2] = True
+        learned.edges(terrain, mask=mask)
+    middle = terrain.size[0] / 4, terrain.size[1] / 2
+    start, _ = locate(world, grid, robot, (*middle, 0.0), "start")
+    locate(world, grid, robot, (metres(1.0), metres(1.0), 0.0), "start")
+    ends = arrival(world, grid, robot, [(middle[0] + metres(8.0), middle[1], None)], metres(1.0))
+    heuristic.set_goals(ends.states, np.zeros(len(ends.states), np.int64))
+    goal, _ = locate(world, grid, robot, (middle[0] + metres(8.0), middle[1], 0.2), "goal")
+    query = Query(
+        terrain=terrain,
+        robot=robot,
+        wider=robot,
+        grid=grid,
+        world=world,
+        heuristic=heuristic,
+        estimate=heuristic.set_goal(goal),
+        start=start,
+        goals=goal[None],
+        goal_numbers=np.zeros(1, np.int64),
+        admissible=heuristic.admissible,
+        consistent=heuristic.consistent,
+        limits=Limits(),
+    )
+    query.proof().try_until(math.inf)
+    missing_feet(world, int(cell_index(world, start[0], start[1])), int(start[2]))
+    if kind.anytime:
+        stopped = replace(query, limits=Limits(expansions=1))
+        for each in (query, stopped):
+            list(improving_plans(each, (1.5, 1.2), kind.refinable, 0.0))
+        return
+    for limits in (Limits(expansions=1), Limits()):
+        each = replace(query, limits=limits)
+        plan = each.anchored(1.5, 1.5) if kind.anchored else each.weighted(1.5)
+        if kind.refinable and plan.solved:
+            refinable_plan(each, lambda again, _: again.weighted(1.5), plan)
+
+
+def _ground(robot: Robot) -> HeightMap:
+    """Flat ground on which the robot can stand and turn, behind it a wall and more ground."""
+    side = math.ceil(cells(2 * robot.reach() + 0.5))
+    heights = np.zeros((2 * side, side), np.float32)
+    heights[side : side + 4] = 1.0
+    heights[-side // 2 :] = 0.02
+    return HeightMap(heights)
+
+
+class _EvenCosts:
+    """Abstract costs in which every action costs 1."""
+
+    def edges(self, height_map: HeightMap, region=None, mask=None) -> np.ndarray:
+        first_x, first_y, end_x, end_y = checked_region(height_map, region)
+        edges = np.ones((ABSTRACT_HEADINGS, end_x - first_x, end_y - first_y, N_ABSTRACT_ACTIONS), np.float32)
+        close_states(edges, mask)
+        close_exits(edges, height_map, region)
+        return edges
