@@ -141,12 +141,12 @@ def _first_obstacle(
 ) -> Obstacle | None:
     """The obstacle at the first invalid pose after the last reached pose on a way; None without one."""
     last = max((k for k, pose in enumerate(way) if _holds(reached, pose)), default=0)
-    for k in range(last + 1, len(way)):
+    # A robot on displaced feet drives on only if neutral feet find footholds at its pose, too.
+    for k in [*range(last + 1, len(way)), last]:
         causes = faults_of(world, grid, robot, np.array([*way[k], 0, 0, 0, 0]))
-        if causes:
+        if causes and last + 1 < len(way):
             after = (pose for pose in way[k + 1 :] if _holds(around_goal, pose))
-            near, far = (_pose(grid, pose) for pose in (way[last], next(after, way[-1])))
-            return Obstacle(causes, Gap(near, far) if near != far else None)
+            return Obstacle(causes, Gap(_pose(grid, way[last]), _pose(grid, next(after, way[-1]))))
     return None
 
 
