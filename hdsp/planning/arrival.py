@@ -87,6 +87,15 @@ def arrival(world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: 
     return Arrival(states, numbers_of, exact, tuple(words))
 
 
+def poses_of(start, goal) -> tuple[np.ndarray, ...]:
+    """Returns a start and the first goal as arrays, a free heading as 0; the start alone if the goal is no pose."""
+    first = (several(goal) or [goal])[0]
+    try:
+        return np.array(start, float), np.array(with_heading(first)[0], float)
+    except (TypeError, ValueError):
+        return (np.array(start, float),)
+
+
 def several(goal) -> list | None:
     """Returns the poses of a sequence of goals; None if the argument is one pose."""
     if isinstance(goal, np.ndarray):

@@ -82,7 +82,7 @@ def departure(
     if not (free or way_out) or not (faults or (chosen and not can_leave(world, wider, state))):
         return Departure(state, faults, terrain, world)
     footed = state if len(values) == 7 else np.concatenate([state[:3], np.zeros(4, dtype=np.int64)])
-    left, assumed = faults, tuple[str, ...]()
+    assumed = tuple[str, ...]()
     grounds = [(terrain, world, assumed)]
     for changed in _grounds(terrain, world, wider, footed) if free else ():
         heights = terrain.heights.copy()
@@ -97,7 +97,8 @@ def departure(
         way = find_way_out(ground, stood, robot, wider, footed)
         if way is not None:
             return Departure(way.states[-1], [], ground, stood, assumed, way)
-    return Departure(state, left if faults else [], terrain, world)
+    # Causes hold on the map as it is: on the changed ground, an edge may lie between the filled cells and others.
+    return Departure(state, faults, terrain, world)
 
 
 class _Ground(NamedTuple):

@@ -59,7 +59,7 @@ def add_plan(commands) -> None:
         help="a CSV file of the states (m, rad) and of the actions that lead to them, also in the frame of the map's "
         "source if that is another one",
     )
-    parser.add_argument("--picture", help="a PNG of the path")
+    parser.add_argument("--picture", help="a PNG of the path, or of the causes why there is none")
     add_map_reading(parser)
     add_cell_size(parser)
     parser.set_defaults(run=_plan)
@@ -85,6 +85,9 @@ def _plan(chosen: argparse.Namespace) -> int:
         print(f"goal {plan.goal_index + 1} of {len(goals)}: {' '.join(chosen.goal[plan.goal_index])}")
     print(plan.explain())
     if not plan.solved:
+        if chosen.picture:
+            plan.show(chosen.picture)
+            print(f"{chosen.picture}: picture of the causes")
         return NO_PLAN
     print(f"{plan.stats.expansions:,} states expanded in {plan.stats.seconds:.2f} s")
     if chosen.out:

@@ -24,7 +24,7 @@ from hdsp.detailed.world.world import World, build_world
 from hdsp.detailed.world.world_update import updated_world
 from hdsp.learning.loading import abstraction_of, load_abstraction
 from hdsp.planning.arguments import callback, choice, falling_weights, lattice_state, limits_of, number, pose_values
-from hdsp.planning.arrival import Arrival, Tolerance, arrival, several, with_heading
+from hdsp.planning.arrival import Arrival, Tolerance, arrival, poses_of, several, with_heading
 from hdsp.planning.compiled import compile_for
 from hdsp.planning.departure import departure
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
@@ -378,12 +378,14 @@ class Planner:
             values, heading_free = with_heading(pose)
             near = pose_values(values, "pose", self._wider)[:3]
             inquiry = InvalidEnd(begin.world, self.grid, self._wider, near, heading_free)
-            return self._no_plan(status, weight, began, begin.faults or ends.faults).renewed(inquiry=inquiry)
+            return self._no_plan(status, weight, began, (start, goal), begin.faults or ends.faults).renewed(
+                inquiry=inquiry
+            )
         exact = ends.exact and len(ends.states) == 1
         groups = None if exact else np.unique(ends.goal, return_inverse=True)[1].ravel()
         preparation = Gradual(self.heuristic.steps_to(ends.states, groups))
         if not preparation.run(began + limits.time):
-            return self._no_plan(Status.TIME_LIMIT, weight, began)
+            return self._no_plan(Status.TIME_LIMIT, weight, began, (start, goal))
         spent = 0.0 if begin.way is None else float(begin.way.costs.sum())
         same = begin.world is self.world
         estimate = preparation.result if same else _on_ground(begin.world, preparation.result, ends)
@@ -408,13 +410,17 @@ class Planner:
             way=begin.way,
         )
 
-    def _no_plan(self, status: Status, weight: float, began: float, faults: Sequence[Cause | str] = ()) -> Plan:
+    def _no_plan(
+        self, status: Status, weight: float, began: float, asked: tuple, faults: Sequence[Cause | str] = ()
+    ) -> Plan:
         """Returns the answer to a query that ends before its search."""
         spent = now() - began
         prepared = spent if status == Status.TIME_LIMIT else 0.0
         stats = PlanStatistics(self.heuristic.name, float(weight), heuristic_seconds=prepared, seconds=spent)
         nothing = np.empty((0, 7)), (), np.empty(0)
-        return Plan(status, np.inf, *nothing, stats, self.terrain, self.robot, problems=tuple(faults))
+        return Plan(
+            status, np.inf, *nothing, stats, self.terrain, self.robot, problems=tuple(faults), ends=poses_of(*asked)
+        )
 
 
 def _on_ground(world: World, estimate: Estimate, ends: Arrival) -> Estimate:

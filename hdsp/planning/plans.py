@@ -25,6 +25,14 @@ from hdsp.planning.plan_table import SourcePoses, ground_poses, source_poses, wr
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
+#: Titles of pictures without a plan.
+_TITLES = {
+    Status.INFEASIBLE: "no way from start to goal",
+    Status.COST_LIMIT: "no plan within the cost limit",
+    Status.INVALID_START: "the robot cannot stand at the start",
+    Status.INVALID_GOAL: "the robot cannot stand at the goal",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -96,7 +104,8 @@ class Plan:
     @property
     def causes(self) -> tuple[Cause, ...]:
         """Why there is no plan, each cause at its place; empty for a plan."""
-        return (*(problem for problem in self.problems if isinstance(problem, Cause)), *self.findings.causes)
+        at_ends = tuple(problem for problem in self.problems if isinstance(problem, Cause))
+        return at_ends or self.findings.causes
 
     @property
     def nearest(self) -> Nearest | None:
@@ -149,12 +158,36 @@ class Plan:
         return finished(refine_steps(self.terrain, self.robot, self.states, self.actions))
 
     def show(self, path: str | Path | None = None):
-        """Draws the plan on its terrain: a PNG with ``path``, else a matplotlib figure."""
+        """Draws the plan on its terrain: a PNG with ``path``, else a matplotlib figure.
+
+        Without a plan, the picture shows start and goal, the area in reach, the causes, and the nearest pose reached.
+
+        Raises:
+            InputError: the path is not writable.
+        """
         from hdsp.viz import planned_path_figure, save_planned_path
 
+        drawn: dict[str, Any] = {}
+        if not self.solved:
+            start, *goals = self.ends or (None,)
+            title = _TITLES.get(self.status, f"not decided: {str(self.status).replace('_', ' ')}")
+            drawn = {"title": title, "start": start, "goal": next(iter(goals), None), "failure": self._failure()}
         if path is None:
-            return planned_path_figure(self.terrain, self.states, self.actions, self.robot)
-        return save_planned_path(self.terrain, self.states, self.actions, self.robot, path)
+            return planned_path_figure(self.terrain, self.states, self.actions, self.robot, **drawn)
+        return save_planned_path(self.terrain, self.states, self.actions, self.robot, path, **drawn)
+
+    def _failure(self):
+        """The absence of a plan for `hdsp.viz`, which knows no plans."""
+        from hdsp.viz import Failure, Mark
+
+        marks = tuple(
+            Mark(cause.place, cause.label + (f", {cause.foot} foot," if cause.foot else ""), cause.pose)
+            for cause in self.causes
+        )
+        nearest = self.nearest
+        if nearest is None:
+            return Failure(marks, self.findings.reached)
+        return Failure(marks, self.findings.reached, nearest.pose, nearest.distance)
 
     def ground_poses(self) -> np.ndarray:
         """Returns the base poses over the ground, map frame, float64 [n, 6]: x, y, z, roll, pitch, heading.

@@ -23,13 +23,23 @@ if TYPE_CHECKING:
     from hdsp.viz.motion_figure import save_motion
     from hdsp.viz.pareto import pareto_front, save_pareto
     from hdsp.viz.patch_figure import save_example_patches
-    from hdsp.viz.path_figure import DrawnPath, draw_path, planned_path_figure, save_planned_path, save_planned_paths
+    from hdsp.viz.path_figure import (
+        DrawnPath,
+        Failure,
+        Mark,
+        draw_path,
+        planned_path_figure,
+        save_planned_path,
+        save_planned_paths,
+    )
     from hdsp.viz.robot_drawing import draw_pose, draw_robot
     from hdsp.viz.scan_figure import ScanPicture, save_map, save_scan_sheet
     from hdsp.viz.style import draw_terrain
 
 __all__ = [
     "DrawnPath",
+    "Failure",
+    "Mark",
     "ScanPicture",
     "draw_path",
     "draw_pose",
@@ -57,6 +67,8 @@ __all__ = [
 #: Module of each public name.
 _MODULES = {
     "DrawnPath": "path_figure",
+    "Failure": "path_figure",
+    "Mark": "path_figure",
     "ScanPicture": "scan_figure",
     "draw_path": "path_figure",
     "draw_pose": "robot_drawing",

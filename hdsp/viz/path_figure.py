@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.colors import to_rgba
+from matplotlib.patheffects import withStroke
 
 from hdsp.base.errors import InputError
 from hdsp.detailed.actions.action import Action
 from hdsp.robot.robot import FEET as FOOT_NAMES
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
-from hdsp.viz.robot_drawing import draw_pose, draw_robot
+from hdsp.viz.robot_drawing import draw_body, draw_pose, draw_robot
 from hdsp.viz.style import (
     BLACK,
     BLUE,
@@ -26,6 +28,7 @@ from hdsp.viz.style import (
     PURPLE,
     SKY,
     START,
+    UNKNOWN,
     VERMILLION,
     draw_terrain,
     figure,
@@ -49,6 +52,36 @@ class DrawnPath(NamedTuple):
     cost: float
 
 
+class Mark(NamedTuple):
+    """A cause of a failure to draw.
+
+    Attributes:
+        place: (x, y), m.
+        label: the cause in a few words.
+        pose: detailed state [7] that the cause makes invalid; None without one.
+    """
+
+    place: tuple[float, float]
+    label: str
+    pose: tuple[float, ...] | None = None
+
+
+class Failure(NamedTuple):
+    """The absence of a path to draw.
+
+    Attributes:
+        marks: causes.
+        reached: bool [nx, ny], cells of the base in reach; None if unknown.
+        nearest: detailed state [7] in reach that is nearest to the goal; None without one.
+        distance: distance of this state from the goal, m.
+    """
+
+    marks: Sequence[Mark] = ()
+    reached: np.ndarray | None = None
+    nearest: tuple[float, ...] | None = None
+    distance: float = 0.0
+
+
 def save_planned_path(
     terrain: HeightMap,
     states: np.ndarray,
@@ -58,6 +91,7 @@ def save_planned_path(
     title: str | None = None,
     start=None,
     goal=None,
+    failure: Failure | None = None,
 ) -> Path:
     """Draws a plan: base and foot tracks, the robot at intervals, steps, start and goal.
 
@@ -71,11 +105,12 @@ def save_planned_path(
         title: figure title.
         start: pose (x, y, theta) in m and rad; default: the plan's first state.
         goal: pose (x, y, theta) in m and rad; default: the plan's last state.
+        failure: causes and the area in reach, if no plan was found.
 
     Raises:
         InputError: if there is neither a path nor a start to draw.
     """
-    return save(planned_path_figure(terrain, states, actions, robot, title, start, goal), path)
+    return save(planned_path_figure(terrain, states, actions, robot, title, start, goal, failure), path)
 
 
 def planned_path_figure(
@@ -86,6 +121,7 @@ def planned_path_figure(
     title: str | None = None,
     start=None,
     goal=None,
+    failure: Failure | None = None,
 ):
     """Draws a plan as a matplotlib figure; see `save_planned_path` for the arguments."""
     start = states[0] if start is None and len(states) else start
@@ -93,9 +129,13 @@ def planned_path_figure(
     if start is None:
         raise InputError("picture of a path: the plan has no states; give start and goal to draw the map with these")
     length, width = terrain.size
-    made = figure(*_page(length, width))
+    wide, high = _page(length, width)
+    # Each cause takes a line in the legend.
+    made = figure(max(wide, 6.5) if failure else wide, high + 0.18 * (len(failure.marks) + 5 if failure else 0))
     axes = made.subplots()
     image = draw_terrain(axes, terrain)
+    if failure is not None:
+        _draw_failure(axes, terrain, robot, failure)
     if len(states):
         draw_path(axes, states, actions, robot)
     draw_pose(axes, start, START, label="start")
@@ -107,8 +147,42 @@ def planned_path_figure(
     bar = made.colorbar(image, ax=axes, shrink=0.6, pad=0.02)
     bar.set_label("height (m)", fontsize=9)
     bar.ax.tick_params(labelsize=8)
-    made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    columns = 1 if failure else 4
+    made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
     return made
+
+
+def _draw_failure(axes, terrain: HeightMap, robot: Robot, failure: Failure) -> None:
+    """Draws the area in reach, numbered causes and the nearest pose in reach; the legend has the words."""
+    (x, y), (length, width) = terrain.origin, terrain.size
+    if failure.reached is not None:
+        shade = np.zeros((*failure.reached.T.shape, 4))
+        shade[failure.reached.T] = to_rgba(SKY, 0.45)
+        axes.imshow(shade, origin="lower", extent=(x, x + length, y, y + width), interpolation="nearest", zorder=2)
+        axes.plot([], [], "s", color=SKY, alpha=0.45, markersize=9, label="base positions in reach")
+    if np.isnan(terrain.heights).any():
+        axes.plot([], [], "s", color=UNKNOWN, markersize=9, label="unknown ground")
+    if failure.nearest is not None:
+        draw_robot(axes, failure.nearest, robot, GREEN)
+        away = f"nearest pose reached, {failure.distance:.2f} m from the goal"
+        axes.plot(*failure.nearest[:2], "^", color=GREEN, markersize=7, zorder=8, label=away)
+    poses = list(dict.fromkeys(mark.pose for mark in failure.marks if mark.pose is not None))
+    for pose in poses:
+        draw_robot(axes, pose, robot, VERMILLION)
+        draw_body(axes, pose, robot, VERMILLION)
+    if poses:
+        axes.plot([], [], "s", color=VERMILLION, alpha=0.35, markersize=9, label="pose that is not possible")
+    halo = [withStroke(linewidth=2.5, foreground="white")]
+    for number, mark in enumerate(failure.marks, 1):
+        look = {"color": "none", "markeredgecolor": BLACK, "markersize": 11, "markeredgewidth": 1.8, "zorder": 10}
+        label = f"{number}  {mark.label} at ({mark.place[0]:.2f}, {mark.place[1]:.2f}) m"
+        axes.plot(*mark.place, marker="o", linestyle="none", label=label, path_effects=halo, **look)
+        # Causes are often neighbours; the numbers go around them.
+        angle = np.pi / 4 + (number - 1) * 2 * np.pi / max(len(failure.marks), 4)
+        axes.annotate(
+            str(number), mark.place, (13 * np.cos(angle), 13 * np.sin(angle)), textcoords="offset points", fontsize=11,
+            fontweight="bold", ha="center", va="center", zorder=11, path_effects=halo,
+        )  # fmt: skip
 
 
 def save_planned_paths(

@@ -22,8 +22,9 @@ def draw_robot(axes, state, robot: Robot, color: str = BLACK, alpha: float = 1.0
         feet: whether to draw the feet.
     """
     state = np.asarray(state, float)
-    box = robot.body.boxes[0]
-    x_min, x_max, half = box.x_min, box.x_max, 0.7 * robot.feet.neutral_y
+    boxes = robot.body.boxes
+    x_min, x_max = min(box.x_min for box in boxes), max(box.x_max for box in boxes)
+    half = 0.7 * robot.feet.neutral_y
     outline = np.array(
         [(x_min, -half), (x_max * 0.75, -half), (x_max, 0), (x_max * 0.75, half), (x_min, half)]
     )  # pointed front
@@ -33,6 +34,16 @@ def draw_robot(axes, state, robot: Robot, color: str = BLACK, alpha: float = 1.0
         places = robot.foot_positions(state)
         look = {"s": 16, "c": FEET, "marker": "s", "edgecolors": color, "linewidths": 0.6, "alpha": alpha}
         axes.scatter(*places.T, zorder=6, **look)
+
+
+def draw_body(axes, state, robot: Robot, color: str, alpha: float = 0.15) -> None:
+    """Draws the areas under the boxes of the body for a detailed state [7], in full size."""
+    state = np.asarray(state, float)
+    for box in robot.body.boxes:
+        low, high, half = box.x_min, box.x_max, box.half_width
+        corners = np.array([(low, -half), (high, -half), (high, half), (low, half)])
+        turned = corners @ rotation(float(state[2])).T + state[:2]
+        axes.add_patch(Polygon(turned, closed=True, facecolor=color, edgecolor="none", alpha=alpha, zorder=4))
 
 
 def draw_pose(axes, pose, color: str, length: float = 0.45, label: str | None = None) -> None:

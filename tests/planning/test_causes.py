@@ -71,7 +71,7 @@ def ring_holds(centre, x, y):
 def checked(plan):
     """The causes of a plan without a path, all borne out by its map."""
     found = [words for cause in plan.causes for words in complaints(cause, plan.terrain, plan.robot)]
-    if plan.findings.gap is not None:
+    if not plan.problems and plan.findings.gap is not None:
         found += gap_complaints(plan.findings.gap)
     assert not found, found
     return plan.causes
@@ -86,6 +86,8 @@ def test_q2_each_kind_of_obstacle_is_named_at_its_place(name):
     assert plan.status == Status.INFEASIBLE and kinds <= named and not others & named, plan.explain()
     assert all(is_there(*cause.place) for cause in causes if cause.kind in kinds), plan.explain()
     assert plan.nearest is not None and 0 < plan.nearest.distance <= math.dist(START[:2], GOAL[:2])
+    labels = plan.show().axes[0].get_legend_handles_labels()[1]
+    assert all(any(cause.label in label for label in labels) for cause in causes), labels
     assert Planner(plan.terrain, conditioning=None).plan(START, plan.nearest.pose, weight=2).solved
 
 
@@ -110,10 +112,14 @@ def test_m17_one_unknown_cell_beside_a_foot_is_unknown_ground_not_an_edge():
     foot = MOMARO.foot_positions(np.array([*START, 0, 0, 0, 0]))[0]
     cell = planner.grid.cell(foot + (0.0, 0.075))
     heights[tuple(cell)] = np.nan
-    plan = planner_on(heights).plan((*START, 0, 0, 0, 0), GOAL)
+    plan = planner_on(heights).plan((*START, 0, 0, 0, 0), GOAL, start_free=False)
     (cause,) = checked(plan)
     assert plan.status == Status.INVALID_START and cause.kind == Kind.UNKNOWN and cause.foot == "front_left"
     assert cause.place == pytest.approx(planner.grid.center(cell)) and "edge" not in plan.explain()
+    # On feet that avoid the cell, the robot stands there, and can go nowhere.
+    stuck = planner_on(heights).plan(START, GOAL, start_free=False)
+    assert stuck.status == Status.INFEASIBLE and {each.kind for each in checked(stuck)} == {Kind.UNKNOWN}
+    assert Planner(HeightMap(heights)).plan(START, GOAL, weight=2).solved
 
 
 @pytest.mark.parametrize(
@@ -173,7 +179,7 @@ def test_q2_on_random_maps_every_cause_is_there_and_no_gap_has_equal_ends(seed):
         valid = [pose for pose in poses if planner.valid(pose)]
         pairs = [*pairwise(valid[:3]), *((pose, pose) for pose in poses if pose not in valid)][:4]
         for start, goal in pairs:
-            plan = planner.plan(start, goal, weight=3, expansions=60_000)
+            plan = planner.plan(start, goal, weight=3, expansions=60_000, start_free=False)
             if plan.solved:
                 continue
             causes = checked(plan)

@@ -84,8 +84,12 @@ def test_a_plan_is_told_and_written(tmp_path, capsys):
 def test_where_there_is_no_plan_the_reason_is_told(tmp_path, capsys):
     wall = np.zeros((150, 100))
     wall[70:74] = 1.0
-    assert plan_on(tmp_path, wall, "--heuristic", "geometric", goal="2.8") == NO_PLAN
-    assert "there is no way: " in capsys.readouterr().out
+    picture = tmp_path / "why.png"
+    more = "--heuristic", "geometric", "--picture", str(picture)
+    assert plan_on(tmp_path, wall, *more, goal="2.8") == NO_PLAN
+    told = capsys.readouterr().out
+    assert "there is no way: " in told and "an edge of 100 cm" in told and f"{picture}: picture" in told
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(

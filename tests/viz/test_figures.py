@@ -9,7 +9,10 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.viz import (
     DrawnPath,
+    Failure,
+    Mark,
     draw_terrain,
+    planned_path_figure,
     save_example_patches,
     save_planned_path,
     save_planned_paths,
@@ -157,3 +160,22 @@ def test_without_a_path_start_and_goal_are_drawn(tmp_path):
     with pytest.raises(InputError, match="start"):
         save_planned_path(terrain, *plan, MOMARO, picture)
     assert is_picture(save_planned_path(terrain, *plan, MOMARO, picture, start=(0.5, 0.5, 0.0), goal=(1.5, 1.0, 1.0)))
+
+
+def test_q2_the_picture_of_a_failure_shows_the_area_in_reach_and_names_each_cause():
+    terrain, place = HeightMap.flat((80, 60)), (1.2, 0.7)
+    reached = np.zeros((80, 60), bool)
+    reached[10:30, 20:40] = True
+    marks = [Mark(place, "unknown ground", (1.0, 0.7, 0.0, 0, 0, 0, 0)), Mark((1.5, 0.7), "an edge of 9 cm")]
+    failure = Failure(marks, reached, (0.7, 0.7, 0.0, 0, 0, 0, 0), 0.9)
+    made = planned_path_figure(
+        terrain, np.empty((0, 7)), (), MOMARO, start=(0.5, 0.7, 0.0), goal=(1.6, 0.7, 0.0), failure=failure
+    )
+    axes = made.axes[0]
+    _, labels = axes.get_legend_handles_labels()
+    assert "1  unknown ground at (1.20, 0.70) m" in labels and "2  an edge of 9 cm at (1.50, 0.70) m" in labels
+    assert "nearest pose reached, 0.90 m from the goal" in labels and "base positions in reach" in labels
+    assert {"1", "2"} <= {text.get_text() for text in axes.texts}
+    drawn = [image.get_array() for image in axes.images if np.ndim(image.get_array()) == 3]
+    assert any((np.asarray(colours)[..., 3] > 0).T.tolist() == reached.tolist() for colours in drawn)
+    assert any(tuple(line.get_xydata()[0]) == place for line in axes.lines if len(line.get_xydata()) == 1)
