@@ -379,7 +379,7 @@ class Planner:
             near = pose_values(values, "pose", self._wider)[:3]
             inquiry = InvalidEnd(begin.world, self.grid, self._wider, near, heading_free)
             return self._no_plan(status, weight, began, (start, goal), begin.faults or ends.faults).renewed(
-                inquiry=inquiry
+                inquiry=inquiry, terrain=begin.terrain
             )
         exact = ends.exact and len(ends.states) == 1
         groups = None if exact else np.unique(ends.goal, return_inverse=True)[1].ravel()
