@@ -1,6 +1,6 @@
 """Labels: tasks labelled by the detailed planner, their files, and the evaluation of abstractions.
 
-- `rules`: labels of one map, and why a task is infeasible
+- `rules`: labels of one map; `reasons`: why a task is infeasible
 - `tasks`, `shards`: labelled tasks as arrays, and as files
 - `counts`: counts of labels
 - `published_tasks`: the authors' published labels
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from hdsp.labels.course_patches import CoursePatchSettings, PatchRun, ScannedCourse, simulated_courses
     from hdsp.labels.evaluation import evaluate_set, predict
     from hdsp.labels.published_tasks import export_tasks, find_published, import_tasks, read_published, write_published
+    from hdsp.labels.reasons import LabelReason, label_reasons
     from hdsp.labels.rules import LabelSettings, MapTasks, label_map, label_unstandable
     from hdsp.labels.scan_patches import ScanPatchSettings, label_scan
     from hdsp.labels.scan_sets import ScanFolder, read_scan_folder
@@ -29,6 +30,7 @@ __all__ = [
     "REASON_UNKNOWN",
     "CoursePatchSettings",
     "LabelCounts",
+    "LabelReason",
     "LabelSettings",
     "MapTasks",
     "PatchRun",
@@ -43,6 +45,7 @@ __all__ = [
     "import_tasks",
     "is_shard",
     "label_map",
+    "label_reasons",
     "label_scan",
     "label_unstandable",
     "predict",
@@ -61,6 +64,7 @@ _MODULES = {
     "REASON_UNKNOWN": "tasks",
     "CoursePatchSettings": "course_patches",
     "LabelCounts": "counts",
+    "LabelReason": "reasons",
     "LabelSettings": "rules",
     "MapTasks": "rules",
     "PatchRun": "course_patches",
@@ -75,6 +79,7 @@ _MODULES = {
     "import_tasks": "published_tasks",
     "is_shard": "shards",
     "label_map": "rules",
+    "label_reasons": "reasons",
     "label_scan": "scan_patches",
     "label_unstandable": "rules",
     "predict": "evaluation",

@@ -62,7 +62,7 @@ def label_map(
     Raises:
         InputError: if the map is smaller than a patch, or the heading is no abstract heading.
     """
-    base = _start_base(terrain, start_heading)
+    base = start_base(terrain, start_heading)
     world = build_world(terrain, robot)
     start = feet_at(world, base)
     if start is None:
@@ -81,7 +81,7 @@ def label_unstandable(
     Returns:
         The tasks, with start and goals at the start base with neutral feet; None if a valid start state exists.
     """
-    base = _start_base(terrain, start_heading)
+    base = start_base(terrain, start_heading)
     if feet_at(build_world(terrain, robot), base) is not None:
         return None
     start = np.array([*base, 0, 0, 0, 0])
@@ -89,7 +89,7 @@ def label_unstandable(
     return _map_tasks(terrain, base, start, goals, cost, np.full(N_ABSTRACT_ACTIONS, Status.INVALID_START))
 
 
-def _start_base(terrain: HeightMap, start_heading: int) -> tuple[int, int, int]:
+def start_base(terrain: HeightMap, start_heading: int) -> tuple[int, int, int]:
     """Detailed base state from which a map's tasks start."""
     if min(terrain.shape) < PATCH_CELLS:
         raise InputError(
