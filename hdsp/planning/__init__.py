@@ -4,6 +4,9 @@
 - `heuristics`: the contract `Heuristic`; geometric and abstract heuristics
 - `heuristic_conformance`: a check of your own heuristic
 - `query`: one query with its search or its proof
+- `departure`, `way_out`: the start: ground under the robot, and the way out of the clearance of obstacles
+- `arrival`: goals with a tolerance or a free heading, and several goals
+- `nearby`, `invalid_end`: poses that the robot can leave, and the nearest of them
 - `refinable`, `improving`: plans without impossible steps; anytime planning
 - `plans`, `plan_statistics`: `Plan` and its statistics
 - `explanation`, `findings`, `advice`: plans in words; reasons for the absence of a plan, and help
