@@ -4,8 +4,9 @@ A map often shows the robot: unknown cells that its sensors do not see, or its o
 this reason is examined again on a map that is changed within the footprint alone:
 
 - Unknown cells become ground, interpolated from the known ground around the footprint.
-- If this does not suffice, objects that end within the footprint are the robot itself, and become ground as well. An
-  object that continues beyond the footprint is none: the start stays invalid.
+- If this does not suffice, objects that end within body and feet, and rise to the height of the body, are the robot
+  itself, and become ground as well. An object that continues beyond the robot, or lies beside it, is none: the start
+  stays invalid.
 
 The footprint is the least rectangle around the body and the feet with their clearance, two cells wider because sensors
 blur edges.
@@ -84,7 +85,7 @@ def departure(
     footed = state if len(values) == 7 else np.concatenate([state[:3], np.zeros(4, dtype=np.int64)])
     assumed = tuple[str, ...]()
     grounds = [(terrain, world, assumed)]
-    for changed in _grounds(terrain, world, wider, footed) if free else ():
+    for changed in _grounds(terrain, world, robot, wider, footed) if free else ():
         heights = terrain.heights.copy()
         heights[changed.cells] = changed.heights
         ground = replace(terrain, heights=heights)
@@ -109,15 +110,16 @@ class _Ground(NamedTuple):
     words: tuple[str, ...]
 
 
-def _grounds(terrain: HeightMap, world: World, robot: Robot, state: np.ndarray) -> Iterator[_Ground]:
+def _grounds(terrain: HeightMap, world: World, robot: Robot, wider: Robot, state: np.ndarray) -> Iterator[_Ground]:
     """Yields changes of the ground under the robot, the smallest first."""
-    from scipy.ndimage import binary_dilation, label
+    from scipy.ndimage import binary_dilation
 
-    own = _footprint(world, robot, state)
+    own = _footprint(world, wider, state, wider.feet.clearance)
     rows, columns = (np.flatnonzero(own.any(axis=axis)) for axis in (1, 0))
     margin = _BLUR + _RIM + 1
     part = tuple(slice(max(int(at[0]) - margin, 0), int(at[-1]) + margin + 1) for at in (rows, columns))
     heights = terrain.heights[part].astype(float)
+    body = _footprint(world, robot, state, 0.0)[part]
     own = binary_dilation(own[part], disc_mask(_BLUR))
     around = binary_dilation(own, disc_mask(_RIM))
     rim = around & ~own & np.isfinite(heights)
@@ -130,21 +132,19 @@ def _grounds(terrain: HeightMap, world: World, robot: Robot, state: np.ndarray) 
         plane = np.full(heights.shape, float(terrain.heights[x, y]))
     with np.errstate(invalid="ignore"):
         objects = around & (heights - plane > robot.drive.highest_edge)
-    regions, _ = label(objects, np.ones((3, 3), int))
-    beyond = np.unique(regions[around & ~own])
-    itself = objects & ~np.isin(regions, beyond[beyond > 0])
+    itself = _own_parts(objects, heights - plane, body, min((box.above for box in robot.body.boxes), default=0.0))
     unknown = own & np.isnan(heights)
-    for body in (np.zeros_like(own), itself):
-        missing = unknown | body
-        if not missing.any() or (body is itself and not itself.any()):
+    for parts in (np.zeros_like(own), itself):
+        missing = unknown | parts
+        if not missing.any() or (parts is itself and not itself.any()):
             continue
         words = []
         if unknown.any():
             words.append(f"{_area(unknown)} m2 of unknown ground under the robot at the start are taken as ground")
-        if body.any():
-            highest = float((heights - plane)[body].max())
+        if parts.any():
+            highest = float((heights - plane)[parts].max())
             words.append(
-                f"{_area(body)} m2 of the map under the start, up to {highest:.2f} m high, are taken as the robot"
+                f"{_area(parts)} m2 of the map under the start, up to {highest:.2f} m high, are taken as the robot"
             )
         changed = np.zeros(terrain.shape, dtype=bool)
         changed[part] = missing
@@ -153,13 +153,34 @@ def _grounds(terrain: HeightMap, world: World, robot: Robot, state: np.ndarray) 
         yield _Ground(changed, filled[missing].astype(np.float32), tuple(words))
 
 
+def _own_parts(objects: np.ndarray, rise: np.ndarray, body: np.ndarray, belly: float) -> np.ndarray:
+    """Cells of the objects that are parts of the robot: they end within its body, and are as high as its belly.
+
+    Args:
+        objects: bool [nx, ny], cells above the ground by more than a wheel passes.
+        rise: float64 [nx, ny], height above the ground, m.
+        body: bool [nx, ny], cells under body and feet.
+        belly: least height of the body above the ground, m.
+    """
+    from scipy.ndimage import binary_dilation, label
+
+    near = binary_dilation(body, disc_mask(_BLUR))
+    regions, count = label(objects, np.ones((3, 3), int))
+    found = np.zeros_like(objects)
+    for k in range(1, count + 1):
+        region = regions == k
+        if not (region & ~near).any() and 2 * (region & body).sum() >= region.sum() and rise[region].max() >= belly:
+            found |= region
+    return found
+
+
 def _area(cells_of: np.ndarray) -> str:
     return f"{np.count_nonzero(cells_of) * metres(1.0) ** 2:.2g}"
 
 
-def _footprint(world: World, robot: Robot, state: np.ndarray) -> np.ndarray:
-    """Cells of the map in the least rectangle around the body and the clearance of the feet, bool [nx, ny]."""
-    body, clear = robot.body.boxes, robot.feet.clearance
+def _footprint(world: World, robot: Robot, state: np.ndarray, clear: float) -> np.ndarray:
+    """Cells of the map in the least rectangle around the body and the feet with some clearance (m), bool [nx, ny]."""
+    body = robot.body.boxes
     offsets = np.clip(metres(state[3:].astype(float)), robot.feet.offset_min, robot.feet.offset_max)
     ahead = robot.neutral_feet()[:, 0] + offsets
     rectangle = Rectangle(
