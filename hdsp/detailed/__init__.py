@@ -7,6 +7,7 @@
 - `search`: weighted A*, anytime and multi-heuristic search
 - `relaxed`: easier problems for lower bounds and proofs
 - `motion`: from a plan to the motion of base and feet
+- `causes`: why a state is invalid, and which ground keeps the robot from a goal
 
 Each package imports only packages above it in this list; `relaxed` and `motion` do not import each other.
 """

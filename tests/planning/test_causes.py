@@ -8,8 +8,8 @@ import pytest
 
 from hdsp import HeightMap, Planner
 from hdsp.detailed.causes import Cause, Kind
-from hdsp.detailed.causes.faults import cell_under, flat_index
 from hdsp.detailed.causes.gap import _resistance
+from hdsp.detailed.causes.state_faults import cell_under, flat_index
 from hdsp.detailed.relaxed.proofs import body_hits
 from hdsp.detailed.search.outcome import Status
 from hdsp.robot.robot import Robot

@@ -18,7 +18,7 @@ from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import feet_cells
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.causes.cause import Cause, Kind
-from hdsp.detailed.causes.faults import faults_of, ground_fault, place_of
+from hdsp.detailed.causes.state_faults import faults_of, ground_fault, place_of
 from hdsp.detailed.relaxed.heading_masks import PoseFlood
 from hdsp.detailed.relaxed.proofs import FOOT, Unreachable
 from hdsp.detailed.world.body import collides
