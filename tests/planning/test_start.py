@@ -116,10 +116,10 @@ def test_m4_an_object_that_continues_beyond_the_robot_is_not_the_robot(part):
     assert "0.80 m" in plan.explain() or "an edge" in plan.explain()
 
 
-@pytest.mark.parametrize("ahead, side, height", [(0.5, 0.05, 0.9), (0.3, 0.1, 0.2), (0.3, 0.1, 0.28)])
-def test_m4_a_low_object_under_the_robot_or_one_beside_it_is_not_the_robot(ahead, side, height):
+@pytest.mark.parametrize("left, side, height", [(0.34, 0.05, 0.9), (0.22, 0.1, 0.2), (0.22, 0.1, 0.28)])
+def test_m4_a_low_object_under_the_robot_or_one_beside_it_is_not_the_robot(left, side, height):
     heights = flat()
-    heights[rectangle(heights, (START[0] + ahead, START[1] + 0.22, 0.0), side, side)] = height
+    heights[rectangle(heights, (START[0] + 0.3, START[1] + left, 0.0), side, side)] = height
     plan = planner(heights).plan((*START, 0.0, 0.0, 0.0, 0.0), GOAL)
     assert plan.assumed == () and plan.status == Status.INVALID_START
 
