@@ -29,7 +29,7 @@ def test_it_climbs_a_kerb_a_ramp_and_stairs_and_its_motions_are_possible(found):
 def test_it_tells_why_it_climbs_no_more(found):
     steep, high = (found[0][name] for name in ("steep_ramp", "high_stairs"))
     assert steep["status"] == high["status"] == ["infeasible"]
-    assert "too steep there, 40.0 degrees; the robot takes 35.0 degrees" in steep["words"][0]
+    assert "a slope of 40.0 degrees (the robot takes 35.0)" in steep["words"][0]
     assert "foot gets nowhere" in high["words"][0]
 
 

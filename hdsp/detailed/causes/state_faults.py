@@ -122,4 +122,7 @@ def height_difference(world: World, cell: tuple[int, int]) -> float:
 def _slope(world: World, grid: Grid, robot: Robot, cell: tuple[int, int], foot: str | None) -> Cause:
     heights = world.height.reshape(-1, world.stride)[world.pad :, world.pad :][: world.nx, : world.ny]
     angle = inclination_at_cell(heights, cell, robot)
-    return Cause(Kind.SLOPE, place_of(grid, cell), angle, min(robot.slope.max_pitch, robot.slope.max_roll), foot)
+    limits = sorted([robot.slope.max_pitch, robot.slope.max_roll])
+    # Ground that is too steep at every heading is usually beyond the larger limit.
+    limit = limits[1] if angle > limits[1] else limits[0]
+    return Cause(Kind.SLOPE, place_of(grid, cell), angle, limit, foot)
