@@ -91,7 +91,8 @@ def lowest_plane(voxels: np.ndarray, settings: FloorSettings, points: int) -> Pl
         rest = rest[plane.heights(rest) < -_BELOW]
     if floor is None:
         tilt = math.degrees(settings.max_tilt)
-        raise InputError(f"no floor among {points} points: no plane within {tilt:.0f} degrees of the horizontal")
+        text = f"no floor among {points} points: no plane within {tilt:.0f} degrees of the horizontal"
+        raise InputError(f"{text}; see the options axes and max-tilt")
     return floor
 
 

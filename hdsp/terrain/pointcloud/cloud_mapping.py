@@ -22,6 +22,8 @@ from hdsp.terrain.pointcloud.faults import Cleaned, check_extent, without_far_po
 from hdsp.terrain.pointcloud.gravity import Gravity, check_up, judge
 from hdsp.terrain.pointcloud.ground import ground_below
 
+_MOST_UNDER = 0.1  # of the points, that may lie under a floor
+
 
 @checked
 class MapSettings:
@@ -132,7 +134,10 @@ def map_points(points: np.ndarray, settings: MapSettings | None = None, resoluti
     points, notes = cleaned(points, settings.box)
     check_extent(points, resolution)
     points, floor, to_source, more, doubts = _levelled(points, settings)
-    points, cuts = _cut(points, settings)
+    before = len(points)
+    points, cuts, under = _cut(points, settings)
+    if settings.level is None and settings.check_up and under > _MOST_UNDER * before:
+        doubts = (*doubts, f"{under / before:.0%} of the points lie under the floor: is z up? see the option axes")
     if len(points) == 0:
         raise InputError("height map of points: none is left in the box, between lowest and highest; check the axes")
     check_extent(points, resolution)
@@ -233,13 +238,13 @@ def _finite(points: np.ndarray) -> np.ndarray:
     return finite
 
 
-def _cut(points: np.ndarray, settings: MapSettings) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Points in the box and between the lowest and the highest height, and phrases on the others."""
+def _cut(points: np.ndarray, settings: MapSettings) -> tuple[np.ndarray, tuple[str, ...], int]:
+    """Points in the box between the lowest and the highest height, phrases on the others, and the number below."""
     if settings.box:
         inside = (points[:, :2] >= settings.box[:2]).all(axis=1) & (points[:, :2] <= settings.box[2:]).all(axis=1)
         points = points[inside]
     if len(points) == 0:
-        return points, ()
+        return points, (), 0
     above = points[:, 2] - (ground_below(points, settings.floor.thickness) if settings.level is None else 0.0)
     low, high = above < settings.lowest, above > settings.highest
     notes = []
@@ -247,7 +252,7 @@ def _cut(points: np.ndarray, settings: MapSettings) -> tuple[np.ndarray, tuple[s
         notes.append(f"{low.sum():,} points lower than {-settings.lowest:g} m under the ground dropped")
     if high.any():
         notes.append(f"{high.sum():,} higher than {settings.highest:g} m dropped")
-    return points[~(low | high)], tuple(notes)
+    return points[~(low | high)], tuple(notes), int(low.sum())
 
 
 def _without_lone_points(points: np.ndarray, settings: MapSettings) -> np.ndarray:

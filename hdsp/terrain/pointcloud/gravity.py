@@ -159,6 +159,26 @@ def _cells(voxels: np.ndarray) -> np.ndarray:
     return np.asarray(np.ravel_multi_index(cells.T, cells.max(axis=0) + 1))
 
 
+def _camera(points: np.ndarray) -> str:
+    """A phrase if the points fill the view of a camera at the origin that looks along z, as clouds of one image do."""
+    for sign, axes in ((1, "z,-x,-y"), (-1, "-z,-x,y")):
+        depth = sign * points[:, 2]
+        near, third, far = np.quantile(depth, [0.02, 0.33, 0.67])
+        if near < 0.1:
+            continue
+        aside = np.quantile(np.abs(points[:, :2]) / np.maximum(depth, near)[:, None], 0.99, axis=0)
+        if aside.max() > 1.5 or aside.min() < 0.1:
+            continue
+        close, distant = depth <= third, depth >= far
+        longer = float(np.median(depth[distant]) / np.median(depth[close]))
+        wider = float(np.ptp(points[distant, 0]) / max(np.ptp(points[close, 0]), 1e-9))
+        if longer > 1.4 and wider > 0.8 * longer:
+            return (
+                f"this looks like the view of a camera along {'-' if sign < 0 else ''}z; --axes={axes} makes its y up"
+            )
+    return ""
+
+
 class _Slab(NamedTuple):
     """Largest plane across an axis.
 
@@ -182,6 +202,8 @@ def check_up(points: np.ndarray, settings: FloorSettings) -> str:
     Raises:
         InputError: if another axis is up.
     """
+    if camera := _camera(points):
+        return camera
     voxels = _some(thinned(points, settings.voxel))
     extent = np.diff(np.quantile(voxels, [0.005, 0.995], axis=0), axis=0)[0]
     if extent[2] <= extent[:2].min():
@@ -197,25 +219,27 @@ def check_up(points: np.ndarray, settings: FloorSettings) -> str:
             found.append((storey, slab.support, name if slab.above >= 0.5 else f"-{name}", slab))
     if not found:
         return ""
-    storey, _, name, slab = max(found)
+    largest = max(support for _, support, _, _ in found)
+    storey, _, name, slab = max(one for one in found if one[1] > 0.3 * largest)
     times = slab.support / max(here.support, 1)
     hint = f"--axes={_AXES_FOR_UP[name]} makes it up, --axes=x,y,z keeps z"
     text = f"{name} may be up: the largest plane lies across {name[-1]}, {times:.1f} times as large as the one across z"
     alley = slab.paired and not here.paired
     # Between walls and under a ceiling, a storey's height tells a room from a hallway.
     room = storey and (extent[2] > _STOREY[1] if slab.paired else here.paired)
-    if not alley and (times > 3 or room):
+    lonely = slab.support > 0.3 * len(voxels) and here.support < 0.1 * len(voxels)
+    if not alley and (lonely or room or (storey and times > 3)):
         raise InputError(f"{text}; {hint}")
     return f"{text}; {hint}"
 
 
 def _slab(voxels: np.ndarray, settings: FloorSettings) -> _Slab:
     """Largest plane across the third axis."""
-    plane = best_plane(voxels, settings, math.radians(10))
+    plane = best_plane(voxels, settings, _STEEPEST)
     if plane is None:
         return _Slab(0, 0.5, False)
     heights = plane.heights(voxels)
-    opposite = best_plane(voxels[np.abs(heights) > 1.0], settings, math.radians(10))
+    opposite = best_plane(voxels[np.abs(heights) > 1.0], settings, _STEEPEST)
     if opposite is None or opposite.support < 0.4 * plane.support:
         others = heights[np.abs(heights) > 0.1]
         return _Slab(plane.support, float((others > 0).mean()) if len(others) else 0.5, False)

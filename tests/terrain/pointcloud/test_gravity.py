@@ -107,11 +107,34 @@ def test_m16_a_room_with_another_axis_up_is_refused_with_the_axes_that_help(orde
     assert map_points(turned, MapSettings(check_up=False)).heights.size  # the user knows better
 
 
+def test_m16_a_floor_without_walls_is_refused_as_well():
+    with pytest.raises(InputError, match=r"y may be up: .*--axes=z,x,y"):
+        map_points(room()[:, [1, 2, 0]])
+
+
 @pytest.mark.parametrize("ceiling", [False, True])
 @pytest.mark.parametrize("walls", [1, 2, 4])
 def test_m16_a_room_with_z_up_is_not_refused(walls, ceiling):
     report = map_points(furnished(walls, ceiling)).report
     assert report.doubts == ()
+
+
+def seen_by_a_camera(pitch):
+    """A floor 1 m below a camera and a wall 3 m ahead of it, in the camera's axes x right, y down, z ahead."""
+    across, down = np.meshgrid(np.linspace(-0.6, 0.6, 150), np.linspace(-0.45, 0.45, 110))
+    rays = np.stack([across, down, np.ones_like(across)], axis=-1).reshape(-1, 3)
+    world = moved(rays[:, [2, 0, 1]] * (1, -1, -1), pitch=pitch)
+    floor = np.where(world[:, 2] < 0, 1 / np.maximum(-world[:, 2], 1e-9), np.inf)
+    points = rays * np.minimum(floor, 3 / np.maximum(world[:, 0], 1e-9))[:, None]
+    return points + np.random.default_rng(0).normal(0, 0.003, points.shape)
+
+
+@pytest.mark.parametrize(("pitch", "words"), [(15, "of the points lie under the floor: is z up"), (30, "z,-x,-y")])
+def test_m16_views_of_a_camera_are_doubted_in_its_axes_and_taken_in_ours(pitch, words):
+    view = seen_by_a_camera(pitch)
+    assert words in " ".join(map_points(view).report.doubts)
+    ours = map_points(view[:, [2, 0, 1]] * (1, -1, -1)).report
+    assert any(f"{pitch - 0.1:.1f} degrees" in note or f"{pitch}.0 degrees" in note for note in ours.notes)
 
 
 def test_m16_doubts_are_warnings():
