@@ -80,7 +80,7 @@ class HeightMap:
         - .tif, .tiff, .asc, .dem, .img: rasters by rasterio; CRS, masks and no-data values count
         - .png, .pgm: grey values as heights; the first row is the upper edge (largest y)
         - .bag, .db3, .mcap, the folder of a ROS 2 bag: messages of grid_map_msgs/GridMap
-        - point files (`hdsp.terrain.pointcloud.FORMATS`): levelled on their floor. For other units, other axes or a
+        - point files (`hdsp.terrain.pointcloud.FORMATS`): see `from_points`. For other units, other axes or a
           cut, use `hdsp.terrain.pointcloud.read_points` and `from_points`.
 
         Infinite heights and obvious no-data values become unknown; ``frame.notes`` says so.
