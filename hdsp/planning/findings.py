@@ -29,8 +29,8 @@ from hdsp.robot.lattice import HEADINGS, Grid, cells, heading_angle, metres
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
-#: Time for the limits of a robot without which there would be a plan, s.
-REASON_SECONDS = 30.0
+#: Time for limits of the robot, s: after a failure that shows no obstacle, and beside causes.
+REASON_SECONDS, BESIDE_CAUSES = 30.0, 15.0
 _EXPANSIONS = 50_000  # of the search for a pose in reach that is nearer to the goal
 _NEARER = 0.05  # m; less is not worth this search
 
@@ -118,8 +118,7 @@ class Inquiry:
             causes: the causes found. Limits are sought where they are edges, over which other robots step.
 
         Returns:
-            The words; None where the ground alone is the cause, nothing is proved, or ``REASON_SECONDS`` do not
-            suffice.
+            The words; None where the ground alone is the cause, nothing is proved, or the time does not suffice.
         """
         ground_alone = bool(causes) and all(cause.kind != Kind.EDGE for cause in causes)
         if self.status != Status.INFEASIBLE or ground_alone:
@@ -127,7 +126,9 @@ class Inquiry:
         if self.proof is not None and self.proof.proof == FOOT:
             line = np.concatenate([[self.proof.from_start], self.proof.blocked, [self.proof.from_goal]])
             return stopping_limits(self.terrain, self.wider, self.start, self.goal, line)
-        return decisive_limits(self.terrain, self.wider, self.start, self.goal, REASON_SECONDS)
+        return decisive_limits(
+            self.terrain, self.wider, self.start, self.goal, BESIDE_CAUSES if causes else REASON_SECONDS
+        )
 
     def _nearest(self, world: World, grid: Grid, reached: np.ndarray) -> Nearest:
         assert self.reached is not None
