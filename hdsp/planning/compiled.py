@@ -17,6 +17,7 @@ import numpy as np
 from hdsp.abstract.abstract_costs import checked_region, close_exits, close_states
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.detailed.relaxed.heading_masks import missing_feet
+from hdsp.detailed.search.leaving import leave
 from hdsp.detailed.search.outcome import Limits
 from hdsp.detailed.world.world import build_world, cell_index
 from hdsp.planning.arrival import arrival
@@ -102,6 +103,9 @@ def _try(robot: Robot, kind: QueryKind, learned: LearnedCosts | None) -> None:
     middle = terrain.size[0] / 4, terrain.size[1] / 2
     start, _ = locate(world, grid, robot, (*middle, 0.0), "start")
     locate(world, grid, robot, (metres(1.0), metres(1.0), 0.0), "start")
+    build_world(terrain, replace(robot, feet=replace(robot.feet, clearance=0.0)))  # for a way out
+    for distance in (1.0, math.inf):  # a start on displaced feet
+        leave(world, start, distance, expansions=1)
     ends = arrival(world, grid, robot, [(middle[0] + metres(8.0), middle[1], None)], metres(1.0))
     heuristic.set_goals(ends.states, np.zeros(len(ends.states), np.int64))
     goal, _ = locate(world, grid, robot, (middle[0] + metres(8.0), middle[1], 0.2), "goal")

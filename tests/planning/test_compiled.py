@@ -27,6 +27,7 @@ heights[100:104] = 0.12
 heights[160:164] = 1.0
 heights[20:60, 130:140] = np.linspace(0, 0.3, 40)[:, None]
 heights[5:9, 5:9] = np.nan
+heights[140:150, 30:36] = np.nan  # under the robot
 planner = hdsp.Planner(hdsp.HeightMap(heights), heuristic=sys.argv[1], conditioning=None)
 options = json.loads(sys.argv[2])
 
@@ -50,7 +51,7 @@ improving = options.pop("improve", False)
 query = (lambda *a, **k: list(planner.improve(*a, **k, **options))) if improving else (
     lambda *a, **k: planner.plan(*a, **({} if improving else {"weight": 1.5}), **k, **options))
 answers = [query(*ends), query(*ends, expansions=100), query(ends[0], behind, expansions=100_000),
-           query(*ends, tolerance=0.1), query((0.1, 0.1, 0.0), ends[1])]
+           query(*ends, tolerance=0.1), query((0.1, 0.1, 0.0), ends[1]), query((3.9, 1.0, 0.0), ends[1], way_out=True)]
 late = {name: n for name, n in known().items() if n != before.get(name, 0)}
 first_answer = answers[0][-1] if improving else answers[0]
 print(json.dumps({"status": str(first_answer.status), "steps": first_answer.steps, "late": late}))
