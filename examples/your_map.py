@@ -45,12 +45,11 @@ def measured_map(seed: int = 0) -> HeightMap:
 
 
 def unseen_doorway() -> HeightMap:
-    """A wall of 1 m with a door of 1.2 m; the floor behind it was not seen over 1.15 m."""
-    scene = Scene(tuple(Block(3.0, y, 0.0, 0.1, 1.4, 1.0) for y in (0.7, 3.3)))
-    middles = [(np.arange(count) + 0.5) * 0.025 for count in (240, 160)]
-    x, y = np.meshgrid(*middles, indexing="ij")
-    heights = scene.heights_at(x, y)
-    heights[(x > 3.05) & (x < 4.2)] = np.nan
+    """A wall of 1 m across 6 x 4 m, with a door of 1.2 m; the floor behind it was not seen over 1.1 m."""
+    heights = np.zeros((240, 160))
+    heights[119:123] = 1.0
+    heights[119:123, 56:104] = 0.0
+    heights[123:168] = np.nan
     return HeightMap(heights)
 
 
@@ -96,7 +95,7 @@ def run(folder: Path) -> dict:
     plan.show(folder / "no_plan.png")
     return {
         "conditioning": report,
-        "median_error_cm": round(100 * float(np.nanmedian(off)), 2),
+        "median_error_cm": round(100 * float(np.median(off)), 2),
         "status": str(plan.status),
         "causes": [{"kind": str(cause.kind), "place": [round(v, 2) for v in cause.place]} for cause in plan.causes],
         "nearest": None if plan.nearest is None else round(plan.nearest.distance, 2),

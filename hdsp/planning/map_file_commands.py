@@ -99,7 +99,7 @@ def about_map(terrain: HeightMap) -> str:
     text = f"height map of {nx} x {ny} cells of {terrain.resolution:g} m, {length:.2f} x {width:.2f} m from "
     text += f"({terrain.origin[0]:.2f}, {terrain.origin[1]:.2f}), {known.size / terrain.heights.size:.0%} known"
     if known.size:
-        text += f", heights {known.min():.2f} to {known.max():.2f} m (median {np.median(known):.2f})"
+        text += f", heights {known.min():z.2f} to {known.max():z.2f} m (median {np.median(known):z.2f})"
     return text
 
 

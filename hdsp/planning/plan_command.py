@@ -150,6 +150,6 @@ def _frames(terrain: HeightMap) -> str:
     frame = terrain.frame
     if frame.is_source and not (frame.name or frame.crs):
         return ""
-    name = frame.name or "the source"
-    source = f"{name} ({frame.crs})" if frame.crs else name
+    crs = f"({frame.crs})" if frame.name and frame.crs else frame.crs
+    source = " ".join(filter(None, (frame.name, crs))) or "the source"
     return f", in the frame {source}" if frame.is_source else f", in the frame of the map; source_*: in {source}"

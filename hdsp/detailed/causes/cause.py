@@ -111,4 +111,4 @@ def _point(place: Place) -> str:
 
 
 def _centimetres(length: float) -> str:
-    return f"{100 * length:.3g} cm"
+    return f"{100 * length:.3g} cm" if length < 1 else f"{100 * length:.0f} cm"
