@@ -17,6 +17,7 @@ import numpy as np
 from hdsp.abstract.abstract_costs import checked_region, close_exits, close_states
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.detailed.relaxed.heading_masks import missing_feet
+from hdsp.detailed.relaxed.proofs import why_unreachable
 from hdsp.detailed.search.leaving import leave
 from hdsp.detailed.search.outcome import Limits
 from hdsp.detailed.world.world import build_world, cell_index
@@ -124,7 +125,7 @@ def _try(robot: Robot, kind: QueryKind, learned: LearnedCosts | None) -> None:
         consistent=heuristic.consistent,
         limits=Limits(),
     )
-    query.proof().try_until(math.inf)
+    why_unreachable(world, start, goal)
     missing_feet(world, int(cell_index(world, start[0], start[1])), int(start[2]))
     if kind.anytime:
         stopped = replace(query, limits=Limits(expansions=1))

@@ -20,6 +20,7 @@ from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.planning import plans, query
+from hdsp.planning.compiled import compile_for
 from hdsp.planning.heuristics import standing
 from hdsp.planning.heuristics.standing import standing_states
 from hdsp.terrain.random_arenas import random_arena
@@ -32,6 +33,14 @@ LATE = 0.25
 @pytest.fixture(scope="module")
 def flat():
     return Planner(HeightMap.flat((100, 100)))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kernels(flat):
+    """All kernels, before a test puts endless steps in place of computations."""
+    for anytime in (False, True):
+        for refinable in (False, True):
+            compile_for(flat.robot, flat.heuristic, anytime=anytime, refinable=refinable)
 
 
 @pytest.fixture(scope="module")
