@@ -1,6 +1,7 @@
 """Q4: one budget of time for preparation, search, proof and refinement, and nothing computed twice."""
 
 import time
+from itertools import product
 
 import numpy as np
 import pytest
@@ -38,9 +39,8 @@ def flat():
 @pytest.fixture(scope="module", autouse=True)
 def kernels(flat):
     """All kernels, before a test puts endless steps in place of computations."""
-    for anytime in (False, True):
-        for refinable in (False, True):
-            compile_for(flat.robot, flat.heuristic, anytime=anytime, refinable=refinable)
+    for anytime, refinable in product((False, True), repeat=2):
+        compile_for(flat.robot, flat.heuristic, anytime=anytime, refinable=refinable)
 
 
 @pytest.fixture(scope="module")
