@@ -39,8 +39,8 @@ def flat():
 @pytest.fixture(scope="module", autouse=True)
 def kernels(flat):
     """All kernels, before a test puts endless steps in place of computations."""
-    for anytime, refinable in product((False, True), repeat=2):
-        compile_for(flat.robot, flat.heuristic, anytime=anytime, refinable=refinable)
+    for improving, refinable in product((False, True), repeat=2):
+        compile_for(flat.robot, flat.heuristic, anytime=improving, refinable=refinable)
 
 
 @pytest.fixture(scope="module")
