@@ -141,7 +141,7 @@ class Planner:
                 None: the change may be anywhere. A region only saves a comparison.
 
         Raises:
-            InputError: another resolution, or a region beyond the map.
+            InputError: another resolution without conditioning, or a region beyond the map.
         """
         if not isinstance(terrain, HeightMap):
             raise InputError(f"terrain is a {type(terrain).__name__}; need a HeightMap")

@@ -1,6 +1,7 @@
 """Causes of failures (M17, Q2): each kind is named where it is, and an independent check of the map bears it out."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -211,3 +212,4 @@ def test_a_cause_is_a_value_with_words():
         str(cause)
         == "the rear_left foot cannot stand at (1.10, 2.00) m: an edge of 15.3 cm (wheels pass 5 cm) at (1.00, 2.00) m"
     )
+    assert "an edge of 15000 cm" in str(replace(cause, amount=150.0))  # heights in millimetres
