@@ -44,9 +44,10 @@ class Arrival:
 def arrival(world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: Tolerance | None) -> Arrival:
     """Returns the states at which a plan may end.
 
-    A goal without tolerance and with a heading is one state, the nearest on the lattice. T_a->d chooses its feet if
-    they are not given. A tolerance adds all poses of the lattice within it. The robot stands there on the given feet;
-    without them on neutral feet, or where it cannot, on the feet from T_a->d.
+    A goal without tolerance and with a heading is the nearest pose on the lattice, on the given feet. Without feet, it
+    is on neutral feet if T_a->d chooses them; else the robot may arrive on any feet on which it stands, since few feet
+    lead to a pose on rough ground. A tolerance adds all poses of the lattice within it. The robot stands there on the
+    given feet; without them on neutral feet, or where it cannot, on the feet from T_a->d.
 
     Args:
         world: terrain and robot, compiled.
@@ -70,8 +71,11 @@ def arrival(world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: 
             values = pose_values(pose, name, robot)
             around = _around(world, grid, values, state, distance, math.pi if free else turn)
             states = np.unique(around if wrong else np.concatenate([state[None], around]), axis=0)
-        else:
+        elif wrong or len(pose_values(pose, name, robot)) == 7 or not state[3:].any():
             states = state[None][: 0 if wrong else 1]
+        else:
+            states = _on_any_feet(world, state)
+            exact = exact and len(states) == 1
         if len(states) == 0:
             faults.append(wrong)
         found.append(states)
@@ -121,6 +125,18 @@ def _checked(tolerance: Tolerance | None) -> tuple[float, float] | None:
     if isinstance(tolerance, Sequence | np.ndarray) and np.ndim(tolerance) == 1 and len(tolerance) == 2:
         return number("tolerance in m", tolerance[0], 0.0), number("tolerance in rad", tolerance[1], 0.0)
     return number("tolerance", tolerance, 0.0), 0.0
+
+
+def _on_any_feet(world: World, state: np.ndarray) -> np.ndarray:
+    """Valid states, int64 [n, 7], at the pose of a state, the state first."""
+    t = world.tables
+    offsets = np.arange(t.lowest, t.lowest + t.n_offsets)
+    feet = np.stack(np.meshgrid(*[offsets] * 4, indexing="ij"), axis=-1).reshape(-1, 4)
+    states = np.column_stack([np.broadcast_to(state[:3], (len(feet), 3)), feet])
+    apart = 2 * world.constants.neutral_x - world.constants.min_separation
+    states = states[(feet[:, 1] - feet[:, 0] <= apart) & (feet[:, 2] - feet[:, 3] <= apart)]
+    states = states[np.isfinite(state_costs(world, pack_states(states, t.lowest)))]
+    return np.concatenate([state[None], states[(states != state).any(axis=1)]])
 
 
 def _around(
