@@ -29,9 +29,9 @@ from hdsp.abstract.abstract_costs import close_states
 from hdsp.base.errors import InputError
 from hdsp.learning import LearnedAbstraction, LearnedCosts
 from hdsp.learning.loading import load_abstraction
+from hdsp.planning.answers.plans import Plan
 from hdsp.planning.heuristics import standing_states
 from hdsp.planning.planner import Planner
-from hdsp.planning.plans import Plan
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, robot_frame_goals
 from hdsp.terrain.random_arenas import random_arena
 

@@ -33,9 +33,9 @@ import numpy as np
 
 from benchmarks.page import table, write_block
 from hdsp.base.errors import InputError
+from hdsp.planning.answers.plans import Plan
 from hdsp.planning.collisions import check_plan
 from hdsp.planning.planner import Planner
-from hdsp.planning.plans import Plan
 from hdsp.robot.robot import Robot
 from hdsp.terrain.arenas import Arena
 from hdsp.terrain.height_map import HeightMap

@@ -30,8 +30,8 @@ import numpy as np
 from benchmarks.page import table, write_block
 from hdsp.base.errors import RefinementError
 from hdsp.detailed.search.outcome import Status
+from hdsp.planning.answers.plans import Plan
 from hdsp.planning.planner import Planner
-from hdsp.planning.plans import Plan
 from hdsp.robot.lattice import cells, metres, rotation
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap

@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.page import write_block
 from hdsp import HeightMap, Planner
-from hdsp.planning.plans import Plan
+from hdsp.planning.answers.plans import Plan
 from hdsp.robot.lattice import Grid, cells
 from hdsp.terrain.obstacles import Block, Scene
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from examples.climbing import Task, facts, write_page
 from hdsp import Planner
-from hdsp.planning.plans import Plan
+from hdsp.planning.answers.plans import Plan
 from hdsp.terrain.obstacles import Block, Ramp
 
 ROBOT = "go2w"

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from hdsp import HeightMap, Planner
-from hdsp.planning.plans import Plan
+from hdsp.planning.answers.plans import Plan
 from hdsp.terrain.obstacles import Block, Scene
 from hdsp.viz.style import BLUE, GREY, VERMILLION, draw_terrain, figure, quiet, save
 

@@ -16,8 +16,8 @@ from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.search.outcome import Status
 from hdsp.labels.shards import read_tasks
 from hdsp.learning.loading import load_abstraction
+from hdsp.planning.answers.plans import Plan
 from hdsp.planning.planner import Planner
-from hdsp.planning.plans import Plan
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 

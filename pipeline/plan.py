@@ -18,8 +18,8 @@ from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.task_sets import ABSENT
 
 if TYPE_CHECKING:
+    from hdsp.planning.answers.plans import Plan
     from hdsp.planning.planner import Planner
-    from hdsp.planning.plans import Plan
     from hdsp.terrain.arenas import Arena, ArenaDescription, ArenaTask
     from hdsp.terrain.height_map import HeightMap
     from hdsp.terrain.random_arenas import RandomArena
@@ -131,7 +131,7 @@ def prepare(
     for name in available(config.planner.heuristics, robot):
         began = time.perf_counter()
         heuristic = "geometric" if name == "geometric" else abstract_costs(name, config, folders)
-        planners[name] = Planner(terrain, robot, heuristic, margin=config.planner.margin).prepare()
+        planners[name] = Planner(terrain, robot, heuristic, margin=config.planner.margin, conditioning=None).prepare()
         if name != "geometric":
             edges_seconds[name] = time.perf_counter() - began
             print(f"costs of all abstract actions, {name}: {edges_seconds[name]:.1f} s", flush=True)

@@ -1,26 +1,25 @@
 """Planning: queries and their answers.
 
-- `planner`: `Planner`, the entry point
+- `planner`: `Planner`, the entry point; `arguments`: checks of its arguments
+- `measured_map`, `map_changes`: the conditioned map of a planner; changed cells between two maps
 - `heuristics`: the contract `Heuristic`; geometric and abstract heuristics
-- `heuristic_conformance`: a check of your own heuristic
-- `query`: one query with its search or its proof
-- `departure`, `way_out`: the start: ground under the robot, and the way out of the clearance of obstacles
-- `arrival`: goals with a tolerance or a free heading, and several goals
-- `nearby`, `invalid_end`: poses that the robot can leave, and the nearest of them
+- `ends`: states at which a plan may begin and end
+- `query`: one query with its search or its proof; `compiled`: its kernels, compiled before the clock starts
 - `refinable`, `improving`: plans without impossible steps; anytime planning
-- `plans`, `plan_statistics`: `Plan` and its statistics
-- `explanation`, `findings`, `advice`: plans in words; reasons for the absence of a plan, and help
+- `answers`: `Plan`, plans in words, reasons for the absence of a plan
 - `collisions`: an independent check of plans against arenas
-- `margin`, `map_changes`: a margin around the base; changed cells between two maps
+- `heuristic_conformance`: a check of your own heuristic
+- `margin`: a margin around the base
+- `cli`, `commands`: the command `hdsp`
 """
 
+from hdsp.planning.answers.plan_statistics import PlanStatistics
+from hdsp.planning.answers.plans import Plan
 from hdsp.planning.collisions import Collision, PlanCheck, check_plan
 from hdsp.planning.heuristic_conformance import check_heuristic
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
 from hdsp.planning.margin import with_margin
-from hdsp.planning.plan_statistics import PlanStatistics
 from hdsp.planning.planner import Planner
-from hdsp.planning.plans import Plan
 
 __all__ = [
     "AbstractHeuristic",

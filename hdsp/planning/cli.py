@@ -8,8 +8,8 @@ import warnings
 from collections.abc import Sequence
 
 from hdsp.base.errors import InputError
-from hdsp.planning.map_commands import add_info, add_map
-from hdsp.planning.plan_command import NO_PLAN, add_plan
+from hdsp.planning.commands.map_commands import add_info, add_map
+from hdsp.planning.commands.plan_command import NO_PLAN, add_plan
 
 __all__ = ["NO_PLAN", "main"]
 

@@ -28,7 +28,7 @@ from hdsp.terrain.inclination import inclination
 from hdsp.terrain.obstacles import Block, Face, TiltedGround
 
 if TYPE_CHECKING:
-    from hdsp.planning.plans import Plan
+    from hdsp.planning.answers.plans import Plan
 
 #: A foot is a disc of this radius, m.
 FOOT_RADIUS = 0.05

@@ -21,10 +21,11 @@ from hdsp.detailed.relaxed.proofs import why_unreachable
 from hdsp.detailed.search.leaving import leave
 from hdsp.detailed.search.outcome import Limits
 from hdsp.detailed.world.world import build_world, cell_index
-from hdsp.planning.arrival import arrival
+from hdsp.planning.ends.arrival import arrival
+from hdsp.planning.ends.location import locate
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
 from hdsp.planning.improving import improving_plans
-from hdsp.planning.query import Query, locate
+from hdsp.planning.query import Query
 from hdsp.planning.refinable import refinable_plan
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS, Grid, cells, metres
 from hdsp.robot.robot import Robot

@@ -12,8 +12,8 @@ from hdsp.base.gradual import now
 from hdsp.detailed.search import anytime
 from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
 from hdsp.detailed.search.outcome import Status
-from hdsp.planning.plan_statistics import PlanStatistics
-from hdsp.planning.plans import Plan
+from hdsp.planning.answers.plan_statistics import PlanStatistics
+from hdsp.planning.answers.plans import Plan
 from hdsp.planning.query import Query, ReachedStates
 from hdsp.planning.refinable import RefusedSteps
 

@@ -23,20 +23,21 @@ from hdsp.detailed.search.reached import METRES_PER_RADIAN
 from hdsp.detailed.world.world import World, build_world
 from hdsp.detailed.world.world_update import updated_world
 from hdsp.learning.loading import abstraction_of, load_abstraction
+from hdsp.planning.answers.invalid_end import InvalidEnd
+from hdsp.planning.answers.plan_statistics import PlanStatistics
+from hdsp.planning.answers.plans import Plan
 from hdsp.planning.arguments import callback, choice, falling_weights, lattice_state, limits_of, number, pose_values
-from hdsp.planning.arrival import Arrival, Tolerance, arrival, poses_of, several, with_heading
 from hdsp.planning.compiled import compile_for
-from hdsp.planning.departure import departure
+from hdsp.planning.ends.arrival import Arrival, Tolerance, arrival, poses_of, several, with_heading
+from hdsp.planning.ends.departure import departure
+from hdsp.planning.ends.location import locate
+from hdsp.planning.ends.nearby import can_leave, nearest_to_leave
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
 from hdsp.planning.improving import improving_plans
-from hdsp.planning.invalid_end import InvalidEnd
 from hdsp.planning.map_changes import changed_cells
 from hdsp.planning.margin import with_margin
 from hdsp.planning.measured_map import MeasuredMap
-from hdsp.planning.nearby import can_leave, nearest_to_leave
-from hdsp.planning.plan_statistics import PlanStatistics
-from hdsp.planning.plans import Plan
-from hdsp.planning.query import Query, locate
+from hdsp.planning.query import Query
 from hdsp.planning.refinable import refinable_plan
 from hdsp.robot.lattice import Grid
 from hdsp.robot.robot import Robot
@@ -178,7 +179,7 @@ class Planner:
         """Whether the robot can stand at a pose and get away from it, to a base position as far away as it is long.
 
         Many poses are valid only on feet off neutral, from which no way leads to neutral feet, on which the robot
-        drives. See ``hdsp.planning.nearby``.
+        drives. See ``hdsp.planning.ends.nearby``.
 
         Args:
             pose: as for ``valid``.
@@ -234,15 +235,15 @@ class Planner:
         Args:
             start: world pose (x, y, theta) in m and rad, or 7 values with the four foot offsets in m. The nearest
                 lattice state counts. Without feet, T_a->d chooses them: least cost, close to neutral.
-            goal: the same; a heading of None is free. A sequence of poses: several goals, and the plan's
-                ``goal_index`` tells which one it reaches.
+            goal: the same; a heading of None is free. Where T_a->d finds no neutral feet, the plan may end on any feet.
+                A sequence of poses: several goals, and the plan's ``goal_index`` tells which one it reaches.
             tolerance: distance from the goal (m), or distance and difference in heading (m, rad), within which the
-                plan may end; see ``hdsp.planning.arrival``. None: the plan ends in the nearest lattice state.
+                plan may end; see ``hdsp.planning.ends.arrival``. None: it ends at the nearest pose on the lattice.
             start_free: whether the ground under a robot that stands at the start counts as known and free of itself.
                 Unknown cells and the robot's own body in the map then do not matter there; ``assumed`` names them. See
-                ``hdsp.planning.departure``.
+                ``hdsp.planning.ends.departure``.
             way_out: whether a robot that stands within the clearance of obstacles may drive straight out first, each
-                action away from them (``hdsp.planning.way_out``). The plan's ``way_out`` counts these actions.
+                action away from them (``hdsp.planning.ends.way_out``). The plan's ``way_out`` counts these actions.
             weight: W >= 1 in weighted A*. With an admissible heuristic the cost is at most W times the optimum.
             anchor_weight: W2 >= 1 in multi-heuristic A*. The heuristic guides, the geometric heuristic is the anchor.
                 The cost is at most W * W2 times the optimum; ``bound`` states the proved factor, often a smaller one.

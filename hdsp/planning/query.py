@@ -13,10 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from hdsp.abstract.transform import feet_at
 from hdsp.base.gradual import Gradual, now
 from hdsp.detailed.actions.action import action_of
-from hdsp.detailed.causes import Cause, faults_of
 from hdsp.detailed.relaxed.proofs import Unreachable, nearest_state, proof_steps
 from hdsp.detailed.search.estimate import Estimate, geometric_estimate
 from hdsp.detailed.search.life_cycle import FEW, Hopeless, Progress, Search
@@ -25,40 +23,17 @@ from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.search.reached import Reached, reached_by
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import World
-from hdsp.planning.arguments import lattice_state, pose_values
-from hdsp.planning.findings import Inquiry
+from hdsp.planning.answers.findings import Inquiry
+from hdsp.planning.answers.plan_statistics import PlanStatistics
+from hdsp.planning.answers.plans import Plan
+from hdsp.planning.ends.way_out import WayOut
 from hdsp.planning.heuristics import Heuristic
-from hdsp.planning.plan_statistics import PlanStatistics
-from hdsp.planning.plans import Plan
-from hdsp.planning.way_out import WayOut
-from hdsp.robot.lattice import Grid, heading_index
+from hdsp.robot.lattice import Grid
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
 #: Share of the time left that a proof may take from a search.
 PROOF_SHARE = 0.5
-
-
-def locate(world: World, grid: Grid, robot: Robot, pose, name: str) -> tuple[np.ndarray, list[Cause]]:
-    """Returns the detailed state at a world pose, int64 [7], and the causes for which it is invalid.
-
-    Args:
-        world: terrain and robot, compiled.
-        grid: place of the terrain in the world.
-        robot: its limits.
-        pose: (x, y, theta) in m and rad, or 7 values with four foot offsets in m. Without feet, T_a->d chooses them.
-        name: the pose in messages.
-
-    Raises:
-        InputError: the pose has other values, or lies off the map.
-    """
-    values = pose_values(pose, name, robot)
-    state = lattice_state(grid, values, name)
-    if len(values) == 3:
-        chosen = feet_at(world, (int(state[0]), int(state[1]), int(heading_index(values[2]))))
-        if chosen is not None:
-            return chosen, []
-    return state, list(faults_of(world, grid, robot, state))
 
 
 class ReachedStates:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from hdsp.base.errors import RefinementError
 from hdsp.detailed.motion.refinement import ban, last_step
-from hdsp.planning.plans import Plan
+from hdsp.planning.answers.plans import Plan
 from hdsp.planning.query import Query, Solver
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-import hdsp.planning.plans
+import hdsp.planning.answers.plans
 from hdsp import Planner, RefinementError, Status
 from hdsp.detailed.actions.action import BASE_FORWARD, STEP, ActionKind, action_of
 from hdsp.detailed.actions.state_costs import foot_row
@@ -26,7 +26,7 @@ def steps_of(plan):
 
 def refusing(refused_steps, monkeypatch):
     """Makes refinement refuse certain steps; returns its calls."""
-    refine, asked = hdsp.planning.plans.refine_steps, []
+    refine, asked = hdsp.planning.answers.plans.refine_steps, []
 
     def strict(terrain, robot, states, actions):
         asked.append(actions)
@@ -35,7 +35,7 @@ def refusing(refused_steps, monkeypatch):
                 raise RefinementError(k, f"{action} cannot be carried out: the test says so")
         return refine(terrain, robot, states, actions)
 
-    monkeypatch.setattr(hdsp.planning.plans, "refine_steps", strict)
+    monkeypatch.setattr(hdsp.planning.answers.plans, "refine_steps", strict)
     return asked
 
 
@@ -62,7 +62,7 @@ def test_what_cannot_be_carried_out_without_a_step_to_blame_is_an_error(planner,
     def refuse(*_):
         raise RefinementError(0, "drive cannot be carried out")
 
-    monkeypatch.setattr(hdsp.planning.plans, "refine_steps", refuse)
+    monkeypatch.setattr(hdsp.planning.answers.plans, "refine_steps", refuse)
     with pytest.raises(RefinementError, match="drive"):
         planner.plan(START, GOAL, weight=2, refinable=True)
 

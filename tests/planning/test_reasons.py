@@ -12,7 +12,7 @@ from hdsp import HeightMap, Planner
 from hdsp.detailed.causes import Kind
 from hdsp.detailed.relaxed.proofs import is_foot_stopped
 from hdsp.detailed.search.outcome import Status
-from hdsp.planning.query import locate
+from hdsp.planning.ends.location import locate
 from hdsp.robot.robot import Robot
 
 MOMARO = Robot.load("momaro")

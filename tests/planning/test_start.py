@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hdsp import HeightMap, InputError, Planner, Status
 from hdsp.detailed.search.leaving import leave
 from hdsp.detailed.world.world import build_world
-from hdsp.planning.nearby import can_leave, length_of
+from hdsp.planning.ends.nearby import can_leave, length_of
 from hdsp.robot.lattice import RESOLUTION, cells
 from tests.detailed.instances import NIMBLE, blocky, valid_states
 from tests.naive import Naive

@@ -14,8 +14,8 @@ from hdsp.detailed.causes import Cause
 from hdsp.detailed.states import pack_states
 from hdsp.detailed.world.world import World
 from hdsp.planning.arguments import number, pose_values
-from hdsp.planning.nearby import states_at
-from hdsp.planning.query import locate
+from hdsp.planning.ends.location import locate
+from hdsp.planning.ends.nearby import states_at
 from hdsp.robot.lattice import HEADINGS, Grid, cells, heading_angle
 from hdsp.robot.robot import Robot
 

@@ -25,9 +25,9 @@ from hdsp.detailed.world.geometry import rectangle_cells
 from hdsp.detailed.world.world import World
 from hdsp.detailed.world.world_update import updated_world
 from hdsp.planning.arguments import pose_values
-from hdsp.planning.nearby import can_leave
-from hdsp.planning.query import locate
-from hdsp.planning.way_out import WayOut, find_way_out
+from hdsp.planning.ends.location import locate
+from hdsp.planning.ends.nearby import can_leave
+from hdsp.planning.ends.way_out import WayOut, find_way_out
 from hdsp.robot.lattice import Grid, metres
 from hdsp.robot.robot import Rectangle, Robot
 from hdsp.terrain.cost_maps import disc_mask

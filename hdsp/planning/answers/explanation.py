@@ -9,8 +9,8 @@ import numpy as np
 from hdsp.detailed.actions.action import Action, ActionKind
 from hdsp.detailed.base_pose import base_poses
 from hdsp.detailed.search.outcome import Status
-from hdsp.planning.findings import Findings
-from hdsp.planning.plan_statistics import PlanStatistics
+from hdsp.planning.answers.findings import Findings
+from hdsp.planning.answers.plan_statistics import PlanStatistics
 from hdsp.robot.lattice import HEADINGS
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap

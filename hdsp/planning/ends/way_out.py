@@ -21,8 +21,8 @@ from hdsp.detailed.search.life_cycle import edge_cost
 from hdsp.detailed.states import pack_states
 from hdsp.detailed.world.world import World, build_world
 from hdsp.detailed.world.world_update import influence
+from hdsp.planning.ends.nearby import can_leave
 from hdsp.planning.margin import with_margin
-from hdsp.planning.nearby import can_leave
 from hdsp.robot.lattice import cells, metres
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap

@@ -10,8 +10,8 @@ import numpy as np
 from hdsp.detailed.causes import Cause
 from hdsp.detailed.search.reached import METRES_PER_RADIAN
 from hdsp.detailed.world.world import World
-from hdsp.planning.findings import Findings
-from hdsp.planning.nearby import nearest_to_leave
+from hdsp.planning.answers.findings import Findings
+from hdsp.planning.ends.nearby import nearest_to_leave
 from hdsp.robot.lattice import Grid, heading_angle
 from hdsp.robot.robot import Robot
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import writable_file
-from hdsp.planning.map_file_commands import add_cell_size, add_map_reading, map_options
+from hdsp.planning.commands.map_file_commands import add_cell_size, add_map_reading, map_options
 from hdsp.terrain.height_map import HeightMap
 
 #: Exit status where there is no plan.

@@ -16,12 +16,12 @@ from hdsp.detailed.causes import Cause
 from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.motion.refinement import refine_steps
 from hdsp.detailed.search.outcome import Status
-from hdsp.planning.explanation import explain_ending, explain_plan
-from hdsp.planning.findings import Findings, Inquiry
-from hdsp.planning.invalid_end import InvalidEnd
-from hdsp.planning.nearest_pose import Nearest
-from hdsp.planning.plan_statistics import PlanStatistics
-from hdsp.planning.plan_table import SourcePoses, ground_poses, source_poses, write_table
+from hdsp.planning.answers.explanation import explain_ending, explain_plan
+from hdsp.planning.answers.findings import Findings, Inquiry
+from hdsp.planning.answers.invalid_end import InvalidEnd
+from hdsp.planning.answers.nearest_pose import Nearest
+from hdsp.planning.answers.plan_statistics import PlanStatistics
+from hdsp.planning.answers.plan_table import SourcePoses, ground_poses, source_poses, write_table
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 

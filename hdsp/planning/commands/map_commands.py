@@ -8,8 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.planning.cloud_commands import POINT_FILES, about_cloud, add_cloud_mapping, add_cloud_reading, map_clouds
-from hdsp.planning.map_file_commands import (
+from hdsp.planning.commands.cloud_commands import (
+    POINT_FILES,
+    about_cloud,
+    add_cloud_mapping,
+    add_cloud_reading,
+    map_clouds,
+)
+from hdsp.planning.commands.map_file_commands import (
     MAP_FILES,
     about_map,
     add_cell_size,

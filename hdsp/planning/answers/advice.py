@@ -13,7 +13,7 @@ import numpy as np
 
 from hdsp.detailed.base_pose import base_poses
 from hdsp.detailed.causes import Cause, Kind
-from hdsp.planning.nearest_pose import Nearest
+from hdsp.planning.answers.nearest_pose import Nearest
 from hdsp.robot.lattice import Grid, rotation
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap

@@ -21,10 +21,10 @@ from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.search.reached import METRES_PER_RADIAN, Reached
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import World, build_world
-from hdsp.planning.advice import advice_for
-from hdsp.planning.decisive_limits import decisive_limits
-from hdsp.planning.foot_limits import stopping_limits
-from hdsp.planning.nearest_pose import Nearest
+from hdsp.planning.answers.advice import advice_for
+from hdsp.planning.answers.decisive_limits import decisive_limits
+from hdsp.planning.answers.foot_limits import stopping_limits
+from hdsp.planning.answers.nearest_pose import Nearest
 from hdsp.robot.lattice import HEADINGS, Grid, cells, heading_angle, metres
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
