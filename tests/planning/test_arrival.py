@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from hdsp import HeightMap, InputError, Planner, Status
 from hdsp.abstract.transform import feet_at
+from hdsp.planning import arrival
 from hdsp.robot.lattice import HEADINGS, RESOLUTION, heading_angle
 from tests.detailed.instances import NIMBLE, blocky, valid_states
 from tests.naive import Naive, dijkstra
@@ -133,6 +134,12 @@ def test_a_goal_without_any_standing_pose_within_the_tolerance_is_invalid():
 def test_a_tolerance_is_a_distance_and_an_angle(tolerance):
     with pytest.raises(InputError, match="tolerance"):
         Planner(HeightMap.flat((60, 60))).plan((0.7, 0.7, 0), (0.8, 0.7, 0), tolerance=tolerance)
+
+
+def test_a_tolerance_of_another_length_names_both_forms():
+    for tolerance in ((1, 2, 3), [0.1], np.zeros((3, 2)), [[1, 2], 3, 4], "near", ()):
+        with pytest.raises(InputError, match=r"tolerance is .*a number >= 0 in m, or a pair \(m, rad\)"):
+            arrival.arrival(None, None, None, [], tolerance)
 
 
 @pytest.mark.parametrize("goal", [[], [(1, 2)], [(0.8, 0.7, 0), (0.8, math.nan, 0)], (None, 0.7, 0)])

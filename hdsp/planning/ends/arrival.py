@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import shown
 from hdsp.detailed.actions.state_costs import separated, state_costs
 from hdsp.detailed.causes import Cause
 from hdsp.detailed.states import pack_states
@@ -122,9 +123,11 @@ def with_heading(goal) -> tuple[object, bool]:
 def _checked(tolerance: Tolerance | None) -> tuple[float, float] | None:
     if tolerance is None:
         return None
-    if isinstance(tolerance, Sequence | np.ndarray) and np.ndim(tolerance) == 1 and len(tolerance) == 2:
-        return number("tolerance in m", tolerance[0], 0.0), number("tolerance in rad", tolerance[1], 0.0)
-    return number("tolerance", tolerance, 0.0), 0.0
+    if not isinstance(tolerance, Sequence | np.ndarray) or (isinstance(tolerance, np.ndarray) and tolerance.ndim == 0):
+        return number("tolerance", tolerance, 0.0), 0.0
+    if isinstance(tolerance, str) or len(tolerance) != 2:
+        raise InputError(f"tolerance is {shown(tolerance)}; it must be a number >= 0 in m, or a pair (m, rad)")
+    return number("tolerance in m", tolerance[0], 0.0), number("tolerance in rad", tolerance[1], 0.0)
 
 
 def _on_any_feet(world: World, state: np.ndarray) -> np.ndarray:
