@@ -118,11 +118,12 @@ class ConditioningReport:
         if self.noise.window:
             done.append(f"noise of {100 * self.noise.deviation:.1f} cm removed")
         if self.spikes:
-            done.append(f"{self.spikes:,} cells with spikes removed")
+            done.append(f"{_cells(self.spikes)} with spikes removed")
         if self.filled:
-            done.append(f"{self.filled:,} unknown cells filled")
-        text = ", ".join(done) or "nothing to do"
-        return f"{text}; {100 * self.unknown:.0f} % unknown" if self.unknown else text
+            done.append(f"{_cells(self.filled, 'unknown ')} filled")
+        share = f"{100 * self.unknown:.0f}" if self.unknown >= 0.005 else "under 1"
+        unknown = f"{share} % unknown" if self.unknown else ""
+        return "; ".join(filter(None, (", ".join(done), unknown))) or "nothing to do"
 
 
 def is_conditioned(notes: Iterable[str]) -> bool:
@@ -421,6 +422,10 @@ def _tiles(known: np.ndarray) -> list[Part]:
     tiles = [(a, b) for a in spans[0] for b in spans[1]]
     tiles.sort(key=lambda tile: -int(known[tile].sum()))
     return tiles[:_TILES]
+
+
+def _cells(count: int, kind: str = "") -> str:
+    return f"{count:,} {kind}cell{'' if count == 1 else 's'}"
 
 
 def _radius(length: float, resolution: float) -> int:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hdsp import HeightMap, InputError, Planner, Status
 from hdsp.abstract.transform import feet_at
-from hdsp.planning import arrival
+from hdsp.planning.ends import arrival
 from hdsp.robot.lattice import HEADINGS, RESOLUTION, heading_angle
 from tests.detailed.instances import NIMBLE, blocky, valid_states
 from tests.naive import Naive, dijkstra

@@ -55,6 +55,20 @@ def test_exact_maps_keep_their_heights_to_the_last_bit():
         assert not report.changed and str(report) == "nothing to do" and result.frame.notes == ()
 
 
+@pytest.mark.parametrize(
+    ("unknown", "words"),
+    [
+        (np.s_[40, 40], "1 unknown cell filled"),
+        (np.s_[40:42, 40:42], "4 unknown cells filled"),
+        (np.s_[:30], "25 % unknown"),
+    ],
+)
+def test_a_report_counts_cells_and_keeps_to_the_unknown_share_without_work(unknown, words):
+    heights = np.zeros((SIDE, SIDE), np.float32)
+    heights[unknown] = np.nan
+    assert str(HeightMap(heights).conditioned().report) == words
+
+
 @pytest.mark.parametrize("sigma", [0.01, 0.02, 0.03])
 @pytest.mark.parametrize("noise", [white, smooth])
 def test_noise_is_measured_and_removed_while_edges_stay_in_place(sigma, noise):

@@ -12,6 +12,7 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.base.files import writable_file
 from hdsp.planning.commands.map_file_commands import add_cell_size, add_map_reading, map_options
+from hdsp.terrain.conditioning import is_conditioned
 from hdsp.terrain.height_map import HeightMap
 
 #: Exit status where there is no plan.
@@ -74,7 +75,9 @@ def _plan(chosen: argparse.Namespace) -> int:
     for note in terrain.frame.notes:
         print(f"map: {note}")
     planner = Planner(terrain, chosen.robot, chosen.heuristic, chosen.margin, conditioning=chosen.conditioning)
-    if (report := planner.conditioning) is not None and (report.changed or report.unknown):
+    report = planner.conditioning
+    # A note of a conditioned map already names its unknown share.
+    if report is not None and (report.changed or (report.unknown and not is_conditioned(terrain.frame.notes))):
         print(f"map: {report}")
     goals = [_goal(words) for words in chosen.goal]
     plan = planner.plan(
