@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import asdict
 from pathlib import Path
@@ -176,8 +176,8 @@ class LearnedAbstraction:
     @torch.inference_mode()
     def predict_windows(
         self, trunk: DenseEvaluation, heights: np.ndarray, corners: np.ndarray, wanted: np.ndarray, goals: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Like ``predict`` with shared goals, for patches that are windows into one array.
+    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray] | None]:
+        """Like ``predict`` with shared goals, for patches that are windows into one array; some patches at a time.
 
         Args:
             trunk: the network's dense trunk.
@@ -186,14 +186,18 @@ class LearnedAbstraction:
             wanted: bool [n], patches to evaluate. A patch's result does not depend on the other entries, to the last
                 bit.
             goals: float32 [G, 3] in abstract steps in the robot frame.
+
+        Yields:
+            None after the trunk. Then, for each group with a wanted patch, its slice of ``corners``, feasibility and
+            costs, [m, G] each.
         """
         network = self.network
         with autocast(self.device, self.hardware.uses_bfloat16()):
             encoded = encode(network.encoding, torch.from_numpy(heights)[None, None].to(self.device))
             # Channels innermost, as the weights are.
             dense = trunk(encoded.contiguous(memory_format=torch.channels_last))
+        yield None
         shared_goals, never = torch.from_numpy(goals)[None].to(self.device), self._never(goals)
-        feasible, costs = np.zeros((len(corners), len(goals)), bool), np.zeros((len(corners), len(goals)), np.float32)
         # Small groups, because the values for all goals and patches together exceed the processor's cache. The groups
         # are always the same, because sums over another number of rows may round differently.
         for start in range(0, len(corners), WINDOWS):
@@ -201,9 +205,8 @@ class LearnedAbstraction:
             if wanted[part].any():
                 features = trunk.windows(dense, torch.from_numpy(corners[part]).to(self.device)).float()
                 cost, logits = network.goal_part(features, shared_goals)
-                feasible[part] = (logits > 0).cpu().numpy() & ~never
-                costs[part] = cost.clamp_min(MINIMUM_COST).cpu().numpy()
-        return feasible, self._at_level(costs, goals)
+                feasible = (logits > 0).cpu().numpy() & ~never
+                yield part, feasible, self._at_level(cost.clamp_min(MINIMUM_COST).cpu().numpy(), goals)
 
     def _never(self, goals: np.ndarray) -> np.ndarray:
         """Whether goals [..., 3] are infeasible even on flat ground; bool [...]."""

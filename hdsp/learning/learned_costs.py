@@ -85,7 +85,7 @@ class LearnedCosts:
             region: as in ``AbstractCosts.edges``.
             mask: bool, result shape without actions: states to evaluate, for instance states with ground under all
                 feet. All other states become infeasible.
-            progress: called with (states done, all states) every few hundred states.
+            progress: called with (states done, all states) every few dozen to few hundred states.
 
         Raises:
             InputError: also if the mask has another shape than the result.
@@ -102,7 +102,7 @@ class LearnedCosts:
         mask: np.ndarray | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> Steps[np.ndarray]:
-        """See ``GradualCosts.edge_steps``; a step evaluates one tile, or some hundred patches."""
+        """See ``GradualCosts.edge_steps``; a step evaluates the trunk on one tile, or some patches."""
         first_x, first_y, end_x, end_y = checked_region(height_map, region)
         shape = (lattice.ABSTRACT_HEADINGS, end_x - first_x, end_y - first_y)
         wanted = np.ones(shape, bool) if mask is None else checked_mask(mask, shape)
@@ -112,11 +112,13 @@ class LearnedCosts:
         for heading in range(lattice.ABSTRACT_HEADINGS):
             if not wanted[heading].any():
                 continue
-            for states, costs in evaluate(height_map, heading, wanted[heading], (first_x, first_y)):
-                edges[heading, states[:, 0], states[:, 1]] = costs
-                done += len(states)
-                if progress is not None:
-                    progress(done, total)
+            for evaluated in evaluate(height_map, heading, wanted[heading], (first_x, first_y)):
+                if evaluated is not None:
+                    states, costs = evaluated
+                    edges[heading, states[:, 0], states[:, 1]] = costs
+                    done += len(states)
+                    if progress is not None:
+                        progress(done, total)
                 yield
         close_exits(edges, height_map, region)
         return edges
@@ -162,8 +164,8 @@ class LearnedCosts:
 
     def _by_tiles(
         self, height_map: HeightMap, heading: int, wanted: np.ndarray, first: tuple[int, int]
-    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Like ``_by_patches``, with dense evaluation."""
+    ) -> Iterator[tuple[np.ndarray, np.ndarray] | None]:
+        """Like ``_by_patches``, with dense evaluation; None between steps without costs."""
         goals = lattice.robot_frame_goals(heading)
         rotated = RotatedMap(height_map.heights, heading)
         whole = np.zeros(lattice.abstract_shape(height_map.shape), bool)
@@ -180,9 +182,13 @@ class LearnedCosts:
                 continue
             window = rotated.window(tile * TILE - lattice.PATCH_CENTER - margin, (side, side))
             corners = cells[members] - tile * TILE
-            feasible, cost = self.abstraction.predict_windows(trunk, window, corners, asked, goals)
-            costs = np.where(feasible, cost, np.float32(np.inf))
-            yield states[members[asked]] - first, costs[asked]
+            for group in self.abstraction.predict_windows(trunk, window, corners, asked, goals):
+                if group is None:
+                    yield None
+                    continue
+                part, feasible, cost = group
+                costs = np.where(feasible, cost, np.float32(np.inf))
+                yield states[members[part][asked[part]]] - first, costs[asked[part]]
 
     def _costs(self, patches: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """Costs [n, 22] for patches [n, 72, 72], inf = infeasible."""

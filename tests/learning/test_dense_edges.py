@@ -8,6 +8,7 @@ from benchmarks.edges import random_abstraction, rough_map
 from hdsp.abstract import LocalCosts
 from hdsp.base.errors import InputError
 from hdsp.learning import HardwareSettings, LearnedCosts
+from hdsp.learning.abstraction import WINDOWS
 from hdsp.learning.rotated_maps import RotatedMap
 from hdsp.robot.lattice import abstract_anchor
 from hdsp.terrain.patches import crop_patches
@@ -57,6 +58,17 @@ def test_a_region_is_the_whole_to_the_last_bit(dense_network, terrain, edges):
     part = LearnedCosts(dense_network).edges(terrain, region, mask)
     np.testing.assert_array_equal(part[mask], edges[:, 3:20, 5:11][mask])
     assert np.isinf(part[~mask]).all()
+
+
+def test_q4_a_step_evaluates_the_trunk_on_one_tile_or_one_group_of_windows(dense_network):
+    done = [0]
+    small = rough_map((42, 42), seed=0)
+    mask = np.zeros((16, 10, 10), bool)
+    mask[1] = True
+    steps = LearnedCosts(dense_network).edge_steps(small, mask=mask, progress=lambda states, _: done.append(states))
+    pauses = sum(1 for _ in steps)
+    assert done[-1] == 100 and max(np.diff(done)) <= WINDOWS
+    assert pauses > len(done) - 1  # the trunk has steps of its own
 
 
 def test_a_padded_network_is_evaluated_exactly_unless_asked_otherwise(padded_network, terrain):
