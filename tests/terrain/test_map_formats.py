@@ -273,8 +273,11 @@ def test_archives_of_other_programs_are_read_with_options(tmp_path):
         path = tmp_path / name
         with pytest.raises(InputError, match=f"entry heights is missing, it has {known}; the option layer names"):
             HeightMap.load(path)
-        with pytest.raises(InputError, match="entry origin is missing; give the option origin"):
-            HeightMap.load(path, layer=layer, resolution=0.5)
+        with pytest.raises(InputError, match=r"option layer .*option resolution, .*option origin, "):
+            HeightMap.load(path)
+        with pytest.raises(InputError, match=r"(npz|h5): entry resolution is missing; give .*unless it is \(0, 0\)"):
+            HeightMap.load(path, layer=layer)
+        assert equal(HeightMap.load(path, layer=layer, resolution=0.5), HEIGHTS, (0, 0))
         with pytest.raises(InputError, match="entry mask is bool"):
             HeightMap.load(path, layer="mask", resolution=0.5, origin=(1, 2))
         assert equal(HeightMap.load(path, layer=layer, resolution=0.5, origin=(1, 2)), HEIGHTS, (1, 2))

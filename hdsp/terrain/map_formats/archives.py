@@ -2,7 +2,8 @@
 
 A map with a frame of its own also has the entry frame, a JSON text with the fields of `MapFrame`. HDF5 has no checksum
 for small entries, so it gets the entry digest, the SHA-256 of all others. Files of other programs may have other
-entries: the option layer names the heights, and the options resolution and origin stand for missing entries.
+entries: the option layer names the heights, and the options resolution and origin (default: 0, 0) stand for missing
+entries.
 """
 
 from __future__ import annotations
@@ -115,9 +116,7 @@ def _digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
 
 def _fields(entries: Mapping[str, _Entry], options: ReadOptions) -> MapFields:
     layer = _HEIGHTS if options.layer is None else str(options.layer)
-    if layer not in entries:
-        known = f"it has {_names(entries)}" if entries else "it has no array"
-        raise MissingOption(f"entry {layer} is missing, {known}; the option layer names another entry with heights")
+    _check_complete(layer, entries, options)
     shape, dtype, read = entries[layer]
     _check_heights(f"entry {layer}", shape, dtype)
     small = {name: _small(name, entries) for name in (_ORIGIN, _RESOLUTION, _FRAME, _DIGEST) if name in entries}
@@ -128,17 +127,30 @@ def _fields(entries: Mapping[str, _Entry], options: ReadOptions) -> MapFields:
             raise InputError("it is damaged: its checksum differs")
     return MapFields(
         heights,
-        _own(_ORIGIN, small, options.origin, options),
+        _own(_ORIGIN, small, options.origin or (0.0, 0.0), options),
         _own(_RESOLUTION, small, options.resolution, options),
         frame_of_text(np.asarray(small[_FRAME], np.uint8).tobytes()) if _FRAME in small else frame_of_text(""),
     )
 
 
+def _check_complete(layer: str, entries: Mapping[str, _Entry], options: ReadOptions) -> None:
+    """Names everything at once that neither the entries nor the options have."""
+    missing = []
+    if layer not in entries:
+        known = f"it has {_names(entries)}" if entries else "it has no array"
+        missing.append(f"entry {layer} is missing, {known}; the option layer names another entry with heights")
+    if _RESOLUTION not in entries and options.resolution is None:
+        missing.append("entry resolution is missing; give the option resolution, the side of a cell in metres")
+    if not missing:
+        return
+    if _ORIGIN not in entries and options.origin is None:
+        missing.append("entry origin is missing; give the option origin, in metres, unless it is (0, 0)")
+    raise MissingOption("; ".join(missing))
+
+
 def _own(name: str, small: Mapping[str, np.ndarray], option: Any, options: ReadOptions) -> Any:
     """Value of an entry, or of the option with its name."""
     if name not in small:
-        if option is None:
-            raise MissingOption(f"entry {name} is missing; give the option {name}, in metres")
         return option
     options.refuse([name], f"the file has its own {name}, {small[name].tolist()}")
     return small[name] if name == _ORIGIN else small[name][()]

@@ -98,10 +98,10 @@ class ReadOptions:
         """Names of the options that have a value."""
         return tuple(option.name for option in fields(self) if getattr(self, option.name) is not None)
 
-    def cell_size(self, why: str) -> float:
-        """Cell size for a file without one, m; an error that gives the reason if the option is missing."""
+    def cell_size(self, why: str, further: str = "") -> float:
+        """Cell size for a file without one, m; an error with the reason, and further words, without the option."""
         if self.resolution is None:
-            raise MissingOption(f"{why}; give the option resolution, the side of a cell in metres")
+            raise MissingOption(f"{why}; give the option resolution, the side of a cell in metres{further}")
         return self.resolution
 
     def refuse(self, names: Sequence[str], why: str) -> None:

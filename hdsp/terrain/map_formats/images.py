@@ -20,9 +20,11 @@ _FORMATS = {".png": ["PNG"], ".pgm": ["PPM"]}
 
 def read_image_map(path: Path, options: ReadOptions) -> MapFields:
     """Reads grey values; cell size and metres per grey step are options."""
-    resolution = options.cell_size("an image has no cell size")
-    if options.scale is None:
-        raise MissingOption("an image has no units; give the option scale, metres per grey step (and offset, nodata)")
+    units = "an image has no units; give the option scale, metres per grey step (and offset, nodata)"
+    further = f"; {units}" if options.scale is None else ""
+    resolution = options.cell_size("an image has no cell size", further)
+    if further:
+        raise MissingOption(units)
     with _opened(path) as image:
         grey = _grey(image)
     return MapFields(grey.T[:, ::-1], options.origin or (0.0, 0.0), resolution)
