@@ -61,6 +61,29 @@ def test_m7_each_kind_of_map_is_described_and_converted(tmp_path, capsys):
         assert "height map of 60 x 50 cells" in capsys.readouterr().out
 
 
+def test_map_conditions_a_file_and_allows_the_cell_size_that_it_has_or_gets(tmp_path, capsys):
+    HeightMap(GROUND[::2, ::2] / 100, resolution=0.05).save(tmp_path / "coarse.npz")
+    assert main(["map", str(tmp_path / "coarse.npz"), "--out", str(tmp_path / "same.h5"), "--resolution", "0.05"]) == 0
+    assert HeightMap.load(tmp_path / "same.h5").resolution == 0.05
+    fine = ["--out", str(tmp_path / "fine.h5"), "--condition"]
+    capsys.readouterr()
+    assert main(["map", str(tmp_path / "coarse.npz"), *fine, "--resolution", "0.025"]) == 0
+    _, line = capsys.readouterr().out.splitlines()
+    assert line.startswith("conditioned: cells of 0.05 m resampled to 0.025 m")
+    made, expected = HeightMap.load(tmp_path / "fine.h5"), HeightMap.load(tmp_path / "coarse.npz").conditioned().terrain
+    assert made.resolution == 0.025 and made.frame.notes == expected.frame.notes
+    np.testing.assert_array_equal(made.heights, expected.heights)
+    assert main(["map", str(tmp_path / "coarse.npz"), *fine, "--resolution", "0.04"]) == 1
+    assert "its own resolution, 0.05 m; --condition resamples to 0.025 m" in capsys.readouterr().err
+
+
+def test_a_map_of_points_is_conditioned_as_well(tmp_path, capsys):
+    points = np.random.default_rng(0).random((8000, 3)) * (3, 3, 0.01)
+    np.savetxt(tmp_path / "room.xyz", points)
+    assert main(["map", str(tmp_path / "room.xyz"), "--out", str(tmp_path / "o.npz"), "--condition"]) == 0
+    assert "\nconditioned: noise of " in capsys.readouterr().out
+
+
 def test_info_tells_what_a_file_needs_and_what_looks_wrong(tmp_path, capsys):
     paths = {path.name: path for path, _, _ in files(tmp_path)}
     assert main(["info", str(paths["grey.png"])]) == 0

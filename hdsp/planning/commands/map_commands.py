@@ -20,6 +20,7 @@ from hdsp.planning.commands.map_file_commands import (
     about_map,
     add_cell_size,
     add_map_reading,
+    conditioned,
     convert_map,
     describe_map_file,
     map_options,
@@ -38,6 +39,9 @@ def add_map(commands) -> None:
     made.add_argument("--out", required=True, help="the map: .npz, .h5, .tif")
     made.add_argument("--picture", help="a PNG of the map")
     made.add_argument("--resolution", type=float, help="m, side of a cell (default: 0.025, what the planner needs)")
+    made.add_argument(
+        "--condition", action="store_true", help="remove noise, spikes and small holes, and resample to 0.025 m"
+    )
     add_cloud_mapping(made)
     add_map_reading(made)
     made.set_defaults(run=lambda chosen: _map(chosen, made))
@@ -56,7 +60,7 @@ def add_info(commands) -> None:
 def _map(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
     """Makes a height map of point clouds: a tilt of the sensor, ceilings and overhangs removed, small holes filled.
 
-    A height map file is read and written in the format of --out.
+    A height map file is read and written in the format of --out. With --condition, the result is a map for planning.
     """
     if not chosen.files and not chosen.scan:
         raise InputError("map: no file; need a height map, point clouds, or --scan with a description")
@@ -67,9 +71,10 @@ def _map(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
         check_readable(file)
     _refuse_map_options(chosen, ("resolution",))
     check_writable(chosen.out)
-    terrain, about = map_clouds(chosen)
+    measured, about = map_clouds(chosen)
+    terrain, done = conditioned(measured, chosen)
     terrain.save(chosen.out)
-    print(f"{chosen.out}: {about_map(terrain)}; {about}")
+    print(f"{chosen.out}: {about_map(terrain)}; {about}{done}")
     _picture(terrain, chosen)
 
 

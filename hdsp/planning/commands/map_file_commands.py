@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.map_checks import suspicions
 from hdsp.terrain.map_formats import MAP_SUFFIXES, MissingOption, check_writable, map_contents
@@ -65,12 +67,40 @@ def convert_map(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> 
     if len(chosen.files) > 1:
         raise InputError(f"map: {len(chosen.files)} files; need one height map, or point clouds only")
     file = chosen.files[0]
-    refuse_given(chosen, parser, ("files", "out", "picture", *_OPTIONS), f"the height map {file}")
+    refuse_given(chosen, parser, ("files", "out", "picture", "condition", *_OPTIONS), f"the height map {file}")
     check_writable(chosen.out)
-    terrain = HeightMap.load(file, **map_options(chosen))
+    read = _read_map(file, chosen)
+    terrain, done = conditioned(read, chosen)
     terrain.save(chosen.out)
-    print(f"{chosen.out}: {about_map(terrain)}")
-    print_signs(terrain)
+    print(f"{chosen.out}: {about_map(terrain)}{done}")
+    print_signs(read)
+    return terrain
+
+
+def conditioned(terrain: HeightMap, chosen: argparse.Namespace) -> tuple[HeightMap, str]:
+    """The map as ``--condition`` asks, and a line on the conditioning with the break before it."""
+    if not chosen.condition:
+        return terrain, ""
+    result, report = terrain.conditioned()
+    return result, f"\nconditioned: {report}"
+
+
+def _read_map(file: str, chosen: argparse.Namespace) -> HeightMap:
+    """Map from a file; a cell size may be given although the file has it, or the conditioning makes it."""
+    options = map_options(chosen)
+    wanted = options.pop("resolution", None)
+    if wanted is None:
+        return HeightMap.load(file, **options)
+    try:
+        terrain = HeightMap.load(file, **options)
+    except MissingOption:
+        return HeightMap.load(file, resolution=wanted, **options)
+    made = (terrain.resolution, RESOLUTION) if chosen.condition else (terrain.resolution,)
+    if not any(math.isclose(wanted, side, rel_tol=1e-6) for side in made):
+        raise InputError(
+            f"height map {file}: option resolution does not apply: the file has its own resolution, "
+            f"{terrain.resolution:g} m; --condition resamples to {RESOLUTION:g} m"
+        )
     return terrain
 
 
