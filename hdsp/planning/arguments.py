@@ -14,7 +14,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.settings import shown
 from hdsp.detailed.search.life_cycle import Progress
 from hdsp.detailed.search.outcome import Limits
-from hdsp.robot.lattice import Grid
+from hdsp.robot.lattice import Grid, metres
 from hdsp.robot.robot import Robot
 
 #: Largest heading, rad. A larger one is more than a turn, and probably meant in degrees.
@@ -149,7 +149,10 @@ def lattice_state(grid: Grid, values: np.ndarray, name: str) -> np.ndarray:
     try:
         return grid.to_lattice((*bounded, values[2]), np.clip(feet, -1e6, 1e6))
     except InputError as error:
-        units = [unit for unit, size in _UNITS.items() if grid.contains(grid.cell(bounded * size))]
+        # A pose a little off the map is in metres.
+        middle = np.asarray(grid.center(np.array(grid.shape) // 2))
+        far = np.abs(bounded - middle).max() > 2 * metres(float(max(grid.shape)))
+        units = [unit for unit, size in _UNITS.items() if far and grid.contains(grid.cell(bounded * size))]
         asked = f"; {units[0]}? need metres" if units else ""
         raise InputError(f"{name}: {error}{asked}") from None
 

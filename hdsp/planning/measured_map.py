@@ -9,7 +9,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.settings import shown
 from hdsp.planning.map_changes import changed_cells
 from hdsp.robot.lattice import RESOLUTION, is_detailed
-from hdsp.terrain.conditioning import ConditioningReport, ConditioningSettings, Stages
+from hdsp.terrain.conditioning import ConditioningReport, ConditioningSettings, Stages, is_conditioned
 from hdsp.terrain.height_map import HeightMap
 
 #: Growth of the known area after which the noise is estimated again.
@@ -48,7 +48,8 @@ class MeasuredMap:
     def update(self, measured: HeightMap, region: Region | None = None) -> Region | None:
         """Takes over a changed map, and conditions the part that changed.
 
-        The noise stays as estimated, until twice as much ground is known.
+        The noise stays as estimated, until twice as much ground is known. A map that is conditioned already, after one
+        that is not, or the reverse, is taken over as a whole.
 
         Args:
             measured: the whole map after the change.
@@ -63,7 +64,8 @@ class MeasuredMap:
         """
         same = measured.resolution == self.measured.resolution
         changed = changed_cells(self.measured, measured, region) if same else None
-        if changed is None or self._has_grown(measured):
+        settled = is_conditioned(measured.frame.notes) == is_conditioned(self.measured.frame.notes)
+        if changed is None or not settled or self._has_grown(measured):
             self._take(measured)
             return None
         if self._stages is None:

@@ -409,6 +409,7 @@ class Planner:
             progress=progress,
             assumed=begin.assumed,
             way=begin.way,
+            measured=self.terrain if self.conditioning is None else None,
         )
 
     def _no_plan(

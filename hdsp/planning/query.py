@@ -70,6 +70,7 @@ class Query:
         admissible, consistent: whether ``estimate`` is, as in ``Heuristic``.
         assumed: changes in the map under the start, in words; see ``Plan``.
         way: way out of the clearance of obstacles, which comes before ``start``; None without one.
+        measured: the planner's map, without changes under the start; None if it is conditioned.
         limits: of the whole query; ``ends`` counts instead of the time.
         ends: moment on the clock ``now`` at which the time is over.
         progress: called now and then with (expansions, seconds).
@@ -92,6 +93,7 @@ class Query:
     progress: Progress | None = None
     assumed: tuple[str, ...] = ()
     way: WayOut | None = None
+    measured: HeightMap | None = None
 
     @property
     def goal(self) -> np.ndarray:
@@ -218,7 +220,9 @@ class Query:
 
     def inquiry(self, status: Status, reached: Reached | None) -> Inquiry:
         """Returns the inquiry into the reasons for a search that ended without a plan."""
-        return Inquiry(self.terrain, self.robot, self.wider, self.start, self.goal, status, reached)
+        return Inquiry(
+            self.terrain, self.robot, self.wider, self.start, self.goal, status, reached, measured=self.measured
+        )
 
     def out_of_time(self, plan: Plan) -> Plan:
         """Returns the answer where the time ended before a plan was refined: no plan, with the effort so far."""

@@ -254,7 +254,8 @@ class Stages:
             full = _median(full, 2 * round(0.5 / self.scale) + 1)
             fine = map_coordinates(full, grid, order=0, mode="nearest")
         else:
-            fine = _with_sharp_edges(map_coordinates(full, grid, order=1, mode="nearest"), self.scale, self.settings)
+            fine, nearest = (map_coordinates(full, grid, order=order, mode="nearest") for order in (1, 0))
+            fine = _with_sharp_edges(fine, nearest, self.scale, self.settings)
         known = map_coordinates(np.isfinite(measured).astype(np.uint8), grid, order=0, mode="nearest") > 0
         return np.where(known, fine, np.float32(np.nan)).astype(np.float32)
 
@@ -361,14 +362,25 @@ def _lone(heights: np.ndarray, away: np.ndarray, least: float, resolution: float
     return result
 
 
-def _with_sharp_edges(heights: np.ndarray, scale: float, settings: ConditioningSettings) -> np.ndarray:
-    """Moves rises that interpolation spread over a measured cell into one line between two cells."""
+def _with_sharp_edges(
+    heights: np.ndarray, measured: np.ndarray, scale: float, settings: ConditioningSettings
+) -> np.ndarray:
+    """Moves rises that interpolation spread over a measured cell into one line between two cells.
+
+    Args:
+        heights: interpolated heights, m.
+        measured: height of the nearest measured cell, m. Interpolation lowers walls as thin as one measured cell.
+        scale: side of a measured cell in cells.
+        settings: as in ``Stages``.
+    """
     from scipy.ndimage import maximum_filter, minimum_filter
 
     wide = math.ceil(scale)
     low, high = (of(heights, 2 * wide + 1, mode="nearest") for of in (minimum_filter, maximum_filter))
     lower, higher = (of(heights, 4 * wide + 1, mode="nearest") for of in (minimum_filter, maximum_filter))
     edge = (high - low > settings.edge) & (high - low > _SUDDEN * (higher - lower))
+    low = np.minimum(low, minimum_filter(measured, 2 * wide + 1, mode="nearest"))
+    high = np.maximum(high, maximum_filter(measured, 2 * wide + 1, mode="nearest"))
     return np.where(edge, np.where(heights - low < high - heights, low, high), heights)
 
 

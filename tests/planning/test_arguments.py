@@ -95,6 +95,13 @@ def test_q6_m18_poses_in_other_forms_are_refused_with_their_name(unused, pose, w
     one_line(error, "pose", words)
 
 
+def test_m18_a_pose_a_little_off_the_map_is_not_taken_for_centimetres(unused):
+    with pytest.raises(InputError) as error:
+        unused.valid((unused.terrain.size[0] + 1.0, 0.9, 0.0))
+    one_line(error, "pose", "outside the map")
+    assert "centimetres" not in str(error.value)
+
+
 def test_m18_a_full_turn_and_feet_apart_are_poses(flat):
     assert flat.valid((0.9, 0.9, 2 * math.pi)) and flat.valid((0.9, 0.9, -2 * math.pi))
     assert flat.valid((0.9, 0.9, 0.0, 0.1, 0.1, 0.1, 0.1))

@@ -146,3 +146,12 @@ def test_a_tolerance_of_another_length_names_both_forms():
 def test_goals_are_poses(goal):
     with pytest.raises(InputError, match="goal"):
         Planner(HeightMap.flat((60, 60))).plan((0.7, 0.7, 0), goal)
+
+
+def test_a_goal_given_twice_or_goals_that_overlap_take_no_longer_search():
+    planner = Planner(HeightMap(np.zeros((80, 80), np.float32)))
+    start, goal, beside = (0.6, 1.0, 0.0), (1.3, 1.0, 0.0), (1.35, 1.0, 0.0)
+    alone, twice = planner.plan(start, goal), planner.plan(start, [goal, goal])
+    assert (twice.cost, twice.stats.expansions, twice.goal_index) == (alone.cost, alone.stats.expansions, 0)
+    both = planner.plan(start, [goal, beside], tolerance=0.1)
+    assert both.cost <= alone.cost and both.stats.expansions < 20 * alone.stats.expansions

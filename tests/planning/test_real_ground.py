@@ -5,6 +5,7 @@ import pytest
 
 from hdsp.abstract.manual import ManualCosts
 from hdsp.base.errors import InputError
+from hdsp.detailed.search.outcome import Status
 from hdsp.planning.collisions import check_plan
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic
 from hdsp.planning.planner import Planner
@@ -113,6 +114,25 @@ def test_a_map_that_fills_up_is_measured_again():
     assert planner.conditioning.noise.window == 0
     assert planner.update(noisy).conditioning.noise.deviation == pytest.approx(0.01, rel=0.1)
     assert planner.plan(START, GOAL, weight=1.25).steps == 0
+
+
+def test_a_measured_map_after_a_conditioned_one_is_conditioned_and_the_reverse():
+    noisy = HeightMap(white((120, 120), 0.01))
+    done = noisy.conditioned().terrain
+    for first, second in ((done, noisy), (noisy, done)):
+        planner, fresh = Planner(first).update(second), Planner(second)
+        np.testing.assert_array_equal(planner.terrain.heights, fresh.terrain.heights)
+        assert planner.conditioning == fresh.conditioning
+
+
+def test_no_conditioning_is_advised_where_it_does_not_help():
+    heights = np.zeros((160, 160), np.float32)
+    x, y = np.indices(heights.shape)
+    heights[np.hypot(x - 60, y - 80) < 24] = np.nan  # wider than the robot that stands there
+    for conditioning in (True, None):
+        plan = Planner(HeightMap(heights), conditioning=conditioning).plan((1.5, 2.0, 0.0), (3.4, 2.0, 0.0))
+        assert plan.status == Status.INFEASIBLE and plan.assumed and "unknown ground at" in plan.explain()
+        assert "conditioned map" not in plan.explain()
 
 
 def test_a_heuristic_for_another_map_than_the_conditioned_one_is_refused():

@@ -8,6 +8,7 @@ import yaml
 from scipy.ndimage import gaussian_filter
 
 from hdsp.base.errors import InputError
+from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain import ConditioningSettings, HeightMap, conditioned, random_map, read_arena
 from hdsp.terrain.conditioning import Stages
 from hdsp.terrain.obstacles import Block, Scene
@@ -225,3 +226,12 @@ def test_a_change_gives_the_result_of_the_whole_map(cell, noise):
         outside = np.ones(before.shape, bool)
         outside[cells] = False
         np.testing.assert_array_equal(stages.result[outside], before[outside])
+
+
+@pytest.mark.parametrize("cell", [0.04, 0.05, 0.1])
+def test_m5_a_wall_as_thin_as_one_coarse_cell_keeps_its_height(cell):
+    heights = np.zeros((40, 40), np.float32)
+    heights[20] = 0.36
+    after = HeightMap(heights, resolution=cell).conditioned().terrain.heights
+    assert set(np.unique(after)) == {0.0, np.float32(0.36)}
+    assert (after > 0).sum(axis=0).min() >= math.floor(cell / RESOLUTION)

@@ -24,6 +24,7 @@ _ROUNDING = 0.02  # m, between a goal and the centre of its cell
 
 def advice_for(
     terrain: HeightMap,
+    measured: HeightMap | None,
     robot: Robot,
     wider: Robot,
     causes: Sequence[Cause],
@@ -33,6 +34,7 @@ def advice_for(
 
     Args:
         terrain: the map.
+        measured: the planner's map, without changes under the start; None if it is conditioned already.
         robot: the robot.
         wider: the robot with its margin.
         causes: why there is no plan.
@@ -42,7 +44,7 @@ def advice_for(
     # With a tolerance, the robot arrives on neutral feet.
     if nearest is not None and nearest.distance <= _TOLERANCE and not any(nearest.pose[3:]):
         found.append(_tolerance(nearest.distance, nearest.turn))
-    if healed := _healed(terrain, causes):
+    if measured is not None and (healed := _healed(measured, causes)):
         found.append(f"a conditioned map has {healed} there")
     if wider != robot and any(cause.kind == Kind.BODY and not _hits(terrain, robot, cause) for cause in causes):
         found.append("without the margin the body does not hit the ground there")
@@ -57,11 +59,11 @@ def _tolerance(distance: float, turn: float) -> str:
     return f"with a goal tolerance of {distance + _ROUNDING:.2f} m{also} there is a plan"
 
 
-def _healed(terrain: HeightMap, causes: Sequence[Cause]) -> str | None:
+def _healed(measured: HeightMap, causes: Sequence[Cause]) -> str | None:
     """Ground at the causes in a conditioned map, in words, if conditioning removes a cause."""
     if not any(cause.kind in (Kind.UNKNOWN, Kind.EDGE) for cause in causes):
         return None
-    after = terrain.conditioned().terrain
+    after = measured.conditioned().terrain
     grid = Grid(after.origin, after.shape)
     for cause in causes:
         x, y = grid.cell(cause.place)

@@ -67,6 +67,7 @@ class Inquiry:
         status: end of the search.
         reached: states that the search reached.
         proof: proof of infeasibility; None without one.
+        measured: the planner's map, without changes under the start; None if it is conditioned.
     """
 
     terrain: HeightMap
@@ -77,6 +78,7 @@ class Inquiry:
     status: Status
     reached: Reached | None
     proof: Unreachable | None = None
+    measured: HeightMap | None = None
 
     def __call__(self) -> Findings:
         """Finds the reasons."""
@@ -90,7 +92,7 @@ class Inquiry:
             gap=obstacle.gap,
             nearest=nearest,
             reached=reached != 0,
-            advice=advice_for(self.terrain, self.robot, self.wider, obstacle.causes, nearest),
+            advice=advice_for(self.terrain, self.measured, self.robot, self.wider, obstacle.causes, nearest),
         )
 
     def _reached(self, world: World) -> np.ndarray:

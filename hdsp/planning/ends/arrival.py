@@ -83,7 +83,9 @@ def arrival(world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: 
         numbers.append(np.full(len(states), k))
     states, numbers_of = np.concatenate(found), np.concatenate(numbers)
     if len(states):
-        return Arrival(states, numbers_of, exact)
+        # A search counts each state once, also between goals that overlap.
+        first = np.sort(np.unique(states, axis=0, return_index=True)[1])
+        return Arrival(states[first], numbers_of[first], exact)
     words: list[Cause | str] = list(faults[0])
     if not exact:
         words.append("nor at any other pose within the tolerance")
