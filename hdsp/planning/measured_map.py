@@ -9,11 +9,14 @@ from hdsp.base.errors import InputError
 from hdsp.base.settings import shown
 from hdsp.planning.map_changes import changed_cells
 from hdsp.robot.lattice import RESOLUTION, is_detailed
-from hdsp.terrain.conditioning import ConditioningReport, ConditioningSettings, Stages, is_conditioned
+from hdsp.terrain.conditioning import ConditioningReport, Stages, is_conditioned
 from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.map_filters import ConditioningSettings
 
 #: Growth of the known area after which the noise is estimated again.
 _GROWTH = 2.0
+#: Share of the known area; the same after a change of more.
+_CHANGE = 0.5
 
 
 class MeasuredMap:
@@ -48,8 +51,8 @@ class MeasuredMap:
     def update(self, measured: HeightMap, region: Region | None = None) -> Region | None:
         """Takes over a changed map, and conditions the part that changed.
 
-        The noise stays as estimated, until twice as much ground is known. A map that is conditioned already, after one
-        that is not, or the reverse, is taken over as a whole.
+        The noise stays as estimated, until twice as much ground is known, or half of the ground changes at once. A map
+        that is conditioned already, after one that is not, or the reverse, is taken over as a whole.
 
         Args:
             measured: the whole map after the change.
@@ -65,7 +68,7 @@ class MeasuredMap:
         same = measured.resolution == self.measured.resolution
         changed = changed_cells(self.measured, measured, region) if same else None
         settled = is_conditioned(measured.frame.notes) == is_conditioned(self.measured.frame.notes)
-        if changed is None or not settled or self._has_grown(measured):
+        if changed is None or not settled or self._is_another(measured, changed):
             self._take(measured)
             return None
         if self._stages is None:
@@ -81,9 +84,12 @@ class MeasuredMap:
         self._show(measured)
         return found
 
-    def _has_grown(self, measured: HeightMap) -> bool:
-        known = np.count_nonzero(np.isfinite(measured.heights))
-        return self._stages is not None and bool(known > _GROWTH * self._known)
+    def _is_another(self, measured: HeightMap, changed: np.ndarray) -> bool:
+        """Whether so much ground is new that its noise may be other noise."""
+        if self._stages is None:
+            return False
+        known, new = (int(np.count_nonzero(cells)) for cells in (np.isfinite(measured.heights), changed))
+        return bool(known > _GROWTH * self._known or new > _CHANGE * known)
 
     def _take(self, measured: HeightMap) -> None:
         if self._settings is not None:

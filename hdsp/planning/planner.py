@@ -41,8 +41,9 @@ from hdsp.planning.query import Query
 from hdsp.planning.refinable import refinable_plan
 from hdsp.robot.lattice import Grid
 from hdsp.robot.robot import Robot
-from hdsp.terrain.conditioning import ConditioningReport, ConditioningSettings
+from hdsp.terrain.conditioning import ConditioningReport
 from hdsp.terrain.height_map import HeightMap, as_height_map
+from hdsp.terrain.map_filters import ConditioningSettings
 
 
 class Planner:

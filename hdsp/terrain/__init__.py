@@ -18,10 +18,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hdsp.terrain.arenas import Arena, ArenaDescription, read_arena
-    from hdsp.terrain.conditioning import ConditioningReport, ConditioningSettings
+    from hdsp.terrain.conditioning import ConditioningReport
     from hdsp.terrain.cost_maps import COST_MODEL_VERSION, CostMaps
     from hdsp.terrain.height_map import Conditioned, HeightMap, conditioned
     from hdsp.terrain.map_checks import suspicions
+    from hdsp.terrain.map_filters import ConditioningSettings
     from hdsp.terrain.obstacles import Bank, Block, Obstacle, Ramp, Scene, Staircase, Tiles, Tilted, TiltedGround
     from hdsp.terrain.patches import crop_patches
     from hdsp.terrain.random_arenas import ArenaSettings, RandomArena, random_arena
@@ -88,7 +89,7 @@ _MODULES = {
     "Block": "obstacles",
     "Conditioned": "height_map",
     "ConditioningReport": "conditioning",
-    "ConditioningSettings": "conditioning",
+    "ConditioningSettings": "map_filters",
     "CostMaps": "cost_maps",
     "HeightMap": "height_map",
     "Obstacle": "obstacles",

@@ -17,7 +17,8 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS, RESOLUTION
-from hdsp.terrain.conditioning import UNCHANGED, ConditioningReport, ConditioningSettings, Stages, is_conditioned
+from hdsp.terrain.conditioning import ConditioningReport, Stages, is_conditioned
+from hdsp.terrain.map_filters import UNCHANGED, ConditioningSettings
 from hdsp.terrain.map_formats import MAP_SUFFIXES, MapFields, ReadOptions, is_map, read_map, write_map
 from hdsp.terrain.map_frame import MapFrame
 from hdsp.terrain.no_data import implausible_heights, unmasked

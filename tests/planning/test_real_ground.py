@@ -135,6 +135,15 @@ def test_no_conditioning_is_advised_where_it_does_not_help():
         assert "conditioned map" not in plan.explain()
 
 
+def test_a_map_that_changes_as_a_whole_is_measured_again():
+    planner = Planner(HeightMap.flat((160, 160)), heuristic="manual")
+    noisy = HeightMap(white((160, 160), 0.02))
+    assert planner.update(noisy).conditioning.noise.deviation == pytest.approx(0.02, rel=0.1)
+    assert (
+        planner.plan(START, GOAL, weight=1.25).cost == Planner(noisy, heuristic="manual").plan(START, GOAL, 1.25).cost
+    )
+
+
 def test_a_heuristic_for_another_map_than_the_conditioned_one_is_refused():
     noisy = HeightMap(white((80, 80), 0.01))
     planner = Planner(noisy)

@@ -105,6 +105,32 @@ def test_structures_that_a_median_erases_stay():
     assert (result.heights[exact.heights == 0] < 0.1).all()
 
 
+@pytest.mark.parametrize("cell", [0.04, 0.05, 0.1])
+def test_a_post_in_one_coarse_cell_stays_and_many_spikes_go(cell):
+    heights = np.zeros((100, 100), np.float32)
+    heights[30, 40] = heights[70, 20] = 0.5
+    result, report = HeightMap(heights, resolution=cell).conditioned()
+    assert report.spikes == 0
+    for x, y in ((30, 40), (70, 20)):
+        at = tuple(np.array([x + 0.5, y + 0.5]) * cell)
+        assert result.height_at(*at) == 0.5
+    spiky = heights + 0.3 * (np.random.default_rng(0).random(heights.shape) < 0.01)
+    result, report = HeightMap(spiky, resolution=cell).conditioned()
+    assert report.spikes > 80 and (result.heights > 0.2).mean() < 0.002
+
+
+@pytest.mark.parametrize("cell", [0.005, 0.01, 0.0125])
+@pytest.mark.parametrize("cells", [1, 2, 3])
+def test_thin_walls_and_posts_in_fine_cells_stay(cell, cells):
+    heights = np.zeros((240, 240), np.float32)
+    heights[100 : 100 + cells] = 0.4
+    heights[200:204, 30:34] = 0.6
+    result, _ = HeightMap(heights, resolution=cell).conditioned()
+    assert (result.heights.max(axis=0) >= 0.4).all() and result.heights.max() == pytest.approx(0.6)
+    # The wall is at most one cell wider.
+    assert (result.heights > 0.2).sum(axis=0).max() <= 2 + math.ceil(cells * cell / 0.025) + math.ceil(4 * cell / 0.025)
+
+
 def test_spikes_go_and_corners_stay():
     exact = scene(Block(0.5, 0.5, math.pi / 4, 0.8, 0.8, 0.5))
     spiky = exact.heights.copy()
