@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.robot.lattice import RESOLUTION, is_detailed
+from hdsp.robot.lattice import RESOLUTION, cells, is_detailed
 from hdsp.terrain.map_filters import (
     ConditioningSettings,
     Noise,
@@ -117,7 +117,7 @@ class Stages:
         if not resolution <= COARSEST:
             raise InputError(f"cells of {resolution:g} m; conditioning for planning needs at most {COARSEST:g} m")
         self.resolution, self.settings = float(resolution), settings or ConditioningSettings()
-        self.scale = self.resolution / RESOLUTION
+        self.scale = cells(self.resolution)
         if np.prod(self.result_shape(heights.shape)) > _MOST_CELLS:
             raise InputError(
                 f"map of {heights.shape[0]} x {heights.shape[1]} cells of {resolution:g} m: more than {_MOST_CELLS:,} "

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hdsp.robot.lattice import RESOLUTION
+from hdsp.robot.lattice import RESOLUTION, cells
 from hdsp.terrain.conditioning import COARSEST
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.no_data import implausible_heights
@@ -98,9 +98,9 @@ def _about_size(terrain: HeightMap) -> Iterator[str]:
         yield f"cells of {resolution:g} m are far finer than the planner's {RESOLUTION:g} m"
     if min(length, width) < _SMALLEST:
         yield f"{length:.3g} x {width:.3g} m are smaller than a robot needs"
-    cells = length * width / RESOLUTION**2
-    if cells > _MOST_CELLS:
+    count = cells(length) * cells(width)
+    if count > _MOST_CELLS:
         yield (
-            f"{length:.0f} x {width:.0f} m are {cells:,.0f} cells of {RESOLUTION:g} m, too many for the planner; cut a "
+            f"{length:.0f} x {width:.0f} m are {count:,.0f} cells of {RESOLUTION:g} m, too many for the planner; cut a "
             "part out"
         )

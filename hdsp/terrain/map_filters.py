@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from hdsp.base.settings import Natural, NotNegative, Positive, checked
-from hdsp.robot.lattice import RESOLUTION
+from hdsp.robot.lattice import cells
 from hdsp.terrain.map_parts import Part
 
 _LEAST_NOISE = 0.0005  # m; maps with less keep their heights
@@ -105,7 +105,7 @@ def _noise(heights: np.ndarray, known: np.ndarray, resolution: float, settings: 
     tiles = _tiles(known)
     for window in _WINDOWS:
         bends = np.concatenate([_bends(_median(full[tile], window, passes=2), known[tile]) for tile in tiles])
-        if len(bends) and np.median(bends) * RESOLUTION / resolution <= settings.roughness:
+        if len(bends) and np.median(bends) <= settings.roughness * cells(resolution):
             break
     return deviation, window
 

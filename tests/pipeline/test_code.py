@@ -36,7 +36,7 @@ def project(tmp_path):
         ("def check_plan(", "def check_plan(more=1, *, ", {"plan"}),
         ("def heuristic_table(", "def heuristic_table(more=1, *, ", {"report"}),
         ("def save_quality_bars(", "def save_quality_bars(more=1, *, ", set()),
-        ('".h5": (', '".hf5": (_read_hdf5, _write_hdf5),\n    ".h5": (', set()),
+        ('".h5": _HDF5', '".hf5": _HDF5,\n    ".h5": _HDF5', set()),
     ],
 )
 def test_an_edit_makes_stale_what_it_decides(project, old, new, stale):

@@ -20,7 +20,8 @@ from hdsp.detailed.search.life_cycle import FEW
 from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits
 from hdsp.detailed.search.weighted_astar import solve
-from hdsp.planning import plans, query
+from hdsp.planning import query
+from hdsp.planning.answers import plans
 from hdsp.planning.compiled import compile_for
 from hdsp.planning.heuristics import standing
 from hdsp.planning.heuristics.standing import standing_states

@@ -141,11 +141,17 @@ def _check_complete(layer: str, entries: Mapping[str, _Entry], options: ReadOpti
         missing.append(f"entry {layer} is missing, {known}; the option layer names another entry with heights")
     if _RESOLUTION not in entries and options.resolution is None:
         missing.append("entry resolution is missing; give the option resolution, the side of a cell in metres")
-    if not missing:
-        return
-    if _ORIGIN not in entries and options.origin is None:
-        missing.append("entry origin is missing; give the option origin, in metres, unless it is (0, 0)")
-    raise MissingOption("; ".join(missing))
+    # A map of ours has an origin; a missing one is damage.
+    if missing or layer == _HEIGHTS:
+        missing += _missing_origin(entries, options)
+    if missing:
+        raise MissingOption("; ".join(missing))
+
+
+def _missing_origin(entries: Mapping[str, _Entry], options: ReadOptions) -> list[str]:
+    if _ORIGIN in entries or options.origin is not None:
+        return []
+    return ["entry origin is missing; give the option origin, in metres, unless it is (0, 0)"]
 
 
 def _own(name: str, small: Mapping[str, np.ndarray], option: Any, options: ReadOptions) -> Any:
