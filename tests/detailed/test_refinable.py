@@ -16,7 +16,9 @@ START, GOAL = (0.5, 0.75, 0.0), (1.6, 0.75, 0.0)
 
 @pytest.fixture(scope="module")
 def planner():
-    return Planner(with_bar(), heuristic="manual").prepare()
+    made = Planner(with_bar(), heuristic="manual").prepare()
+    made.plan(START, GOAL, weight=2, refinable=True)  # the first query of its kind compiles by a trial, which refines
+    return made
 
 
 def steps_of(plan):
