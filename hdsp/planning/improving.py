@@ -66,13 +66,7 @@ def _rounds(
     After a refused step the rounds start again without it, from the present weight on.
     """
     began, spent, cost, world = now(), 0, np.inf, query.world
-    proof, tried = query.proof(), False
-
-    def hopeless() -> bool:
-        nonlocal tried
-        tried = True
-        return proof.succeeds()
-
+    proof = query.proof()
     guide = None if query.admissible else query.estimate
     admissible = query.estimate if guide is None else query.geometric()
     reached = ReachedStates(query.goal)
@@ -87,7 +81,7 @@ def _rounds(
             admissible,
             guide,
             limits=left,
-            hopeless=None if tried else hopeless,
+            hopeless=None if refused.words else proof.succeeds_by,  # a refused step is part of a plan
             progress=query.progress,
             at_end=reached.take,
         )
@@ -109,7 +103,7 @@ def _rounds(
                     return
                 cost = plan.cost
             if found.ended == Status.INFEASIBLE and not plan.solved and not refused.words:
-                proof.try_until(query.ends)
+                proof.succeeds_by(query.ends)
                 plan = query.without_way(plan, proof.found)
             yield plan, found.ended
         else:

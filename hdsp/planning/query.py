@@ -1,8 +1,8 @@
 """A query to a planner: its ends, a search or a proof, and the plan.
 
-One budget of time covers the whole query. The heuristic comes first. The search runs until its end, with one pause: a
-search without an end after a tenth of a second tries to prove that no plan exists. The proof may take half of the time
-left, so that the search keeps the other half. Without a proof, the search goes on from where it paused.
+One budget of time covers the whole query. The heuristic comes first. The search then runs to its end. A search that
+takes long shares the time with a proof that no plan exists (``life_cycle``): both take turns, neither computes anything
+twice, and the first plan or proof ends the query. They never disagree, so the clock decides only which comes first.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hdsp.base.gradual import Gradual, now
 from hdsp.detailed.actions.action import action_of
 from hdsp.detailed.relaxed.proofs import Unreachable, nearest_state, proof_steps
 from hdsp.detailed.search.estimate import Estimate, geometric_estimate
-from hdsp.detailed.search.life_cycle import FEW, Hopeless, Progress, Search
+from hdsp.detailed.search.life_cycle import Hopeless, Progress, Search
 from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.search.reached import Reached, reached_by
@@ -31,9 +31,6 @@ from hdsp.planning.heuristics import Heuristic
 from hdsp.robot.lattice import Grid
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
-
-#: Share of the time left that a proof may take from a search.
-PROOF_SHARE = 0.5
 
 
 class ReachedStates:
@@ -106,8 +103,9 @@ class Query:
 
     def weighted(self, weight: float, hopeless: Hopeless | None = None) -> Plan:
         """Searches with weighted A*; ``hopeless`` as in ``solve``."""
-        # No bound is lost without reopening: the heuristic is consistent, or proves none.
-        once = self.consistent or not self.admissible
+        # No bound is lost without reopening: the heuristic proves none, or it is consistent. At W = 1, a consistent
+        # heuristic leads to hardly any state twice, and reopening keeps the optimum up to rounding.
+        once = not self.admissible or (self.consistent and weight > 1)
         reached = ReachedStates(self.goal)
         result = solve(
             self.world,
@@ -116,7 +114,7 @@ class Query:
             self.estimate,
             weight=weight,
             admissible=self.admissible,
-            reopen=not (once and weight > 1 and self.limits.cost == np.inf),
+            reopen=not once,
             limits=replace(self.limits, time=self.time_left()),
             hopeless=hopeless,
             progress=self.progress,
@@ -231,16 +229,16 @@ class Query:
         return replace(plan, status=Status.TIME_LIMIT, cost=np.inf, bound=np.inf, inquiry=inquiry, **path)
 
     def search_or_prove(self, search: Solver) -> Plan:
-        """Searches; a search that takes long tries a proof of infeasibility, and goes on without one.
+        """Searches; a search that takes long shares its time with a proof of infeasibility.
 
         A proof takes longer than most searches and names the obstacle. A search without a plan would take very long.
         """
         proof = self.proof()
-        plan = search(self, proof.succeeds if self.limits.expansions > FEW else None)
+        plan = search(self, proof.succeeds_by)
         if plan.status != Status.INFEASIBLE:
             return plan.renewed({"proof_seconds": proof.seconds})
         # A search through all reachable states proves as much, but names no obstacle.
-        proof.try_until(self.ends)
+        proof.succeeds_by(self.ends)
         return self.without_way(plan, proof.found).renewed({"proof_seconds": proof.seconds})
 
 
@@ -256,7 +254,6 @@ class Proof:
     """
 
     def __init__(self, query: Query):
-        self._query = query
         self.found: Unreachable | None = None
         self._steps: Gradual[Unreachable | None] = Gradual(proof_steps(query.world, query.start, query.goals))
 
@@ -265,12 +262,9 @@ class Proof:
         """Time spent so far."""
         return self._steps.seconds
 
-    def succeeds(self) -> bool:
-        """Tries the proof for its share of the time left; returns whether it succeeds."""
-        return self.try_until(now() + PROOF_SHARE * self._query.time_left())
-
-    def try_until(self, ends: float) -> bool:
-        """Continues until a moment on the clock ``now``; returns whether there is a proof."""
-        if self._steps.run(ends):
-            self.found = self._steps.result
+    def succeeds_by(self, ends: float) -> bool | None:
+        """Continues until a moment on the clock ``now``; returns whether there is a proof, None before its end."""
+        if not self._steps.run(ends):
+            return None
+        self.found = self._steps.result
         return self.found is not None

@@ -8,7 +8,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hdsp.base.gradual import finished
 from hdsp.detailed.actions.successors import Rules
+from hdsp.detailed.relaxed.heading_masks import PoseFlood, holds
 from hdsp.detailed.relaxed.proofs import FOOT, POSE, why_unreachable
 from hdsp.detailed.search.estimate import geometric_estimate
 from hdsp.detailed.search.outcome import Limits, Status
@@ -60,6 +62,21 @@ def test_proofs_agree_with_searches_to_the_end(category):
                 limits = Limits(expansions=50_000)
                 found = solve(world, start, goal, geometric_estimate(world, goal), rules=rules, limits=limits)
                 assert found.status[0] in (Status.INFEASIBLE, Status.EXPANSION_LIMIT)
+
+
+def test_a_flood_toward_goals_ends_at_the_first_one_in_reach_and_else_reaches_all_it_can():
+    rng, ended = np.random.default_rng(2), set()
+    for category in CATEGORIES:
+        world = build_world(random_map(5, category, 1), MOMARO)
+        states = np.array(valid_states(Naive(world_heights(world), MOMARO), rng, 8, headings=range(0, 64, 8)))
+        for start, goals in ((states[0], states[k : k + 2]) for k in range(1, len(states))):
+            everywhere = PoseFlood(world, Rules()).reached_from(start, False)
+            toward = finished(PoseFlood(world, Rules()).steps_from(start, False, goals))
+            assert holds(toward, goals) == holds(everywhere, goals)
+            assert (toward & ~everywhere == 0).all()
+            assert holds(toward, goals) or (toward == everywhere).all()
+            ended.add((holds(toward, goals), bool((toward == everywhere).all())))
+    assert ended == {(True, False), (False, True)}
 
 
 def world_heights(world):

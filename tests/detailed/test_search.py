@@ -6,7 +6,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hdsp.base.errors import InputError
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.search import life_cycle
 from hdsp.detailed.search.estimate import geometric_estimate, pose_estimate
@@ -143,6 +142,30 @@ def test_inconsistent_heuristics_lose_no_optimality_because_states_are_reopened(
 
 
 @by_category
+def test_a_search_that_expands_no_state_twice_decides_a_cost_limit_as_plain_dijkstra_does(category):
+    again, once = 0, 0
+    for world, _, rules, start, graph in exhausted(category):
+        rng = np.random.default_rng(len(graph) + 8)
+        ends = sorted(graph)
+        for i in rng.permutation(len(ends))[:40]:
+            goal = ends[i]
+            to_go = costs_to_go(graph, goal)
+            guide, task = inconsistent(world, to_go, rng), (np.array(start), np.array(goal))
+            guide = guide._replace(table=2 * guide.table)
+            for share in (0.99, 1.0001, 1.2):
+                limits = Limits(cost=share * to_go[start])
+                result = solve(world, *task, guide, rules=rules, admissible=False, reopen=False, limits=limits)
+                possible = to_go[start] <= limits.cost
+                assert result.status == [Status.SOLVED if possible else Status.COST_LIMIT]
+                assert not possible or to_go[start] * (1 - 1e-5) <= result.cost[0] <= limits.cost * (1 + 1e-6)
+                once += result.expansions <= result.seen
+                again += result.expansions > result.seen
+            free = solve(world, *task, guide, rules=rules, admissible=False, reopen=False)
+            assert free.status == [Status.SOLVED] and free.expansions <= free.seen
+    assert once > 0 and again > 0, "both ends should occur: without and with a second round"
+
+
+@by_category
 def test_infeasibility_is_proved_by_exhausting_what_the_textbook_search_reaches(category):
     proved = 0
     for world, twin, rules, start, graph in exhausted(category):
@@ -262,12 +285,6 @@ def test_start_and_goal_must_be_valid():
     good, bad = (3, 3, 0, 0, 0, 0, 0), (4, 5, 0, 0, 0, 0, 0)
     assert planned(world, bad, good).status == [Status.INVALID_START]
     assert planned(world, good, bad).status == [Status.INVALID_GOAL]
-
-
-def test_a_search_that_expands_no_state_twice_takes_no_cost_limit():
-    world = build_world(HeightMap.flat((12, 12)), toy())
-    with pytest.raises(InputError, match="cost limit 1"):
-        planned(world, (6, 6, 5, 0, 0, 0, 0), (6, 6, 5, 0, 0, 0, 0), reopen=False, limits=Limits(cost=1.0))
 
 
 def test_a_start_that_is_the_goal_costs_nothing():

@@ -9,16 +9,18 @@ import pytest
 from hdsp import HeightMap, InputError, Planner, Status
 from hdsp.abstract import FlatCosts, prepared_graph
 from hdsp.abstract.prepared_graph import PreparedGraph
+from hdsp.base import gradual
 from hdsp.base.gradual import Gradual
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.relaxed import foothold_regions, heading_masks
 from hdsp.detailed.relaxed.foothold_regions import find_foothold_regions
 from hdsp.detailed.relaxed.heading_masks import PoseFlood
-from hdsp.detailed.search import anytime
+from hdsp.detailed.search import anytime, life_cycle
 from hdsp.detailed.search.estimate import geometric_estimate, least_foot_cost
-from hdsp.detailed.search.life_cycle import FEW
+from hdsp.detailed.search.life_cycle import FEW, PROOF_SHARE
 from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits
+from hdsp.detailed.search.store import EXPANDED
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.planning import query
 from hdsp.planning.answers import plans
@@ -63,8 +65,8 @@ def test_q4_a_search_goes_on_after_a_failed_proof_as_if_it_had_not_paused(long_t
     wrong = view._replace(distance=3 * view.distance)
     asked = []
 
-    def no_proof():
-        asked.append(1)
+    def no_proof(ends):
+        asked.append(ends)
         return False
 
     limits, weights = Limits(expansions=150_000), (2.0, 1.5)
@@ -77,7 +79,7 @@ def test_q4_a_search_goes_on_after_a_failed_proof_as_if_it_had_not_paused(long_t
     ):
         asked.clear()
         paused, at_once = search(no_proof), search(None)
-        assert asked == [1] and at_once.expansions > FEW
+        assert len(asked) == 1 and at_once.expansions > FEW
         assert (paused.expansions, paused.seen) == (at_once.expansions, at_once.seen)
         assert paused.status == at_once.status and paused.lower_bound == at_once.lower_bound
         np.testing.assert_array_equal(paused.cost, at_once.cost)
@@ -86,6 +88,84 @@ def test_q4_a_search_goes_on_after_a_failed_proof_as_if_it_had_not_paused(long_t
             if one is not None:
                 np.testing.assert_array_equal(one.states, other.states)
                 np.testing.assert_array_equal(one.actions, other.actions)
+
+
+class Clock:
+    """A clock that only expansions and the steps of a proof move."""
+
+    def __init__(self, monkeypatch):
+        self.seconds = 0.0
+        for module in (gradual, life_cycle, query):
+            monkeypatch.setattr(module, "now", lambda: self.seconds)
+        run = life_cycle.Search._run
+
+        def timed(search, expansions):
+            before = int(search.store.counts[EXPANDED])
+            code = run(search, expansions)
+            self.seconds += 1e-6 * (int(search.store.counts[EXPANDED]) - before)
+            return code
+
+        monkeypatch.setattr(life_cycle.Search, "_run", timed)
+
+    def steps(self, seconds, ends, result):
+        """Steps of a proof that take so long each, and end after so many seconds."""
+
+        def taken(*_arguments):
+            left = ends
+            while left > 0:
+                self.seconds += seconds
+                left -= seconds
+                yield
+            return result
+
+        return taken
+
+
+@pytest.mark.parametrize("improving", [False, True])
+@pytest.mark.parametrize("wrong", [False, True])
+def test_q4_search_and_proof_take_turns_and_lose_no_time(long_task, monkeypatch, wrong, improving):
+    planner, start, goal = long_task
+    world, clock, alone = planner.world, Clock(monkeypatch), 1e-6 * FEW
+    view = geometric_estimate(world, goal)
+    answer = "a proof" if wrong else None
+    for length in (0.03, 0.2, 1.0):
+        turns, proof = [], Gradual(clock.steps(0.002, length, answer)())
+
+        def until(ends, turns=turns, proof=proof):
+            turns.append((clock.seconds, ends))
+            return proof.result is not None if proof.run(ends) else None
+
+        began, limits = clock.seconds, Limits(expansions=300_000)
+        if improving:
+            result = [*anytime.improve(world, start, goal, (1.0,), view, limits=limits, hopeless=until)][-1].result
+        else:
+            result = solve(world, start, goal, view, limits=limits, hopeless=until)
+        spent = clock.seconds - began
+        assert result.seconds == pytest.approx(1e-6 * result.expansions)
+        assert spent == pytest.approx(result.seconds + proof.seconds)
+        assert turns[0][0] - began == pytest.approx(alone) and proof.done
+        # A proof that succeeds ends the query, at most 4/3 of its own time after the search began to share.
+        if wrong:
+            assert result.status == [Status.INFEASIBLE]
+            assert spent <= max(alone + length, length / PROOF_SHARE) + 0.08
+        else:
+            assert result.status == [Status.EXPANSION_LIMIT] and result.expansions == limits.expansions
+        # Between two turns, the proof has had about its share of the time.
+        for k, (at, ends) in enumerate(turns[1:], 1):
+            assert ends > at and at - turns[k - 1][1] <= 0.03
+
+
+def test_q4_plans_are_the_same_however_long_a_proof_takes(long_task, monkeypatch):
+    planner, start, goal = long_task
+    ends, clock = (planner.grid.to_world(start), planner.grid.to_world(goal)), Clock(monkeypatch)
+    found = []
+    for seconds in (1e-4, 1e-2, 0.3):
+        monkeypatch.setattr(query, "proof_steps", clock.steps(seconds, 10.0, None))
+        found.append(planner.plan(*ends, 1.5))
+    assert len({plan.stats.expansions for plan in found}) == 1 and found[0].stats.expansions > FEW
+    for plan in found[1:]:
+        np.testing.assert_array_equal(plan.states, found[0].states)
+        assert plan.stats.proof_seconds > 0
 
 
 def test_q4_no_expansion_is_made_twice_and_the_statistics_say_where_the_time_went(long_task, monkeypatch):
@@ -100,7 +180,7 @@ def test_q4_no_expansion_is_made_twice_and_the_statistics_say_where_the_time_wen
     assert stats.heuristic_seconds + stats.proof_seconds + stats.search_seconds <= stats.seconds
 
 
-def test_q4_a_proof_leaves_the_search_half_of_the_time(long_task, monkeypatch):
+def test_q4_a_search_and_a_proof_without_end_share_the_time(long_task, monkeypatch):
     planner, start, goal = long_task
     ends = planner.grid.to_world(start), planner.grid.to_world(goal)
     monkeypatch.setattr(query, "proof_steps", endless_steps)
@@ -108,9 +188,9 @@ def test_q4_a_proof_leaves_the_search_half_of_the_time(long_task, monkeypatch):
     plan = planner.plan(*ends, 1.0, time=0.6, expansions=100_000_000)
     assert time.perf_counter() - began < 0.6 + LATE
     assert plan.status == Status.TIME_LIMIT and plan.stats.expansions > FEW
-    assert 0.1 < plan.stats.proof_seconds < 0.35
+    assert 0.1 < plan.stats.proof_seconds < 0.8 * 0.6 < plan.stats.proof_seconds + plan.stats.search_seconds
     *_, last = planner.improve(*ends, (1.0,), time=0.6)
-    assert last.stats.ended == "time_limit" and last.stats.proof_seconds < 0.35
+    assert last.stats.ended == "time_limit" and last.stats.proof_seconds < 0.8 * 0.6
 
 
 def test_q4_without_time_the_proof_proves_nothing_and_with_time_it_does(monkeypatch):
@@ -119,10 +199,11 @@ def test_q4_without_time_the_proof_proves_nothing_and_with_time_it_does(monkeypa
     planner = Planner(HeightMap(heights))
     ends = (1.0, 2.0, 0.0), (3.0, 2.0, 0.0)
     assert planner.plan(*ends).status == Status.INFEASIBLE
-    monkeypatch.setattr(query, "PROOF_SHARE", 0.0)
-    monkeypatch.setattr(heading_masks, "_VISITS", 1)
-    undecided = planner.plan(*ends, expansions=FEW + 1000)
-    assert undecided.status == Status.EXPANSION_LIMIT
+    for expansions in (FEW, FEW + 1000):
+        assert planner.plan(*ends, expansions=expansions).status == Status.INFEASIBLE
+    assert planner.plan(*ends, expansions=FEW - 1000).status == Status.EXPANSION_LIMIT
+    monkeypatch.setattr(query, "proof_steps", endless_steps)
+    assert planner.plan(*ends, expansions=FEW + 1000, time=0.5).status == Status.EXPANSION_LIMIT
 
 
 @pytest.mark.parametrize("name", ["regions", "flood", "standing", "dijkstra"])

@@ -35,13 +35,19 @@ def new_bucket_queue(width: float, most: float, nodes: int) -> BucketQueue:
 def put(queue, node, cost):
     """Adds a node at a cost; a waiting node leaves its former bucket."""
     heads, after, ahead = queue.heads, queue.after, queue.ahead
-    if ahead[node] != _OUT:
+    if waits(queue, node):
         take(queue, node)
     b = int(cost / queue.width)
     second = heads[b]
     heads[b], after[node], ahead[node] = node, second, -1 - b
     if second >= 0:
         ahead[second] = node
+
+
+@njit(inline="always")
+def waits(queue, node):
+    """Whether a node waits."""
+    return queue.ahead[node] != _OUT
 
 
 @njit(inline="always")

@@ -10,6 +10,7 @@ from hdsp.base.jit import njit
 from hdsp.detailed.actions.action import DRIVES
 from hdsp.detailed.actions.state_costs import feet_cells
 from hdsp.detailed.actions.successors import Rules, allowed_headings
+from hdsp.detailed.relaxed.bucket_queue import new_bucket_queue, put, take, waits
 from hdsp.detailed.world.body import collides, may_be_free, on_slope
 from hdsp.detailed.world.world import World, cell_index
 from hdsp.robot.lattice import HEADINGS
@@ -50,15 +51,25 @@ class PoseFlood:
         """
         return finished(self.steps_from(state, drive_only))
 
-    def steps_from(self, state: np.ndarray, drive_only: bool) -> Steps[np.ndarray]:
-        """Like `reached_from`, in short steps."""
+    def steps_from(self, state: np.ndarray, drive_only: bool, goals: np.ndarray | None = None) -> Steps[np.ndarray]:
+        """Like `reached_from`, in short steps.
+
+        Args:
+            state: int64 [7].
+            drive_only: whether the robot makes no step.
+            goals: int64 [n, 7]. The flood heads for the first one, and ends at any of them with the headings reached so
+                far: on the way to a goal in reach, it looks at few cells. None: the flood reaches all it can.
+        """
         nx, ny = self._world.nx, self._world.ny
-        reached = np.zeros((2, nx, ny), dtype=np.uint64)
-        reached[int(state[3:].any()), state[0], state[1]] = _ONE << np.uint64(state[2])
-        queue, waits, ends = np.empty(nx * ny + 1, np.int64), np.zeros((nx, ny), np.bool_), np.array([0, 1])
-        queue[0] = state[0] * ny + state[1]
+        reached = _bits_of(state[None], (nx, ny))
+        wanted = _bits_of(state[:0] if goals is None else goals, (nx, ny))
+        x, y = (state if goals is None else goals[0])[:2]
+        distance = np.hypot(*np.ogrid[-x : nx - x, -y : ny - y]).astype(np.int32)
+        queue, first = new_bucket_queue(1.0, float(distance.max()), nx * ny), distance[state[0], state[1]]
+        put(queue, state[0] * ny + state[1], first)
+        least = np.array([first])
         world, allowed, tables, masks = self._world, self._allowed, self._tables, self._masks
-        while not _flood(world, allowed, tables, masks, reached, queue, waits, ends, _VISITS, drive_only):
+        while not _flood(world, allowed, tables, masks, reached, wanted, queue, distance, least, _VISITS, drive_only):
             yield
         return reached
 
@@ -68,6 +79,14 @@ def holds(reached: np.ndarray, states: np.ndarray) -> bool:
     states = np.atleast_2d(states)
     headings = reached[states[:, 3:].any(axis=1).astype(np.int64), states[:, 0], states[:, 1]]
     return bool((headings >> states[:, 2].astype(np.uint64) & _ONE).any())
+
+
+def _bits_of(states: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Headings of states int64 [n, 7] at each cell, as in `PoseFlood.reached_from`."""
+    bits = np.zeros((2, *shape), dtype=np.uint64)
+    for state in states:
+        bits[int(state[3:].any()), state[0], state[1]] |= _ONE << np.uint64(state[2])
+    return bits
 
 
 class MaskTables(NamedTuple):
@@ -85,7 +104,7 @@ class MaskTables(NamedTuple):
 
 _ONE = np.uint64(1)
 _LAST = np.uint64(63)
-_VISITS = 1000  # visits to cells between two looks at the clock
+_VISITS = 250  # visits to cells between two looks at the clock
 
 
 def _bits(flags: np.ndarray) -> np.ndarray:
@@ -139,17 +158,18 @@ def _new_masks(world: World) -> HeadingMasks:
 
 
 @njit()
-def _flood(world, allowed, tables, masks, reached, queue, waits, ends, visits, drive_only):
-    """Empties the queue; returns False after so many visits to cells, and the next call continues.
+def _flood(world, allowed, tables, masks, reached, wanted, queue, distance, least, visits, drive_only):
+    """Empties the queue or reaches a goal; returns False after so many visits to cells, and the next call continues.
 
     Args:
         world: terrain and robot.
         allowed: headings under the rules of the search, as bits.
         tables, masks: actions, and possible headings.
         reached: uint64 [2, nx, ny], see `PoseFlood.reached_from`; changed.
-        queue: int64 [nx * ny + 1], ring of waiting cells; changed.
-        waits: bool [nx, ny], whether a cell waits; changed.
-        ends: int64 [2], first and end of the waiting cells in the queue; changed.
+        wanted: uint64 [2, nx, ny], headings of the goals at each cell.
+        queue: waiting cells, the one with the least distance first; changed.
+        distance: int32 [nx, ny], order of the cells.
+        least: int32 [1], no waiting cell has a smaller distance; changed.
         visits: number of visits.
         drive_only: whether the robot makes no step.
     """
@@ -157,16 +177,18 @@ def _flood(world, allowed, tables, masks, reached, queue, waits, ends, visits, d
     drives, shift_headings = tables.drives, tables.shift_headings
     shift_dx, shift_dy = tables.shift_dx, tables.shift_dy
     known, neutral, level, step, some = masks.known, masks.neutral, masks.level, masks.step, masks.some
-    room = nx * ny + 1
-    first, last = ends[0], ends[1]
-    while first != last:
+    heads = queue.heads
+    while True:
+        while least[0] < len(heads) and heads[least[0]] < 0:
+            least[0] += 1
+        if least[0] == len(heads):
+            return True
         if visits == 0:
-            ends[0], ends[1] = first, last
             return False
         visits -= 1
-        x, y = queue[first] // ny, queue[first] % ny
-        first = (first + 1) % room
-        waits[x, y] = False
+        at = np.int64(heads[least[0]])
+        take(queue, at)
+        x, y = at // ny, at % ny
         if known[x, y] == 0:
             _fill_neutral(world, allowed, masks, x, y)
         free = level[x, y]
@@ -181,6 +203,8 @@ def _flood(world, allowed, tables, masks, reached, queue, waits, ends, visits, d
         if not drive_only:
             on_any |= on_neutral & step[x, y]
         reached[0, x, y], reached[1, x, y] = on_neutral, on_any
+        if (on_neutral & wanted[0, x, y]) | (on_any & wanted[1, x, y]) != 0:
+            return True
         for m in range(len(move_dx)):
             u, v = x + move_dx[m], y + move_dy[m]
             moved = on_neutral & ((free & drives[0, m]) | drives[1, m])
@@ -191,10 +215,7 @@ def _flood(world, allowed, tables, masks, reached, queue, waits, ends, visits, d
             new = moved & neutral[u, v] & ~reached[0, u, v]
             if new != 0:
                 reached[0, u, v] |= new
-                if not waits[u, v]:
-                    waits[u, v] = True
-                    queue[last] = u * ny + v
-                    last = (last + 1) % room
+                _wait(queue, distance, least, u, v)
         for m in range(len(tables.arc_dx)):
             moved = on_neutral & free & tables.arc_headings[m]
             moved = (
@@ -208,10 +229,7 @@ def _flood(world, allowed, tables, masks, reached, queue, waits, ends, visits, d
             new = moved & neutral[u, v] & ~reached[0, u, v]
             if new != 0:
                 reached[0, u, v] |= new
-                if not waits[u, v]:
-                    waits[u, v] = True
-                    queue[last] = u * ny + v
-                    last = (last + 1) % room
+                _wait(queue, distance, least, u, v)
         if on_any == 0 or drive_only:
             continue
         for m in range(len(shift_dx)):
@@ -224,11 +242,16 @@ def _flood(world, allowed, tables, masks, reached, queue, waits, ends, visits, d
             new = moved & some[u, v] & ~reached[1, u, v]
             if new != 0:
                 reached[1, u, v] |= new
-                if not waits[u, v]:
-                    waits[u, v] = True
-                    queue[last] = u * ny + v
-                    last = (last + 1) % room
-    return True
+                _wait(queue, distance, least, u, v)
+
+
+@njit(inline="always")
+def _wait(queue, distance, least, x, y):
+    """Puts a cell into the queue, unless it waits."""
+    node = x * distance.shape[1] + y
+    if not waits(queue, node):
+        put(queue, node, distance[x, y])
+        least[0] = min(least[0], distance[x, y])
 
 
 @njit()

@@ -90,7 +90,7 @@ def proof_steps(
         return _gap_of_foot(world, regions, efforts[foot], start, goal, foot)
     flood = PoseFlood(world, rules)
     yield
-    reached = yield from flood.steps_from(start, rules.drive_only)
+    reached = yield from flood.steps_from(start, rules.drive_only, goals)
     if holds(reached, goals):
         return None
     around_goal = yield from flood.steps_from(goal, drive_only=True)

@@ -15,9 +15,9 @@ import numpy as np
 from hdsp.detailed.search import kernel
 from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
 from hdsp.detailed.search.estimate import Estimate
-from hdsp.detailed.search.life_cycle import FEW, AtEnd, Hopeless, Progress, Search
+from hdsp.detailed.search.life_cycle import AtEnd, Hopeless, Progress, Search
 from hdsp.detailed.search.outcome import Limits, Path, SearchResult, Status
-from hdsp.detailed.search.store import CUT, EXPANDED, find
+from hdsp.detailed.search.store import CUT, find
 from hdsp.detailed.world.world import World
 
 _CAPS = Status.EXPANSION_LIMIT, Status.MEMORY_LIMIT, Status.TIME_LIMIT
@@ -49,7 +49,6 @@ def improve(
     *,
     limits: Limits | None = None,
     hopeless: Hopeless | None = None,
-    ask_after: int = FEW,
     progress: Progress | None = None,
     at_end: AtEnd | None = None,
 ) -> Iterator[Improvement]:
@@ -67,7 +66,7 @@ def improve(
         guide: heuristic for the rounds. One more round follows, with the admissible heuristic and the last weight.
             None = the admissible heuristic guides all rounds.
         limits: for all rounds together; time counts from the first ``next``.
-        hopeless: called once, after ``ask_after`` expansions without a plan; True = proof that no plan exists.
+        hopeless: proof that no plan exists; it takes turns with the search until there is a plan, see ``Search.ask``.
         progress, at_end: see ``solve``.
 
     Yields:
@@ -84,16 +83,19 @@ def improve(
     for i, order in enumerate(rounds):
         status = search.begin_round(*order) if i else search.begin(*order)
         while status is None:
-            status = search.advance(ask_after if hopeless and not found.plan else None)
-            if status is None and found.look():
-                yield found.improvement(order[1])
-            elif status is None and hopeless and not found.plan and search.store.counts[EXPANDED] >= ask_after:
-                if search.ask(hopeless):
-                    found.lower_bound = np.inf
-                    if at_end is not None:
-                        at_end(search)
-                    yield found.improvement(order[1], Status.INFEASIBLE)
-                    return
+            status = search.advance(search.alone if hopeless and not found.plan else None)
+            if found.look():
+                if status is None:
+                    yield found.improvement(order[1])
+                continue
+            answer = None if hopeless is None or found.plan else search.ask(hopeless, status)
+            if answer:
+                found.lower_bound = np.inf
+                if at_end is not None:
+                    at_end(search)
+                yield found.improvement(order[1], Status.INFEASIBLE)
+                return
+            if answer is False:
                 hopeless = None
         found.look(thorough=True)
         last = i + 1 == len(rounds)

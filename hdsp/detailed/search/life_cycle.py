@@ -1,13 +1,19 @@
 """The life cycle of a search: begin, advance until the end, read the result.
 
 All drivers share it: ``weighted_astar``, ``anytime`` and ``multi_heuristic``.
+
+A search may share its time with a proof that no plan exists. Short searches run alone: a proof has to look at the poses
+of a whole map, and a goal is most often in reach. From a number of expansions on, which grows with the map, the proof
+takes turns with the search and gets ``PROOF_SHARE`` of the time in total. Its share is the larger one, because a proof
+without success ends soon (``heading_masks.PoseFlood``): a proof that goes on is likely to succeed. Both keep their work
+between turns, so a proof takes at most 1 / PROOF_SHARE times its own time, or its time plus the search that ran alone.
 """
 
-import time
 from collections.abc import Callable
 
 import numpy as np
 
+from hdsp.base.gradual import now
 from hdsp.detailed.actions.state_costs import state_cost, state_costs
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, successors
 from hdsp.detailed.search import kernel, open_list
@@ -32,11 +38,15 @@ Progress = Callable[[int, float], object]
 #: Callback with a search that ended without a plan.
 AtEnd = Callable[["Search"], object]
 
-#: Proof that no plan exists, tried during a search; returns whether it succeeds.
-Hopeless = Callable[[], bool]
+#: Proof that no plan exists, continued until a moment on the clock ``now``. Returns True after a success, False after a
+#: failure, None before its end.
+Hopeless = Callable[[float], bool | None]
 
-#: Expansions before a proof is tried; about a tenth of a second.
+#: Least number of expansions before a proof takes turns with a search; about a tenth of a second. On larger maps, the
+#: number of map cells counts.
 FEW = 50_000
+#: Share of the time for a proof that takes turns with a search.
+PROOF_SHARE = 0.75
 _SLICE = 20_000  # expansions between two checks of the clock, at most
 _FIRST = 2_000  # the same while their time is unknown
 _LEAST = 200  # the same shortly before the time limit
@@ -64,6 +74,7 @@ class Search:
         goal_cost: float32 [n], inf where a goal is not settled.
         invalid: per goal, the status for an invalid start or goal, None if both are valid. A search may begin if one
             entry is None.
+        alone: number of expansions before a proof takes turns with the search.
         impossible: the status of ``invalid`` if no search may begin, else None.
     """
 
@@ -77,12 +88,13 @@ class Search:
         progress: Progress | None = None,
         nearest: bool = False,
     ):
-        self.began, self.paused = time.perf_counter(), 0.0
+        self.began, self.paused = now(), 0.0
         self.world, self.rules, self.limits, self.progress = world, rules or Rules(), limits or Limits(), progress
         self.start = int(pack_states(start, world.tables.lowest)[0])
         self.goals = pack_states(goals, world.tables.lowest)
         self.goal_cost = np.full(len(self.goals), np.inf, dtype=np.float32)
         self.nearest = nearest
+        self.alone = max(FEW, world.nx * world.ny)
         self.invalid = self._invalid_ends()
 
     def _invalid_ends(self) -> list[Status | None]:
@@ -141,28 +153,48 @@ class Search:
     def _memory_limit(self) -> Status | None:
         return None if self.nbytes() <= self.limits.memory else Status.MEMORY_LIMIT
 
-    def run(self, hopeless: Hopeless | None = None, ask_after: int = FEW) -> Status:
+    def run(self, hopeless: Hopeless | None = None) -> Status:
         """Continues the search to its end; returns its final status.
 
         Args:
-            hopeless: called once, after ``ask_after`` expansions without an end; True = proof that no plan exists. The
-                search then ends as infeasible, else it goes on from where it is.
-            ask_after: number of expansions.
+            hopeless: proof that no plan exists, see ``ask``. Once it succeeds, the search ends as infeasible.
         """
-        ended = None
-        while ended is None:
-            ended = self.advance(None if hopeless is None else ask_after)
-            if ended is None and hopeless is not None and self.store.counts[EXPANDED] >= ask_after:
-                ended = Status.INFEASIBLE if self.ask(hopeless) else None
+        while True:
+            ended = self.advance(None if hopeless is None else self.alone)
+            answer = self.ask(hopeless, ended) if hopeless is not None else None
+            if answer:
+                return Status.INFEASIBLE
+            if ended is not None:
+                return ended
+            if answer is False:
                 hopeless = None
-        return ended
 
-    def ask(self, hopeless: Hopeless) -> bool:
-        """Calls ``hopeless``; its time counts for the time limit, and not as time of the search."""
-        began = time.perf_counter()
-        proved = hopeless()
-        self.paused += time.perf_counter() - began
-        return proved
+    def ask(self, hopeless: Hopeless, ended: Status | None = None) -> bool | None:
+        """Gives a proof its turn; its time counts for the time limit, and not as time of the search.
+
+        The proof continues until it has had its share of the time so far. A search that ends at its limit on expansions
+        or memory leaves all remaining time to the proof, unless the search was short.
+
+        Args:
+            hopeless: the proof.
+            ended: final status of the search, None if it continues.
+
+        Returns:
+            The proof's answer; None without a turn.
+        """
+        at_limit = ended in (Status.EXPANSION_LIMIT, Status.MEMORY_LIMIT)
+        if self.store.counts[EXPANDED] < (FEW if at_limit else self.alone) or not (ended is None or at_limit):
+            return None
+        began = now()
+        until = self.began + self.limits.time
+        if not at_limit:
+            searched = began - self.began - self.paused
+            until = min(until, began + searched * PROOF_SHARE / (1 - PROOF_SHARE) - self.paused)
+        if until <= began:
+            return None
+        answer = hopeless(until)
+        self.paused += now() - began
+        return answer
 
     def advance(self, pause: int | None = None) -> Status | None:
         """Continues the search for a slice; returns its final status, None if the search continues.
@@ -180,14 +212,14 @@ class Search:
             return _ENDS[code]
         if code == kernel.FULL and not self._grow():
             return Status.MEMORY_LIMIT
-        elapsed = time.perf_counter() - self.began
+        elapsed = now() - self.began
         if self.progress is not None:
             self.progress(int(self.store.counts[EXPANDED]), elapsed)
         return Status.TIME_LIMIT if elapsed > self.limits.time else None
 
     def _slice(self) -> int:
         """Number of expansions until the next look at the clock, so that the time limit is kept."""
-        done, elapsed = int(self.store.counts[EXPANDED]), time.perf_counter() - self.began
+        done, elapsed = int(self.store.counts[EXPANDED]), now() - self.began
         if done == 0:
             return min(_FIRST, _SLICE)
         possible = (self.limits.time - elapsed) * done / max(elapsed - self.paused, 1e-6)
@@ -260,7 +292,7 @@ class Search:
         """Writes the resources used so far into a result."""
         result.expansions, result.seen = int(self.store.counts[EXPANDED]), int(self.store.counts[SEEN])
         result.memory, result.open_memory = self.nbytes(), self._open_nbytes()
-        result.seconds = time.perf_counter() - self.began - self.paused
+        result.seconds = now() - self.began - self.paused
 
 
 def edge_cost(world: World, rules: Rules, key: int, reached: int, action: int) -> float:

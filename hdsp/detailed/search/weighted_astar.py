@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from hdsp.base.errors import InputError
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.search.bounds import rounding
 from hdsp.detailed.search.estimate import Estimate
@@ -35,6 +34,10 @@ def solve(
     heuristic is consistent: each state then costs at most W times its optimum when it is expanded (M. Likhachev et al.,
     ARA*, NIPS 2003, theorem 2).
 
+    A cost limit keeps its meaning without reopening. The limit may exclude a state that the search first reached on an
+    expensive path. A search that ends at the limit therefore continues from all states found cheaper after their
+    expansion, now with reopening. ``COST_LIMIT`` is proven in both cases, and a plan within the limit is found.
+
     Args:
         world: terrain and robot.
         start: int64 [7], lattice units (ix, iy, heading, 4 foot offsets).
@@ -45,12 +48,11 @@ def solve(
         admissible: whether the heuristic never exceeds the cost to the nearest goal. An admissible heuristic helps to
             prove that no plan keeps the cost limit.
         reopen: whether a state is expanded again when the search finds a cheaper path to it. Without reopening, the
-            bound requires a consistent heuristic, and the cost limit must be inf, because the search proves nothing
-            about costs.
+            bound requires a consistent heuristic.
         rules: restrictions, for example in labelling.
         limits: limits that end the search.
         paths: whether to return states and actions.
-        hopeless: called once, after ``FEW`` expansions without an end; True = proof that no plan exists.
+        hopeless: proof that no plan exists, which takes turns with the search; see ``Search.ask``.
         progress: callback with (expansions, seconds), called regularly.
         nearest: whether the first settled goal ends the search. Its cost is then at most W times the least cost over
             all goals. Goals in which the robot cannot stand are left out.
@@ -59,13 +61,8 @@ def solve(
     Returns:
         A result with one status per goal, or with one status for ``nearest``, and the proven bounds if there is one
         status.
-
-    Raises:
-        InputError: a cost limit without reopening.
     """
     limits = limits or Limits()
-    if not reopen and np.isfinite(limits.cost):
-        raise InputError(f"cost limit {limits.cost:g}: a search that expands no state twice proves none; need inf")
     search = Search(world, start, goals, rules, limits, progress, nearest)
     if None not in search.invalid:
         wrong = [status for status in search.invalid if status][: 1 if nearest else None]
@@ -73,6 +70,8 @@ def solve(
     ended = search.begin(heuristic, weight, admissible, reopen)
     if ended is None:
         ended = search.run(hopeless)
+    if ended == Status.COST_LIMIT and not reopen:
+        ended = search.begin_round(heuristic, weight, admissible, reopen=True) or search.run(hopeless)
     result = search.result(ended, paths)
     if at_end is not None and ended != Status.SOLVED:
         at_end(search)

@@ -154,7 +154,18 @@ def may_be_free(world, heading, p):
     left = min(c.steepest_left, (span + span / max(c.min_separation, 1) * longest) / (2 * c.neutral_y))
     reach = max(-t.lowest, longest + t.lowest)
     most = 0.25 * total + ahead * (reach + t.corner[0]) + left * t.corner[1]
-    return most + _TOUCH >= level_ground(world, heading, p)
+    most += _TOUCH
+    known = world.level_ground[heading * len(world.standable) + p]
+    if known != 0:
+        return most >= known
+    # Most answers need no level ground: the highest ground around is low enough, or some ground soon is too high.
+    for b in range(len(t.box_above)):
+        if most + t.box_above[b] >= world.window_height[p]:
+            continue
+        for k in range(t.box_count[b, heading]):
+            if height[p + t.box_cells[b, heading, k]] - t.box_above[b] > most:
+                return False
+    return True
 
 
 @njit(allocates=False)
