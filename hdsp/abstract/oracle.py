@@ -2,10 +2,11 @@
 
 Source: paper, Sec. V-C. T_a->d converts start and goals; each feasible task gets its optimal plan's cost. In the
 published labels, the robot never turns far from its heading during a translation, and turning there costs more
-(docs/cost-model.md). This rule belongs to labels, not to planning.
+(docs/cost-model.md). This rule belongs to labels, not to planning; ``CostKind`` names both kinds of costs.
 """
 
-from typing import Annotated
+from enum import StrEnum
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -13,7 +14,7 @@ from pydantic import Field
 from hdsp.abstract.transform import feet_at_all
 from hdsp.base.settings import Count, Positive, checked
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_foothold_regions
+from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, efforts_to, find_foothold_regions
 from hdsp.detailed.relaxed.poses import Poses, new_poses
 from hdsp.detailed.relaxed.relaxed_costs import costs_to_go, explore, least_costs
 from hdsp.detailed.search.estimate import least_foot_cost, pose_estimate, with_step_efforts
@@ -21,6 +22,30 @@ from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import World
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, CELLS_PER_ABSTRACT, HEADINGS, HEADINGS_PER_ABSTRACT
+
+
+class CostKind(StrEnum):
+    """Two costs of the same task.
+
+    ``LABEL`` keeps the rules of the published labels: a window of headings, and more expensive turns inside it.
+    ``PLANNING`` is the least cost between the two states without these rules, as a plan of the detailed planner has it.
+    A planning cost never exceeds the label's cost, and every task with a feasible label has one.
+    """
+
+    LABEL = "label"
+    PLANNING = "planning"
+
+
+class Shared(NamedTuple):
+    """Parts that searches for planning costs from several starts on one terrain share.
+
+    Attributes:
+        poses: poses at all headings (``hdsp.detailed.relaxed.poses``).
+        regions: foothold regions under no rules.
+    """
+
+    poses: Poses
+    regions: FootholdRegions
 
 
 @checked
@@ -49,15 +74,23 @@ def task_costs(
     settings: LabelSettings,
     cost_limit: float,
     actions: np.ndarray = ABSTRACT_ACTIONS,
+    kind: CostKind = CostKind.LABEL,
+    *,
+    at_most: np.ndarray | None = None,
+    shared: Shared | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Costs of abstract actions from a valid detailed state.
 
     Args:
         world: terrain and robot.
         start: int64 [7], lattice units; its heading is an abstract one.
-        settings: labelling rules.
+        settings: labelling rules. Planning costs use the limit on expansions alone.
         cost_limit: more expensive tasks count as infeasible.
         actions: int64 [n, 3], a selection of the 22 actions, in the lattice frame.
+        kind: label or planning costs.
+        at_most: float64 [n], for planning costs: known upper bounds, such as label costs; inf where unknown. They save
+            most of the work where they are tight.
+        shared: for planning costs from several starts on this terrain.
 
     Returns:
         Goal states int64 [n, 7] (neutral feet if none are valid), costs float64 [n] (inf if not solved) and the
@@ -70,14 +103,19 @@ def task_costs(
     reason = np.full(len(goals), Status.INVALID_GOAL, dtype=np.int64)
     turning = actions[:, 2] != 0
     heading = int(start[2])
-    translate = Rules(heading, settings.heading_window, settings.turn_cost_factor)
-    turn = Rules(heading, HEADINGS_PER_ABSTRACT, 1.0)
-    tasks = [(rules, np.flatnonzero(kind & valid)) for rules, kind in ((translate, ~turning), (turn, turning))]
+    if kind == CostKind.PLANNING:
+        rules_of = [(Rules(heading), np.ones(len(actions), bool))]
+    else:
+        translate = Rules(heading, settings.heading_window, settings.turn_cost_factor)
+        rules_of = [(translate, ~turning), (Rules(heading, HEADINGS_PER_ABSTRACT, 1.0), turning)]
+    tasks = [(rules, np.flatnonzero(those & valid)) for rules, those in rules_of]
     window = max((rules.heading_window for rules, chosen in tasks if len(chosen)), default=0)
-    poses = new_poses(world, heading, window)
+    poses = shared.poses if shared else new_poses(world, heading, window)
+    known = np.full(len(goals), np.inf) if at_most is None else np.asarray(at_most, float)
     for rules, chosen in tasks:
         if len(chosen):
-            cost[chosen], reason[chosen] = _search(world, start, goals[chosen], rules, settings, cost_limit, poses)
+            task = goals[chosen], known[chosen], rules, settings, cost_limit
+            cost[chosen], reason[chosen] = _search(world, start, *task, poses, shared and shared.regions)
     return goals, cost, reason
 
 
@@ -85,19 +123,22 @@ def _search(
     world: World,
     start: np.ndarray,
     goals: np.ndarray,
+    known: np.ndarray,
     rules: Rules,
     settings: LabelSettings,
     cost_limit: float,
     poses: Poses,
+    regions: FootholdRegions | None = None,
 ):
-    """Costs and statuses for goals with the same rules.
+    """Costs and statuses for goals with the same rules, and with known upper bounds on their costs (inf: none).
 
     Goals out of reach in the relaxed problem are infeasible; goals within its reach, but beyond the limit, are over the
     limit. The relaxed problem also gives the cost of driving alone. A search with all actions runs only for goals with
     a possibly lower cost, once for all of them.
     """
+    cost_limit = min(cost_limit, float(known.max()))
     relaxed = explore(world, rules, start, cost_limit, goals, poses)
-    least, cost = least_costs(world, relaxed, start, goals), relaxed.driven.copy()
+    least, cost = least_costs(world, relaxed, start, goals), np.minimum(relaxed.driven, known)
     unreached = Status.COST_LIMIT if relaxed.cut else Status.INFEASIBLE
     status = np.where(np.isfinite(least), Status.COST_LIMIT, unreached).astype(np.int64)
     status[np.isfinite(cost)] = Status.SOLVED
@@ -108,7 +149,7 @@ def _search(
     # A goal with a lower limit gets an initial cost, so that one limit on f serves all goals.
     highest = limit[chosen].max()
     to_go, cut = costs_to_go(world, rules, relaxed, start, goals[chosen], highest - limit[chosen], highest)
-    regions = find_foothold_regions(world, rules, least_foot_cost(world))
+    regions = regions or find_foothold_regions(world, rules, least_foot_cost(world))
     view = pose_estimate(world, to_go, relaxed.follow, goals[chosen, 3:])
     view = with_step_efforts(view, regions.region, efforts_to(regions, world, goals[chosen]))
     limits = Limits(cost=highest, expansions=settings.max_expansions)

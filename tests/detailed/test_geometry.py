@@ -29,7 +29,7 @@ def test_maps_too_long_for_packed_states_are_refused(shape):
 
 def test_maps_with_too_many_cells_for_the_tables_are_refused():
     with pytest.raises(InputError, match=r"1073741824 cells.*at most"):
-        world._tables(Robot.load("momaro"), stride=1 << 15, size=1 << 30)
+        world.robot_tables(Robot.load("momaro"), stride=1 << 15, size=1 << 30)
 
 
 @pytest.fixture(scope="module", params=["momaro", "toy"])

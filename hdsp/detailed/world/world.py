@@ -152,7 +152,7 @@ def build_world(terrain: HeightMap, robot: Robot, maps: CostMaps | None = None) 
     def padded(values, border):
         return np.pad(values, pad, constant_values=border).astype(np.float32).ravel()
 
-    tables = _tables(robot, stride, (nx + 2 * pad) * stride)
+    tables = robot_tables(robot, stride, (nx + 2 * pad) * stride)
     constants = _constants(robot)
     height, standable = padded(heights, -np.inf), np.pad(maps.standable, pad).ravel()
     longest = 2 * tables.line.shape[1] - 1
@@ -231,7 +231,9 @@ def _constants(robot: Robot) -> Constants:
 
 
 @lru_cache(maxsize=16)
-def _tables(robot: Robot, stride: int, size: int) -> Tables:
+def robot_tables(robot: Robot, stride: int, size: int) -> Tables:
+    """Tables for padded maps with ``size`` cells, ``stride`` of them along y."""
+
     def flat(offsets):
         return offsets[..., 0] * stride + offsets[..., 1]
 
