@@ -1,20 +1,23 @@
 """Costs of the abstract actions on flat ground, and the cost limit of labels that follows from them."""
 
 import functools
+import math
 
 import numpy as np
 
-from hdsp.abstract.oracle import LabelSettings, task_costs
+from hdsp.abstract.oracle import CostKind, LabelSettings, task_costs
 from hdsp.abstract.transform import feet_at
 from hdsp.base.errors import InputError
+from hdsp.detailed.search.estimate import geometric_estimate
 from hdsp.detailed.world.world import World, build_world
 from hdsp.robot.lattice import (
     ABSTRACT_ACTIONS,
     ABSTRACT_HEADINGS,
+    CELLS_PER_ABSTRACT,
     HEADINGS_PER_ABSTRACT,
     N_ABSTRACT_ACTIONS,
     PATCH_CELLS,
-    PATCH_CENTER,
+    cells,
 )
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.height_map import HeightMap
@@ -24,24 +27,31 @@ _ACTIONS = 64
 
 
 @functools.lru_cache(maxsize=16)
-def flat_table(robot: Robot, settings: LabelSettings | None = None) -> np.ndarray:
-    """Returns flat-ground costs, float32 [16, 22] by heading and action: labels for a flat map.
+def flat_table(robot: Robot, settings: LabelSettings | None = None, kind: CostKind = CostKind.LABEL) -> np.ndarray:
+    """Returns flat-ground costs, float32 [16, 22] by heading and action.
 
     inf = infeasible even on flat ground, for instance a way back for a robot that only drives ahead. A robot turn by 90
     degrees only permutes the actions, so four headings are searched.
 
+    Args:
+        robot: the robot.
+        settings: labelling rules.
+        kind: label costs, on a patch, or planning costs, on ground without a border.
+
     Raises:
         InputError: the robot cannot stand on flat ground, or no action is feasible.
     """
-    world = build_world(HeightMap.flat((PATCH_CELLS, PATCH_CELLS)), robot)
     settings = settings or LabelSettings()
+    cells = PATCH_CELLS if kind == CostKind.LABEL else _planning_cells(robot, settings)
+    world = build_world(HeightMap.flat((cells, cells)), robot)
+    limit = _most(world, settings) if kind == CostKind.LABEL else cost_limit(robot, settings)
     table = np.empty((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), np.float32)
     quarter = ABSTRACT_HEADINGS // 4
     for heading in range(quarter):
-        start = feet_at(world, (PATCH_CENTER, PATCH_CENTER, heading * HEADINGS_PER_ABSTRACT))
+        start = feet_at(world, (cells // 2, cells // 2, heading * HEADINGS_PER_ABSTRACT))
         if start is None:
             raise InputError(f"robot {robot.name}: the robot cannot stand even on flat ground")
-        table[heading] = task_costs(world, start, settings, _most(world, settings))[1]
+        table[heading] = task_costs(world, start, settings, limit, kind=kind)[1]
     index = {tuple(action): m for m, action in enumerate(ABSTRACT_ACTIONS.tolist())}
     for heading in range(quarter, ABSTRACT_HEADINGS):
         # An action costs the same as its copy, rotated back by 90 degrees, at the heading one quarter earlier.
@@ -51,6 +61,19 @@ def flat_table(robot: Robot, settings: LabelSettings | None = None) -> np.ndarra
         raise InputError(f"robot {robot.name}: every abstract action is infeasible even on flat ground")
     table.flags.writeable = False
     return table
+
+
+@functools.lru_cache(maxsize=16)
+def planning_factors(robot: Robot) -> np.ndarray:
+    """Returns ratios of planning to label costs on flat ground, float32 [16, 22] by heading and action, at most 1.
+
+    1 where an action is infeasible on flat ground.
+    """
+    label, planning = flat_table(robot), flat_table(robot, None, CostKind.PLANNING)
+    both = np.isfinite(label) & np.isfinite(planning)
+    factors = np.minimum(np.divide(planning, label, out=np.ones_like(label), where=both), 1)
+    factors.flags.writeable = False
+    return factors
 
 
 def cost_limit(robot: Robot, settings: LabelSettings) -> float:
@@ -66,6 +89,20 @@ def cost_limit(robot: Robot, settings: LabelSettings) -> float:
         effort = step.cost + step.cost_per_metre * step.max_length + step.cost_per_height * step.max_height
         highest = max(highest, len(FEET) * effort)
     return round(settings.cost_limit_factor * highest, 6)  # the table has seven digits
+
+
+def _planning_cells(robot: Robot, settings: LabelSettings) -> int:
+    """Side of a flat map on which no plan for an abstract action meets the border, in cells."""
+    return 2 * (base_reach(robot, cost_limit(robot, settings)) + math.ceil(cells(robot.reach()))) + 1
+
+
+def base_reach(robot: Robot, cost_limit: float) -> int:
+    """Largest distance, in cells, between the start of an abstract action and the base on its way."""
+    world = build_world(HeightMap.flat((1, 1)), robot)
+    least = geometric_estimate(world, np.zeros(7, dtype=np.int64)).distance
+    # A way over a place costs at least its distances from start and goal.
+    apart = CELLS_PER_ABSTRACT * float(np.hypot(*ABSTRACT_ACTIONS[:, :2].T).max())
+    return math.ceil((cost_limit / least + apart) / 2)
 
 
 def _most(world: World, settings: LabelSettings) -> float:

@@ -37,11 +37,11 @@ class CostKind(StrEnum):
 
 
 class Shared(NamedTuple):
-    """Parts that searches for planning costs from several starts on one terrain share.
+    """Data that searches from several starts on one terrain share.
 
     Attributes:
         poses: poses at all headings (``hdsp.detailed.relaxed.poses``).
-        regions: foothold regions under no rules.
+        regions: foothold regions under no rules, which allow the most steps.
     """
 
     poses: Poses
@@ -90,7 +90,7 @@ def task_costs(
         kind: label or planning costs.
         at_most: float64 [n], for planning costs: known upper bounds, such as label costs; inf where unknown. They save
             most of the work where they are tight.
-        shared: for planning costs from several starts on this terrain.
+        shared: for costs from several starts on this terrain.
 
     Returns:
         Goal states int64 [n, 7] (neutral feet if none are valid), costs float64 [n] (inf if not solved) and the

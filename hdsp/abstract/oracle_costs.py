@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.abstract.abstract_costs import Region, checked_mask, checked_region, close_exits
-from hdsp.abstract.flat_table import cost_limit
+from hdsp.abstract.flat_table import base_reach, cost_limit
 from hdsp.abstract.oracle import CostKind, LabelSettings, Shared, task_costs
 from hdsp.abstract.transform import feet_at_all
 from hdsp.base.errors import InputError
@@ -22,12 +22,11 @@ from hdsp.base.workers import ClusterSettings, connected
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, find_foothold_regions
 from hdsp.detailed.relaxed.poses import new_poses
-from hdsp.detailed.search.estimate import geometric_estimate, least_foot_cost
+from hdsp.detailed.search.estimate import least_foot_cost
 from hdsp.detailed.world.part import Part, part_of_map, part_of_world
 from hdsp.detailed.world.world import World, build_world
 from hdsp.detailed.world.world_update import influence
 from hdsp.robot.lattice import (
-    ABSTRACT_ACTIONS,
     ABSTRACT_HEADINGS,
     CELLS_PER_ABSTRACT,
     HEADINGS,
@@ -93,6 +92,7 @@ class OracleCosts:
         self.cluster, self.progress = cluster or ClusterSettings(workers=1), progress
         #: Most expensive action that counts as feasible.
         self.cost_limit = cost_limit(self.robot, self.settings)
+        self._base_reach = base_reach(self.robot, self.cost_limit)
 
     def edges(self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None) -> np.ndarray:
         """See `AbstractCosts.edges`."""
@@ -134,15 +134,6 @@ class OracleCosts:
         anchors = abstract_anchor(np.stack([a, b, np.zeros_like(a)], axis=-1))
         return np.repeat(near[anchors[..., 0], anchors[..., 1]][None], ABSTRACT_HEADINGS, axis=0)
 
-    @property
-    def _base_reach(self) -> int:
-        """Largest distance, in cells, between the start of an action and the base on its way."""
-        world = build_world(HeightMap.flat((1, 1)), self.robot)
-        least = geometric_estimate(world, np.zeros(7, dtype=np.int64)).distance
-        # A way over a place costs at least its distances from start and goal.
-        apart = CELLS_PER_ABSTRACT * float(np.hypot(*ABSTRACT_ACTIONS[:, :2].T).max())
-        return math.ceil((self.cost_limit / least + apart) / 2)
-
     def _evaluated(self, terrain: _Terrain, tiles: list[np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         oracle = _Oracle(self.robot, self.kind, self.settings, self.cost_limit, self._base_reach)
         alone = self.cluster.scheduler is None and self.cluster.processes(len(tiles)) == 1
@@ -176,10 +167,8 @@ def _tile_costs(oracle: _Oracle, terrain: _Terrain, states: np.ndarray) -> np.nd
     first = np.clip(anchors[:, :2].min(axis=0) - oracle.reach, 0, np.subtract((whole.nx, whole.ny), shape))
     part = Part((int(first[0]), int(first[1])), shape)
     world = part_of_world(whole, oracle.robot, part)
-    shared = None
-    if oracle.kind == CostKind.PLANNING:
-        regions = terrain.regions._replace(region=part_of_map(terrain.regions.region, whole, part))
-        shared = Shared(new_poses(world, 0, HEADINGS), regions)
+    regions = terrain.regions._replace(region=part_of_map(terrain.regions.region, whole, part))
+    shared = Shared(new_poses(world, 0, HEADINGS), regions)
     starts, valid = feet_at_all(world, anchors - np.array([*part.first, 0]))
     costs = np.full((len(starts), N_ABSTRACT_ACTIONS), np.inf)
     for index in np.flatnonzero(valid):

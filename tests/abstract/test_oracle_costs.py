@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hdsp.abstract import CostKind, FlatCosts, OracleCosts, check_abstract_costs, feet_at
+from hdsp.abstract import CostKind, OracleCosts, check_abstract_costs, feet_at
 from hdsp.abstract.abstract_costs import GradualCosts, LocalCosts
 from hdsp.abstract.flat_table import cost_limit
 from hdsp.abstract.oracle import LabelSettings, task_costs
@@ -10,7 +10,6 @@ from hdsp.base.workers import ClusterSettings
 from hdsp.detailed.world.world import build_world
 from hdsp.robot.lattice import abstract_anchor
 from hdsp.robot.robot import Robot
-from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import random_map
 
 ROBOT = Robot.load("momaro")

@@ -23,6 +23,7 @@ def part_of_world(world: World, robot: Robot, part: Part) -> World:
     """Cuts out a part with a border of the terrain around it.
 
     A search on the part finds the plans of the whole map whose bases stay inside, with memory for the part alone.
+    Feet stand in the border too, so foothold regions come from the whole map (``part_of_map``).
 
     Args:
         world: terrain and robot.
