@@ -1,0 +1,93 @@
+"""Planning on random maps and real places: heuristics beside each other, on pairs that no heuristic chose.
+
+    python -m benchmarks.planning [--seed 0] [--maps 25] [--pairs 10] [--heuristics manual learned ...]
+                                  [--weights 1 1.25 1.5 2] [--before COMMIT | --before none]
+
+Maps (``benchmarks.planning.maps``) and pairs (``benchmarks.planning.pairs``) follow from the seed. Seeds below 1000 are
+for tests, later ones for development. Each search is the first on its map and ends at 500,000 expansions. The terms are
+in ``benchmarks.planning.summary``. Results are kept under ``--out``; a run goes on where the last one stopped, and
+repeats searches whose code has changed. Edges of learned abstractions and earlier commits are kept in the user's cache.
+
+The last line is JSON.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+from benchmarks.page import table
+from benchmarks.planning.cases import make_cases, write_json
+from benchmarks.planning.earlier import run_earlier
+from benchmarks.planning.maps import DEFAULT_MAPS
+from benchmarks.planning.runs import EXPANSIONS, HEURISTICS, run_case
+from benchmarks.planning.summary import HARD_WEIGHT, comparisons, counts, gather, headline, rows
+from hdsp.base.errors import InputError
+
+#: The commit before the heuristic knew feet.
+BEFORE = "b406a8a"
+#: Heuristics that exist at that commit, and take part in the comparison with it.
+COMPARED = "manual", "learned"
+
+
+def main(argv=None) -> dict:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seed", type=int, default=0, help="below 1000: test; from 1000 on: development")
+    parser.add_argument("--maps", type=int, default=DEFAULT_MAPS)
+    parser.add_argument("--pairs", type=int, default=10, help="pairs on each map")
+    parser.add_argument("--heuristics", nargs="+", default=list(HEURISTICS), choices=list(HEURISTICS))
+    parser.add_argument("--weights", type=float, nargs="+", default=[1.0, 1.25, 1.5, 2.0])
+    parser.add_argument("--expansions", type=int, default=EXPANSIONS, help="limit of each search")
+    parser.add_argument("--before", default=BEFORE, help="earlier commit for comparison; none: without")
+    parser.add_argument("--out", type=Path, default=Path("outputs/benchmarks/planning"), help="folder for results")
+    arguments = parser.parse_args(argv)
+
+    cases, runs, absent = [], [], {}
+    for case in make_cases(arguments.seed, arguments.maps, arguments.pairs, arguments.out / f"seed_{arguments.seed}"):
+        cases.append(case)
+        done = [f"{case.name}, {len(case.pairs)} pairs:"]
+        for name in [name for name in arguments.heuristics if name not in absent]:
+            try:
+                found = run_case(case, name, arguments.weights, arguments.expansions)
+            except InputError as error:
+                absent[name] = str(error)
+                print(f"{name}: left out, {error}", flush=True)
+                continue
+            runs += found
+            done.append(f"{name} {sum(run['cost'] is not None for run in found)}/{len(found)}")
+        print(" ".join(done), flush=True)
+    earlier = None
+    compared = [name for name in COMPARED if name in arguments.heuristics]
+    if arguments.before != "none" and compared and HARD_WEIGHT in arguments.weights:
+        earlier, found = run_earlier(arguments.before, cases, compared, [HARD_WEIGHT], arguments.expansions)
+        runs += found
+    results = gather(cases, runs, {})
+    result = {
+        "seed": arguments.seed,
+        **headline(results, comparisons(results, earlier), earlier),
+        **counts(results, earlier),
+        "heuristics": rows(results),
+        "ratios": comparisons(results, earlier),
+    }
+    write_json(arguments.out / f"seed_{arguments.seed}" / "summary.json", result)
+    print(in_words(result))
+    print(json.dumps(result))
+    return result
+
+
+def in_words(result: dict) -> str:
+    """Both tables for the terminal."""
+    figures = [[_cell(value) for value in row.values()] for row in result["heuristics"]]
+    ratios = [[_cell(value) for value in row.values()] for row in result["ratios"]]
+    heads = (list(rows[0]) if (rows := result[name]) else [] for name in ("heuristics", "ratios"))
+    found = ", ".join(f"{name} {value}" for name, value in result.items() if name not in ("heuristics", "ratios"))
+    return "\n\n".join([*(table(head, lines) for head, lines in zip(heads, (figures, ratios), strict=True)), found])
+
+
+def _cell(value):
+    if isinstance(value, float):
+        return f"{value:.4g}" if abs(value) < 1000 else f"{value:,.0f}"
+    return "–".join(f"{end:.3g}" for end in value) if isinstance(value, list) else value
+
+
+if __name__ == "__main__":
+    main()
