@@ -127,7 +127,7 @@ def on_task(planners: dict[str, Planner], start, goal, arguments) -> tuple[list[
     for name, planner in planners.items():
         for weight in arguments.weights:
             known = name == REFERENCE and weight == 1
-            plan = cheapest if known else planner.plan(*ends, weight=weight, expansions=limit)
+            plan = cheapest if known else planner.plan(*ends, weight=weight, expansions=limit, polish=0)
             runs.append(run_of(name, weight, plan))
         if way is not None:
             planner.heuristic.set_goal(goal)

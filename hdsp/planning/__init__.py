@@ -6,6 +6,7 @@
 - `ends`: states at which a plan may begin and end
 - `query`: one query with its search or its proof; `compiled`: its kernels, compiled before the clock starts
 - `refinable`, `improving`: plans without impossible steps; anytime planning
+- `polish`: windows of a plan, planned again at W = 1
 - `answers`: `Plan`, plans in words, reasons for the absence of a plan
 - `collisions`: an independent check of plans against arenas
 - `heuristic_conformance`: a check of your own heuristic

@@ -25,6 +25,7 @@ from hdsp.planning.ends.arrival import arrival
 from hdsp.planning.ends.location import locate
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
 from hdsp.planning.improving import improving_plans
+from hdsp.planning.polish import DEFAULT, Polish
 from hdsp.planning.query import Query
 from hdsp.planning.refinable import refinable_plan
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS, Grid, cells, metres
@@ -131,11 +132,12 @@ def _try(robot: Robot, kind: QueryKind, learned: LearnedCosts | None) -> None:
     if kind.anytime:
         stopped = replace(query, limits=Limits(expansions=1))
         for each in (query, stopped):
-            list(improving_plans(each, (1.5, 1.2), kind.refinable, 0.0))
+            list(improving_plans(each, (1.5, 1.2), kind.refinable, Polish(DEFAULT), 0.0))
         return
     for limits in (Limits(expansions=1), Limits()):
         each = replace(query, limits=limits)
         plan = each.anchored(1.5, 1.5) if kind.anchored else each.weighted(1.5)
+        Polish(DEFAULT).of(each, plan)
         if kind.refinable and plan.solved:
             refinable_plan(each, lambda again, _: again.weighted(1.5), plan)
 

@@ -14,48 +14,70 @@ from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning.answers.plan_statistics import PlanStatistics
 from hdsp.planning.answers.plans import Plan
+from hdsp.planning.polish import Polish
 from hdsp.planning.query import Query, ReachedStates
-from hdsp.planning.refinable import RefusedSteps
+from hdsp.planning.refinable import RefusedSteps, polished_and_refinable, without
 
 
-def improving_plans(query: Query, weights: Sequence[float], refinable: bool, prepared: float) -> Iterator[Plan]:
+def improving_plans(
+    query: Query, weights: Sequence[float], refinable: bool, polish: Polish, prepared: float
+) -> Iterator[Plan]:
     """Yields better and better plans; see ``Planner.improve``.
 
     Args:
         query: the query; its limits cover all rounds together.
         weights: weights of the rounds, falling.
         refinable: whether the robot must be able to carry out each plan.
+        polish: budget for the improvement of each better plan of a round.
         prepared: time for the heuristic, s.
     """
     query = replace(query, ends=now() + max(0.0, query.limits.time - prepared))
-    best, last, shown, lower = None, None, np.inf, 0.0
+    best, last, shown, lower, found = None, None, np.inf, 0.0, np.inf
+    polished, unpolished = {"polish_expansions": 0, "polish_seconds": 0.0}, None
     error = rounding(query.world)
     refused = RefusedSteps(query)
     rounds = _rounds(query, weights, refinable, refused)
     with closing(rounds):
         for plan, ended in rounds:
             lower = max(lower, plan.stats.lower_bound)
+            searched = plan.stats.search_seconds - polished["polish_seconds"]
+            if plan.cost < found * (1 - LEAST_GAIN):
+                found = plan.cost
+                plan = _polished(without(query, refused.banned), plan, polish, refinable)
+                polished = {name: polished[name] + plan.stats[name] for name in polished}
             better = plan.solved and (best is None or plan.cost < best.cost * (1 - LEAST_GAIN))
-            best = plan if better else best
+            best, unpolished = (plan, plan.stats.unpolished_cost) if better else (best, unpolished)
             if best is None and ended is None:
                 continue
             if best is not None and ended in (Status.INFEASIBLE, Status.COST_LIMIT):
                 ended = Status.SOLVED  # there is no other plan without the refused steps
             bound = np.inf if best is None else suboptimality(best.cost, lower, error)
+            if bound <= weights[-1]:
+                ended = Status.SOLVED
             how = None if ended is None else str(ended)
             if last is not None and not better and bound >= shown:
                 if how is not None:
                     last.stats.end(how)
+                    return
                 continue
             stats = {
                 **plan.stats,
+                **polished,
+                "unpolished_cost": unpolished,
+                "search_seconds": searched,
                 "lower_bound": lower,
                 "ended": how,
                 "heuristic_seconds": prepared,
-                "seconds": plan.stats.search_seconds + plan.stats.proof_seconds + prepared,
+                "seconds": searched + plan.stats.proof_seconds + prepared + polished["polish_seconds"],
             }
             shown, last = bound, (best or plan).renewed(stats, bound=bound, refused=tuple(refused.words))
             yield last
+            if ended is not None:
+                return
+
+
+def _polished(query: Query, plan: Plan, polish: Polish, refinable: bool) -> Plan:
+    return polished_and_refinable(query, plan, polish) if refinable else polish.of(query, plan)
 
 
 def _rounds(

@@ -37,6 +37,7 @@ from hdsp.planning.improving import improving_plans
 from hdsp.planning.map_changes import changed_cells
 from hdsp.planning.margin import with_margin
 from hdsp.planning.measured_map import MeasuredMap
+from hdsp.planning.polish import DEFAULT, Polish, polish_seconds
 from hdsp.planning.query import Query
 from hdsp.planning.refinable import refinable_plan
 from hdsp.robot.lattice import Grid
@@ -229,6 +230,7 @@ class Planner:
         memory: int = Limits.memory,
         time: float = Limits.time,
         refinable: bool = False,
+        polish: float | None = None,
         progress: Progress | None = None,
     ) -> Plan:
         """Plans from start to goal, or to the goal that costs least among several.
@@ -254,6 +256,9 @@ class Planner:
             expansions, memory, time: limits in expanded states, bytes for states, seconds.
             refinable: refine the plan; while a step cannot be carried out, report it in ``refused`` and search again
                 without it.
+            polish: time (s) in which windows of the plan are planned again at W = 1, so that it gets cheaper; see
+                `hdsp.planning.polish`. 0 switches it off. None: a small budget for plans whose cost no heuristic
+                bounds (W > 1, not admissible, no anchor), else 0.
             progress: called now and then with (expansions, seconds).
 
         Returns:
@@ -267,6 +272,8 @@ class Planner:
         anchored = None if anchor_weight is None else number("anchor_weight", anchor_weight, 1.0)
         limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
         start_free, way_out = choice("start_free", start_free), choice("way_out", way_out)
+        unbounded = weight > 1 and not self.heuristic.admissible and anchored is None
+        polish = polish_seconds(polish, DEFAULT if unbounded else 0.0)
         compile_for(self.robot, self.heuristic, anchored=anchored is not None, refinable=refinable)
         began = now()
         query = self._query(start, goal, tolerance, start_free, way_out, weight, limits, callback("progress", progress))
@@ -281,7 +288,9 @@ class Planner:
 
         plan = query.search_or_prove(search)
         if refinable:
-            plan = refinable_plan(query, search, plan)
+            plan = refinable_plan(query, search, plan, Polish(polish))
+        else:
+            plan = Polish(polish).of(query, plan)
         return query.from_start(plan.renewed({"heuristic_seconds": prepared, "seconds": now() - began}))
 
     def plan_each(self, start, goals: Sequence, weight: float = 1.0, **options) -> list[Plan]:
@@ -317,6 +326,7 @@ class Planner:
         memory: int = Limits.memory,
         time: float = Limits.time,
         refinable: bool = False,
+        polish: float | None = None,
         progress: Progress | None = None,
     ) -> Iterator[Plan]:
         """Plans from start to goal: a plan soon, then better plans, each with a proven ``bound`` (ARA*).
@@ -331,6 +341,7 @@ class Planner:
             cost, expansions, memory, time: as in ``plan``, for all rounds together. Time runs from the first ``next``
                 on, also while the caller works.
             refinable: yield only plans that can be carried out; as in ``plan``.
+            polish: time (s) for the polish of each better plan of a round, as in ``plan``; None: a small budget.
             progress: as in ``plan``; its numbers start again after a refused step.
 
         Yields:
@@ -346,6 +357,7 @@ class Planner:
         weights = falling_weights(weights)
         limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
         start_free, way_out = choice("start_free", start_free), choice("way_out", way_out)
+        polish = polish_seconds(polish, DEFAULT)
         compile_for(self.robot, self.heuristic, anytime=True, refinable=refinable)
         began = now()
         query = self._query(
@@ -354,7 +366,7 @@ class Planner:
         if isinstance(query, Plan):
             query.stats.end(str(query.status))
             return iter([query])
-        plans = improving_plans(query, weights, refinable, now() - began)
+        plans = improving_plans(query, weights, refinable, Polish(polish), now() - began)
         return (query.from_start(plan) for plan in plans)
 
     def _query(

@@ -185,9 +185,10 @@ class Query:
         way = self.way
         if way is None or not plan.solved:
             return plan
-        before = float(way.costs.sum())
+        before, unpolished = float(way.costs.sum()), plan.stats.unpolished_cost
         return replace(
             plan,
+            stats=replace(plan.stats, unpolished_cost=None if unpolished is None else unpolished + before),
             cost=plan.cost + before,
             states=np.concatenate([self.grid.to_world(way.states[:-1]), plan.states]),
             actions=(*(action_of(int(code)) for code in way.actions), *plan.actions),

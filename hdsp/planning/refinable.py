@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from hdsp.base.errors import RefinementError
 from hdsp.detailed.motion.refinement import ban, last_step
 from hdsp.planning.answers.plans import Plan
+from hdsp.planning.polish import Polish
 from hdsp.planning.query import Query, Solver
+
+#: Polished plans that may be refused before a plan stays as it is.
+TRIES = 3
 
 
 class RefusedSteps:
@@ -44,13 +50,14 @@ class RefusedSteps:
         return False
 
 
-def refinable_plan(query: Query, search: Solver, plan: Plan) -> Plan:
+def refinable_plan(query: Query, search: Solver, plan: Plan, polish: Polish | None = None) -> Plan:
     """Searches again without the refused steps, until the robot can carry out the plan or no other plan exists.
 
     Args:
         query: the query; its limits cover all searches together.
         search: the search.
         plan: its first plan.
+        polish: budget for the improvement of the plan that can be carried out; None: it stays as it is.
 
     Raises:
         RefinementError: an action before the first step cannot be carried out.
@@ -59,9 +66,39 @@ def refinable_plan(query: Query, search: Solver, plan: Plan) -> Plan:
     expansions, seconds = plan.stats.expansions, plan.stats.search_seconds
     while plan.solved and refused.refuse_from(plan):
         left = replace(query.limits, expansions=query.limits.expansions - expansions)
-        plan = search(replace(query, world=query.world._replace(banned=refused.banned), limits=left), None)
+        plan = search(replace(without(query, refused.banned), limits=left), None)
         expansions += plan.stats.expansions
         seconds += plan.stats.search_seconds
     if refused.undecided:
         plan = query.out_of_time(plan)
+    elif polish is not None:
+        plan = polished_and_refinable(without(query, refused.banned), plan, polish)
     return plan.renewed({"expansions": expansions, "search_seconds": seconds}, refused=tuple(refused.words))
+
+
+def polished_and_refinable(query: Query, plan: Plan, polish: Polish) -> Plan:
+    """Returns a plan that costs at most as much, and that the robot can carry out as well.
+
+    A polished plan with an impossible action is dropped. The polish then begins again without the step to blame.
+
+    Args:
+        query: the query, without the refused steps.
+        plan: a plan that can be carried out.
+        polish: budget for each polished plan.
+    """
+    refused = RefusedSteps(query)
+    for _ in range(TRIES):
+        polished = polish.of(without(query, refused.banned), plan)
+        if polished.cost >= plan.cost:
+            return polished
+        try:
+            if not refused.refuse_from(polished):
+                return plan if refused.undecided else polished
+        except RefinementError:  # no step is to blame
+            return plan
+    return plan
+
+
+def without(query: Query, banned: np.ndarray) -> Query:
+    """Returns the same query with other refused steps, as ``World.banned``."""
+    return replace(query, world=query.world._replace(banned=banned))

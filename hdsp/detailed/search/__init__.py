@@ -5,6 +5,7 @@ Drivers, one per file, with one life cycle (`life_cycle`):
 - `weighted_astar`: `solve`, weighted A* for planning and labels
 - `anytime`: `improve`, rounds with falling weights (ARA*)
 - `multi_heuristic`: `solve_multi`, guides with an anchor (SMHA*)
+- `windows`: `Windows`, short searches between near states
 - `leaving`: `leave`, a search outward for any way from a state
 
 Results and bounds: `outcome`, `bounds`. Heuristics for the kernels: `estimate`.

@@ -106,6 +106,19 @@ def grown(store: Store) -> Store:
     return store._replace(**changed)
 
 
+@njit(allocates=False)
+def emptied(store):
+    """Empties the store for another search, within the touched parts alone; goal marks vanish as well."""
+    count = store.counts
+    for block in range(1, count[BLOCKS]):
+        if store.origin[block] >= 0:
+            store.directory[store.origin[block]] = 0
+    if count[KEYS] > 0:
+        store.slot[:] = -1
+    count[:] = 0
+    count[BLOCKS] = 1
+
+
 def growth_nbytes(store: Store) -> int:
     """Additional bytes during ``grown``."""
     return sum(length * getattr(store, name).itemsize for name, length in _new_lengths(store).items())

@@ -24,6 +24,9 @@ class PlanStatistics(Mapping[str, Any]):
         seconds: time for the whole query.
         anchor_weight: W2 in multi-heuristic A*; None without an anchor.
         expansions_by: expansions in the last search for the anchor and for the guide; None without an anchor.
+        polish_seconds: time in the polish, see `hdsp.planning.polish`.
+        polish_expansions: expanded states of the polish; not part of ``expansions``.
+        unpolished_cost: cost of the plan before the polish; None without a polish.
         ended: final ``Status`` of an anytime search in words. None while it goes on, and for ``Planner.plan``.
     """
 
@@ -39,6 +42,9 @@ class PlanStatistics(Mapping[str, Any]):
     seconds: float = 0.0
     anchor_weight: float | None = None
     expansions_by: Mapping[str, int] | None = None
+    polish_seconds: float = 0.0
+    polish_expansions: int = 0
+    unpolished_cost: float | None = None
     ended: str | None = None
 
     def __getitem__(self, name: str) -> Any:

@@ -1,0 +1,128 @@
+"""Polish: windows of a found plan are planned again at W = 1, so that the plan gets cheaper within a small budget.
+
+A *window* is a part of a plan from one of its states to another. The cheapest path between both ends replaces it. The
+search for this path knows a good cost limit, the window's present cost, and is therefore short. Long windows find more
+than short ones and cost more, so sweeps with longer and longer windows follow each other; windows of one sweep overlap
+by half. A window whose cost equals its lower bound is skipped.
+
+The plan never gets more expensive, and both its ends stay. The work is counted in expansions: equal queries give equal
+plans, unless the time ends before the expansions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.gradual import now
+from hdsp.detailed.actions.action import Action, action_of
+from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
+from hdsp.detailed.search.windows import Windows
+from hdsp.planning.answers.plans import Plan
+from hdsp.planning.arguments import number
+from hdsp.planning.query import Query
+from hdsp.robot.lattice import heading_index, offset_steps
+
+#: Budget of a query that names none, s.
+DEFAULT = 0.2
+#: Expansions for each second of a budget. Searches are about twice as fast, so that seldom the clock decides.
+PER_SECOND = 500_000
+#: Least costs of the windows, one for each sweep.
+WIDTHS = 1.0, 1.6, 2.4
+#: Expansions in one window, at most.
+MOST = 40_000
+
+
+def polish_seconds(asked: object, default: float) -> float:
+    """Returns the budget of a query in seconds; ``default`` for None.
+
+    Raises:
+        InputError: no finite number >= 0.
+    """
+    return default if asked is None else number("polish", asked, 0.0)
+
+
+@dataclass(frozen=True)
+class Polish:
+    """Budget for the improvement of plans.
+
+    Attributes:
+        seconds: time for one plan; 0 switches the polish off.
+    """
+
+    seconds: float
+
+    def of(self, query: Query, plan: Plan) -> Plan:
+        """Returns a plan that costs at most as much, with the same ends.
+
+        Args:
+            query: the query; its world, its time and its limits hold.
+            plan: a plan without its way out.
+        """
+        began = now()
+        expansions = min(int(PER_SECOND * self.seconds), query.limits.expansions - plan.stats.expansions)
+        if not plan.solved or plan.bound == 1 or expansions <= 0 or not plan.actions:
+            return plan
+        windows = Windows(query.world, query.limits.memory)
+        ends = min(began + self.seconds, query.ends)
+        course = _Course.of(query, plan)
+        for width in WIDTHS:
+            course = _swept(course, windows, width, expansions, ends)
+        spent = {"polish_expansions": windows.expansions, "polish_seconds": now() - began, "unpolished_cost": plan.cost}
+        plan, cost = plan.renewed(spent), float(course.costs.sum())
+        if cost >= plan.cost * (1 - LEAST_GAIN):
+            return plan
+        return replace(
+            plan,
+            cost=cost,
+            states=query.grid.to_world(course.states),
+            actions=course.actions,
+            action_costs=course.costs,
+            bound=min(plan.bound, suboptimality(cost, plan.stats.lower_bound, rounding(query.world))),
+        )
+
+
+class _Course(NamedTuple):
+    """A plan in lattice units: int64 [n, 7], the n - 1 actions, and their costs, float64 [n - 1]."""
+
+    states: np.ndarray
+    actions: tuple[Action, ...]
+    costs: np.ndarray
+
+    @classmethod
+    def of(cls, query: Query, plan: Plan) -> _Course:
+        cells, headings = query.grid.cell(plan.states[:, :2]), heading_index(plan.states[:, 2])
+        states = np.column_stack([cells, headings, offset_steps(plan.states[:, 3:])])
+        return cls(states, plan.actions, plan.action_costs)
+
+
+def _swept(course: _Course, windows: Windows, width: float, expansions: int, ends: float) -> _Course:
+    """Returns a course after one sweep with windows of equal width from its start to its end.
+
+    Args:
+        course: the course.
+        windows: the searches; they count the expansions.
+        width: least cost of a window; the last one may cost less.
+        expansions: number at which the sweep ends.
+        ends: moment on the clock ``now`` at which it ends as well.
+    """
+    first, end = 0, 0
+    while end < len(course.costs) and windows.expansions < expansions and now() < ends:
+        spent = np.cumsum(course.costs[first:])
+        end = min(first + int(np.searchsorted(spent, width - 1e-9)) + 1, len(course.costs))
+        cost = float(course.costs[first:end].sum())
+        limit, (a, b) = cost * (1 - LEAST_GAIN), course.states[[first, end]]
+        most = min(MOST, expansions - windows.expansions)
+        path = windows.path(a, b, limit, most, ends) if windows.least(a, b) < limit else None
+        if path is not None:
+            course = _Course(
+                np.concatenate([course.states[:first], path.states, course.states[end + 1 :]]),
+                (*course.actions[:first], *(action_of(int(code)) for code in path.actions), *course.actions[end:]),
+                np.concatenate([course.costs[:first], path.costs, course.costs[end:]]),
+            )
+            end = first + len(path.costs)
+        spent = np.cumsum(course.costs[first:end])
+        first += max(int(np.searchsorted(spent, spent[-1] / 2)), 1)
+    return course
