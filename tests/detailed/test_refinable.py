@@ -42,17 +42,17 @@ def refusing(refused_steps, monkeypatch):
 
 
 def test_a_step_that_cannot_be_carried_out_is_reported_and_avoided(planner, monkeypatch):
-    before = planner.plan(START, GOAL, weight=2)
+    before = planner.plan(START, GOAL, weight=2, polish=0)
     unwanted = steps_of(before)[1]
     asked = refusing({unwanted}, monkeypatch)
-    plan = planner.plan(START, GOAL, weight=2, refinable=True)
+    plan = planner.plan(START, GOAL, weight=2, refinable=True, polish=0)
     assert plan.solved and unwanted not in steps_of(plan)
     assert len(plan.refused) == len(asked) - 1 >= 1
     assert str(unwanted[0]) in plan.refused[0] and "the test says so" in plan.refused[0]
     assert plan.refine().check() == [] and len(asked) == len(plan.refused) + 1  # the motion is kept
     assert plan.stats["expansions"] > before.stats["expansions"]
     assert len(planner.world.banned) == 0
-    assert steps_of(planner.plan(START, GOAL, weight=2)) == steps_of(before)
+    assert steps_of(planner.plan(START, GOAL, weight=2, polish=0)) == steps_of(before)
 
 
 def test_a_plan_whose_steps_can_all_be_carried_out_stays_as_it_is(planner):
