@@ -1,7 +1,7 @@
 """Planning on random maps and real places: heuristics beside each other, on pairs that no heuristic chose.
 
-    python -m benchmarks.planning [--seed 0] [--maps 25] [--pairs 10] [--heuristics manual learned ...]
-                                  [--weights 1 1.25 1.5 2] [--before COMMIT | --before none]
+    python -m benchmarks.planning [--seed 0] [--maps 25] [--pairs 16] [--heuristics manual learned ...]
+                                  [--weights 1 1.25 1.5 2] [--before COMMIT | --before none] [--prove SECONDS]
 
 Maps (``benchmarks.planning.maps``) and pairs (``benchmarks.planning.pairs``) follow from the seed. Seeds below 1000 are
 for tests, later ones for development. Each search is the first on its map and ends at 500,000 expansions. The terms are
@@ -19,7 +19,8 @@ from benchmarks.page import table
 from benchmarks.planning.cases import make_cases, write_json
 from benchmarks.planning.earlier import run_earlier
 from benchmarks.planning.maps import DEFAULT_MAPS
-from benchmarks.planning.runs import EXPANSIONS, HEURISTICS, run_case
+from benchmarks.planning.optima import prove, read_optima
+from benchmarks.planning.runs import EXPANSIONS, HEURISTICS, TooLarge, run_case
 from benchmarks.planning.summary import HARD_WEIGHT, comparisons, counts, gather, headline, rows
 from hdsp.base.errors import InputError
 
@@ -33,11 +34,13 @@ def main(argv=None) -> dict:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=0, help="below 1000: test; from 1000 on: development")
     parser.add_argument("--maps", type=int, default=DEFAULT_MAPS)
-    parser.add_argument("--pairs", type=int, default=10, help="pairs on each map")
+    parser.add_argument("--pairs", type=int, default=16, help="pairs on each map")
     parser.add_argument("--heuristics", nargs="+", default=list(HEURISTICS), choices=list(HEURISTICS))
     parser.add_argument("--weights", type=float, nargs="+", default=[1.0, 1.25, 1.5, 2.0])
     parser.add_argument("--expansions", type=int, default=EXPANSIONS, help="limit of each search")
     parser.add_argument("--before", default=BEFORE, help="earlier commit for comparison; none: without")
+    parser.add_argument("--prove", type=float, default=0.0, metavar="SECONDS", help="time for searches for optima")
+    parser.add_argument("--prove-expansions", type=int, default=20_000_000, help="limit of a search for an optimum")
     parser.add_argument("--out", type=Path, default=Path("outputs/benchmarks/planning"), help="folder for results")
     arguments = parser.parse_args(argv)
 
@@ -48,6 +51,8 @@ def main(argv=None) -> dict:
         for name in [name for name in arguments.heuristics if name not in absent]:
             try:
                 found = run_case(case, name, arguments.weights, arguments.expansions)
+            except TooLarge:
+                continue
             except InputError as error:
                 absent[name] = str(error)
                 print(f"{name}: left out, {error}", flush=True)
@@ -60,7 +65,10 @@ def main(argv=None) -> dict:
     if arguments.before != "none" and compared and HARD_WEIGHT in arguments.weights:
         earlier, found = run_earlier(arguments.before, cases, compared, [HARD_WEIGHT], arguments.expansions)
         runs += found
-    results = gather(cases, runs, {})
+    results = gather(cases, runs, read_optima())
+    if arguments.prove:
+        entries = prove(cases, results.best, results.unsolvable, arguments.prove, arguments.prove_expansions)
+        results = gather(cases, runs, entries)
     result = {
         "seed": arguments.seed,
         **headline(results, comparisons(results, earlier), earlier),
@@ -86,7 +94,7 @@ def in_words(result: dict) -> str:
 def _cell(value):
     if isinstance(value, float):
         return f"{value:.4g}" if abs(value) < 1000 else f"{value:,.0f}"
-    return "–".join(f"{end:.3g}" for end in value) if isinstance(value, list) else value
+    return ", ".join(f"{end:.3g}" for end in value) if isinstance(value, list) else value
 
 
 if __name__ == "__main__":

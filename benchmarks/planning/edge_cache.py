@@ -81,7 +81,7 @@ def costs_key(costs: AbstractCosts) -> str:
 
 
 def _content(value) -> bytes:
-    if hasattr(value, "network"):  # a learned abstraction
+    if hasattr(value, "calibration"):  # a learned abstraction
         network = value.network
         weights = b"".join(tensor.cpu().numpy().tobytes() for tensor in network.state_dict().values())
         settings = f"{value.model} {value.calibration} {value.quantile} {code_fingerprint(type(network).__module__)}"

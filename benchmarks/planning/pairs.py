@@ -119,7 +119,7 @@ def _poses(planner: Planner, random: np.random.Generator, cells: np.ndarray, cou
     found: list[Pose] = []
     origin, side = np.array(planner.terrain.origin), planner.terrain.resolution
     for _ in range(trials if len(cells) else 0):
-        x, y = origin + (cells[random.integers(len(cells))] + random.random(2)) * side
+        x, y = origin + (cells[random.integers(len(cells))] + 0.5) * side
         pose = round(float(x), _DIGITS), round(float(y), _DIGITS), round(float(random.uniform(-np.pi, np.pi)), _DIGITS)
         if planner.can_leave(pose):
             found.append(pose)

@@ -74,8 +74,8 @@ def gather(cases: Sequence[Case], runs: Sequence[dict], optima: Mapping[str, dic
     levels = {pair.key for case in cases for pair in case.pairs if pair.levels}
     costs: dict[str, list[float]] = {}
     for run in runs:
-        if run["cost"] is not None:
-            costs.setdefault(run["pair"], []).append(run["cost"])
+        if run["polished_cost"] is not None:
+            costs.setdefault(run["pair"], []).append(run["polished_cost"])
     for pair, entry in optima.items():
         if pair in maps and entry["cost"] is not None:
             costs.setdefault(pair, []).append(entry["cost"])
@@ -122,15 +122,17 @@ def rows(results: Results) -> list[dict]:
             "expansions_easy": _typical([run["expansions"] for run in runs if run["pair"] not in hard]),
             "expansions_hard": _typical([run["expansions"] for run in runs if run["pair"] in hard]),
             "above_best": _above(runs, results.best)[0],
+            "above_best_polished": _above(runs, results.best, "polished_cost")[0],
             **{part: round(float(np.mean([run[part] for run in runs])), 5) for part in PARTS},
         }  # fmt: skip
         row["above_optimum"], row["above_optimum_max"], row["optima"] = _above(runs, results.optima)
+        row["polished"], row["polished_max"], _ = _above(runs, results.optima, "polished_cost")
         found.append(row)
     return found
 
 
 #: Seconds of a run: processor time for all of it, and its parts by the clock.
-PARTS = "cpu_s", "heuristic_s", "search_s", "proof_s"
+PARTS = "cpu_s", "heuristic_s", "search_s", "proof_s", "polish_s"
 
 
 def ratios(results: Results, heuristic: str, other: str, weight: float, pairs: Sequence[str]) -> dict:
@@ -185,6 +187,11 @@ def headline(results: Results, found: Sequence[dict], earlier: str | None) -> di
                 f"{name}_interval": row["expansions_interval"],
                 f"{name}_cost": row["cost"],
             }
+    for weight in (1.0, 1.25, 2.0):
+        mean, largest, number = _above(results.of("learned", weight, results.solvable), results.optima, "polished_cost")
+        if number:
+            name = f"cost_over_optimum_{weight:g}_polished"
+            figures |= {name: mean, f"{name}_max": largest, f"{name}_pairs": number}
     if learned:
         figures["solved_1.25"] = round(sum(run["cost"] is not None for run in learned) / len(learned), 4)
     return figures
@@ -195,9 +202,11 @@ def _typical(values: Sequence[int]) -> float | None:
     return round(float(np.exp(np.mean(np.log(np.maximum(values, 1))))), 1) if len(values) else None
 
 
-def _above(runs: Sequence[dict], least: Mapping[str, float]) -> tuple[float | None, float | None, int]:
+def _above(
+    runs: Sequence[dict], least: Mapping[str, float], cost: str = "cost"
+) -> tuple[float | None, float | None, int]:
     """Mean and largest cost over ``least`` (share), and the number of pairs with both."""
-    found = [run["cost"] / least[run["pair"]] - 1 for run in runs if run["cost"] and run["pair"] in least]
+    found = [run[cost] / least[run["pair"]] - 1 for run in runs if run[cost] and run["pair"] in least]
     if not found:
         return None, None, 0
     return round(float(np.mean(found)), 5), round(max(found), 5), len(found)
