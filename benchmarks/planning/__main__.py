@@ -2,6 +2,8 @@
 
     python -m benchmarks.planning [--seed 0] [--maps 25] [--pairs 16] [--heuristics manual learned ...]
                                   [--weights 1 1.25 1.5 2] [--before COMMIT | --before none] [--prove SECONDS]
+                                  [--arena] [--picture docs/figures/planning_benchmark.png]
+                                  [--page docs/planning-benchmark.md] [--readme README.md]
 
 Maps (``benchmarks.planning.maps``) and pairs (``benchmarks.planning.pairs``) follow from the seed. Seeds below 1000 are
 for tests, later ones for development. Each search is the first on its map and ends at 500,000 expansions. The terms are
@@ -16,10 +18,12 @@ import json
 from pathlib import Path
 
 from benchmarks.page import table
+from benchmarks.planning.arena import arena_figures
 from benchmarks.planning.cases import make_cases, write_json
 from benchmarks.planning.earlier import run_earlier
 from benchmarks.planning.maps import DEFAULT_MAPS
 from benchmarks.planning.optima import prove, read_optima
+from benchmarks.planning.page import draw, write_page, write_readme
 from benchmarks.planning.runs import EXPANSIONS, HEURISTICS, TooLarge, run_case
 from benchmarks.planning.summary import HARD_WEIGHT, comparisons, counts, gather, headline, rows
 from hdsp.base.errors import InputError
@@ -41,6 +45,10 @@ def main(argv=None) -> dict:
     parser.add_argument("--before", default=BEFORE, help="earlier commit for comparison; none: without")
     parser.add_argument("--prove", type=float, default=0.0, metavar="SECONDS", help="time for searches for optima")
     parser.add_argument("--prove-expansions", type=int, default=20_000_000, help="limit of a search for an optimum")
+    parser.add_argument("--arena", action="store_true", help="include times in the paper's arena")
+    parser.add_argument("--picture", type=Path, help="PNG file")
+    parser.add_argument("--page", type=Path, help="docs page to update")
+    parser.add_argument("--readme", type=Path, help="README to update")
     parser.add_argument("--out", type=Path, default=Path("outputs/benchmarks/planning"), help="folder for results")
     arguments = parser.parse_args(argv)
 
@@ -69,14 +77,22 @@ def main(argv=None) -> dict:
     if arguments.prove:
         entries = prove(cases, results.best, results.unsolvable, arguments.prove, arguments.prove_expansions)
         results = gather(cases, runs, entries)
+    compared_rows = comparisons(results, earlier)
     result = {
         "seed": arguments.seed,
-        **headline(results, comparisons(results, earlier), earlier),
+        **headline(results, compared_rows, earlier),
+        **(arena_figures() if arguments.arena else {}),
         **counts(results, earlier),
         "heuristics": rows(results),
-        "ratios": comparisons(results, earlier),
+        "ratios": compared_rows,
     }
     write_json(arguments.out / f"seed_{arguments.seed}" / "summary.json", result)
+    if arguments.picture:
+        draw(results, arguments.picture)
+    if arguments.page:
+        write_page(arguments.page, result)
+    if arguments.readme:
+        write_readme(arguments.readme, result)
     print(in_words(result))
     print(json.dumps(result))
     return result
