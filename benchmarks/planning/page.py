@@ -107,7 +107,8 @@ def draw(results: Results, path: Path) -> Path:
     effort.axvline(HARD, color=GREY, linewidth=0.8, linestyle=":")
     effort.set(xscale="log", yscale="log", xlabel="expansions, manual", ylabel=f"expansions, {name_of(other)}")
     effort.set_title(f"each solvable pair at W = {HARD_WEIGHT:g}")
-    effort.legend(fontsize=8, frameon=False, loc="upper left")
+    if effort.lines[2:]:
+        effort.legend(fontsize=8, frameon=False, loc="upper left")
     for name in _HEURISTICS:
         weights = sorted({weight for _, heuristic, weight in results.runs if heuristic == name})
         above = {

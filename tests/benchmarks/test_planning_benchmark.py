@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.planning import __main__ as benchmark
+from benchmarks.planning.cases import make_cases
 from benchmarks.planning.edge_cache import KeptCosts
 from benchmarks.planning.maps import Map, maps
 from benchmarks.planning.optima import prove, read_optima
@@ -20,10 +21,14 @@ from hdsp.terrain.height_map import HeightMap
 
 
 def with_platform() -> HeightMap:
-    """A floor of 3 x 4 m, and a platform of 1.5 x 2 m that is one step higher."""
-    heights = np.zeros((120, 160), np.float32)
-    heights[30:90, 80:] = 0.15
+    """Ground of 3.5 x 4 m, whose farther half is one step higher."""
+    heights = np.zeros((140, 160), np.float32)
+    heights[:, 80:] = 0.12
     return HeightMap(heights)
+
+
+def one_map(seed: int, count: int) -> list[Map]:
+    return [Map("platform", "arena", with_platform())]
 
 
 @pytest.fixture(scope="module")
@@ -121,18 +126,17 @@ def test_hard_pairs_and_limits():
 
 
 def test_a_small_run(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(
-        "benchmarks.planning.cases.maps", lambda seed, count: [Map("platform", "arena", with_platform())]
-    )
+    monkeypatch.setattr("benchmarks.planning.cases.maps", one_map)
     picture, page = tmp_path / "picture.png", tmp_path / "page.md"
     page.write_text("<!-- written by benchmarks.planning: begin -->\n<!-- written by benchmarks.planning: end -->\n")
     options = [
-        "--seed", "1000", "--pairs", "3", "--heuristics", "manual", "geometric", "--weights", "1.25", "2", "--before",
-        "none", "--expansions", "20000", "--out", str(tmp_path / "out"), "--picture", str(picture), "--page", str(page),
+        "--seed", "1000", "--pairs", "4", "--heuristics", "manual", "geometric", "--weights", "1.25", "2", "--before",
+        "none", "--expansions", "50000", "--out", str(tmp_path / "out"), "--picture", str(picture),
+        "--page", str(page),
     ]  # fmt: skip
     result = benchmark.main(options)
     assert json.loads(capsys.readouterr().out.splitlines()[-1]) == result
-    assert result["pairs"] == 3 == result["solvable"] + result["unsolvable_proved"] + result["undecided"]
+    assert result["pairs"] == 4 == result["solvable"] + result["unsolvable_proved"] + result["undecided"]
     assert result["solvable"] >= 1 and result["contradictions"] == 0
     assert {(row["heuristic"], row["weight"]) for row in result["heuristics"]} == {
         (name, weight) for name in ("manual", "geometric") for weight in (1.25, 2.0)
@@ -143,20 +147,17 @@ def test_a_small_run(tmp_path, monkeypatch, capsys):
     assert benchmark.main(options) == result
 
 
-def test_optima_are_proved_once(tmp_path, planner, monkeypatch):
-    from benchmarks.planning.cases import make_cases
-
-    monkeypatch.setattr(
-        "benchmarks.planning.cases.maps", lambda seed, count: [Map("platform", "arena", with_platform())]
-    )
-    case = next(make_cases(1000, 1, 2, tmp_path))
+def test_optima_are_proved_once(tmp_path, monkeypatch):
+    flat = HeightMap.flat((100, 100))
+    monkeypatch.setattr("benchmarks.planning.cases.maps", lambda seed, count: [Map("flat", "arena", flat)])
+    case = next(make_cases(1000, 1, 3, tmp_path))
     pair = min(case.pairs, key=lambda pair: pair.distance)
-    known = {pair.key: planner.plan(pair.start, pair.goal, 2.0).cost}
+    known = {pair.key: Planner(flat, heuristic="manual").plan(pair.start, pair.goal, 2.0).cost}
     path = tmp_path / "optima.json"
     others = {other.key for other in case.pairs if other != pair}
-    found = prove([case], known, others, 60.0, 2_000_000, path)
+    found = prove([case], known, others, 60.0, 500_000, path)
     assert found == read_optima(path)
     assert found[pair.key]["proved"] and found[pair.key]["cost"] <= known[pair.key] + 1e-6
     written = path.stat().st_mtime_ns
-    prove([case], known, others, 60.0, 2_000_000, path)
+    prove([case], known, others, 60.0, 500_000, path)
     assert path.stat().st_mtime_ns == written
