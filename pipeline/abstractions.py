@@ -75,4 +75,4 @@ def abstract_costs(name: str, config: Config, folders: Folders) -> AbstractCosts
     from hdsp.learning import LearnedAbstraction, LearnedCosts
 
     assert isinstance(predictor, LearnedAbstraction)
-    return LearnedCosts(predictor)
+    return LearnedCosts(predictor, robot=config.robot)

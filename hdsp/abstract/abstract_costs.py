@@ -12,6 +12,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from hdsp.abstract.flat_table import flat_table
+from hdsp.abstract.oracle import CostKind, checked_kind
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps
 from hdsp.robot.lattice import (
@@ -114,20 +115,31 @@ class TaskPredictor(Protocol):
 class FlatCosts:
     """Flat-ground baseline: every action has its flat-ground cost, on any terrain; inf = infeasible on flat ground.
 
-    An abstraction differs from this baseline by its terrain knowledge. Implements `LocalCosts` and `TaskPredictor`.
+    An abstraction differs from this baseline by its terrain knowledge. Implements `LocalCosts` and `TaskPredictor`:
+    edges are costs for planning, predictions are label costs.
     """
 
-    def __init__(self, robot: Robot | str):
-        """`robot` is a robot, or what `Robot.load` takes."""
+    def __init__(self, robot: Robot | str, kind: CostKind | str = CostKind.PLANNING):
+        """Sets up the baseline.
+
+        Args:
+            robot: a robot, or what `Robot.load` takes.
+            kind: kind of costs of the edges.
+
+        Raises:
+            InputError: the kind is unknown.
+        """
         self.robot = Robot.load(robot)
-        #: Float32 [16, 22], cost of each action from each heading.
+        #: Float32 [16, 22], label cost of each action from each heading.
         self.table = flat_table(self.robot)
+        #: The same, costs of the edges.
+        self.edge_table = flat_table(self.robot, None, checked_kind(kind))
 
     def edges(self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None) -> np.ndarray:
         """See `AbstractCosts.edges`."""
         first_x, first_y, end_x, end_y = checked_region(height_map, region)
         shape = (ABSTRACT_HEADINGS, end_x - first_x, end_y - first_y, N_ABSTRACT_ACTIONS)
-        edges = np.broadcast_to(self.table[:, None, None], shape).copy()
+        edges = np.broadcast_to(self.edge_table[:, None, None], shape).copy()
         close_states(edges, mask)
         close_exits(edges, height_map, region)
         return edges

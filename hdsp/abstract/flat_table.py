@@ -30,28 +30,36 @@ _ACTIONS = 64
 def flat_table(robot: Robot, settings: LabelSettings | None = None, kind: CostKind = CostKind.LABEL) -> np.ndarray:
     """Returns flat-ground costs, float32 [16, 22] by heading and action.
 
-    inf = infeasible even on flat ground, for instance a way back for a robot that only drives ahead. A robot turn by 90
-    degrees only permutes the actions, so four headings are searched.
+    inf = infeasible even on flat ground, for instance a way back for a robot that only drives ahead; for both kinds,
+    the rules of labels decide it. A robot turn by 90 degrees only permutes the actions, so four headings are searched.
 
     Args:
         robot: the robot.
         settings: labelling rules.
-        kind: label costs, on a patch, or planning costs, on ground without a border.
+        kind: label costs, on a patch, or planning costs, with more ground for ways around.
 
     Raises:
         InputError: the robot cannot stand on flat ground, or no action is feasible.
     """
     settings = settings or LabelSettings()
-    cells = PATCH_CELLS if kind == CostKind.LABEL else _planning_cells(robot, settings)
+    known = flat_table(robot, settings) if kind == CostKind.PLANNING else None
+    cells = PATCH_CELLS if known is None else _planning_cells(robot, known)
     world = build_world(HeightMap.flat((cells, cells)), robot)
-    limit = _most(world, settings) if kind == CostKind.LABEL else cost_limit(robot, settings)
-    table = np.empty((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), np.float32)
+    table = np.full((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), np.inf, np.float32)
     quarter = ABSTRACT_HEADINGS // 4
     for heading in range(quarter):
         start = feet_at(world, (cells // 2, cells // 2, heading * HEADINGS_PER_ABSTRACT))
         if start is None:
             raise InputError(f"robot {robot.name}: the robot cannot stand even on flat ground")
-        table[heading] = task_costs(world, start, settings, limit, kind=kind)[1]
+        if known is None:
+            table[heading] = task_costs(world, start, settings, _most(world, settings))[1]
+            continue
+        label = known[heading].astype(float)
+        feasible = np.flatnonzero(np.isfinite(label))
+        if len(feasible):
+            most, actions = float(label[feasible].max()), ABSTRACT_ACTIONS[feasible]
+            found = task_costs(world, start, settings, most, actions, kind, at_most=label[feasible])
+            table[heading, feasible] = found[1]
     index = {tuple(action): m for m, action in enumerate(ABSTRACT_ACTIONS.tolist())}
     for heading in range(quarter, ABSTRACT_HEADINGS):
         # An action costs the same as its copy, rotated back by 90 degrees, at the heading one quarter earlier.
@@ -91,9 +99,10 @@ def cost_limit(robot: Robot, settings: LabelSettings) -> float:
     return round(settings.cost_limit_factor * highest, 6)  # the table has seven digits
 
 
-def _planning_cells(robot: Robot, settings: LabelSettings) -> int:
-    """Side of a flat map on which no plan for an abstract action meets the border, in cells."""
-    return 2 * (base_reach(robot, cost_limit(robot, settings)) + math.ceil(cells(robot.reach()))) + 1
+def _planning_cells(robot: Robot, labels: np.ndarray) -> int:
+    """Side of a flat map, in cells: no plan meets its border, or it is twice as long as a patch."""
+    reach = base_reach(robot, float(labels[np.isfinite(labels)].max()))
+    return min(2 * (reach + math.ceil(cells(robot.reach()))) + 1, 2 * PATCH_CELLS)
 
 
 def base_reach(robot: Robot, cost_limit: float) -> int:

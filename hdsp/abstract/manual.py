@@ -33,6 +33,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from hdsp.abstract.abstract_costs import FlatCosts, Region, checked_region, checked_tasks, close_exits, close_states
+from hdsp.abstract.oracle import CostKind
 from hdsp.base.gradual import Steps, finished
 from hdsp.base.settings import NotNegative, checked
 from hdsp.robot.lattice import (
@@ -89,13 +90,27 @@ class _PoseTerrain(NamedTuple):
 
 
 class ManualCosts:
-    """Manual abstraction for one robot. Implements `LocalCosts` and `TaskPredictor`."""
+    """Manual abstraction for one robot. Implements `LocalCosts` and `TaskPredictor`.
 
-    def __init__(self, robot: Robot | str, settings: ManualSettings | None = None):
-        """`robot` is a robot, or what `Robot.load` takes."""
+    Edges build on planning costs of flat ground, predictions on label costs.
+    """
+
+    def __init__(
+        self, robot: Robot | str, settings: ManualSettings | None = None, kind: CostKind | str = CostKind.PLANNING
+    ):
+        """Sets up the abstraction.
+
+        Args:
+            robot: a robot, or what `Robot.load` takes.
+            settings: hand-set constants.
+            kind: kind of costs of the edges.
+
+        Raises:
+            InputError: the kind is unknown.
+        """
         self.robot = Robot.load(robot)
         self.settings = settings or ManualSettings()
-        self._flat = FlatCosts(self.robot)
+        self._flat = FlatCosts(self.robot, kind)
 
     def edges(self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None) -> np.ndarray:
         """See `AbstractCosts.edges`."""
@@ -124,7 +139,7 @@ class ManualCosts:
                 met = [_take(poses[heading], np.roll, (-x, -y), (-2, -1)) for x, y in _cells_on_the_way(dx, dy)]
                 if turn:
                     met.append(poses[(heading + turn) % ABSTRACT_HEADINGS])
-                edges[heading, :, :, action] = self._cost(goal, met)
+                edges[heading, :, :, action] = self._cost(self._flat.edge_table[heading, action], goal, met)
             yield
         edges = np.ascontiguousarray(edges[:, first_x - low_x : end_x - low_x, first_y - low_y : end_y - low_y])
         close_states(edges, mask)
@@ -172,11 +187,14 @@ class ManualCosts:
             met = [_take(poses[0], _one_cell, center + x, center + y) for x, y in _cells_on_the_way(dx, dy)]
             if turn:
                 met.append(_take(poses[round(turn)], _one_cell, center, center))
-            cost = np.where(which == index, self._cost(goal, met)[:, None], cost)
+            cost = np.where(which == index, self._cost(self._flat.costs(goal), goal, met)[:, None], cost)
         return np.isfinite(cost), cost.astype(np.float32)
 
-    def _cost(self, goal: np.ndarray, met: list[_PoseTerrain]) -> np.ndarray:
-        """Costs [...] for `goal` (robot frame, abstract steps) through poses [...]; inf = infeasible."""
+    def _cost(self, flat: np.ndarray, goal: np.ndarray, met: list[_PoseTerrain]) -> np.ndarray:
+        """Costs [...] for `goal` (robot frame, abstract steps) through poses [...]; inf = infeasible.
+
+        ``flat`` is its cost on flat ground.
+        """
         settings = self.settings
         dx, dy, turn = goal
         deviation = abs(np.arctan2(dy, dx))
@@ -187,7 +205,7 @@ class ManualCosts:
         if not may_step:
             infeasible |= stepping.any(axis=0)
         uneven = np.mean([poses.unevenness for poses in met], axis=0)
-        cost = self._flat.costs(goal) * (1 + settings.unevenness_cost * uneven)
+        cost = flat * (1 + settings.unevenness_cost * uneven)
         return np.where(infeasible, np.inf, cost + settings.step_cost * stepping.sum(axis=0))
 
     def _poses(self, features: Features, heading: int) -> _PoseTerrain:

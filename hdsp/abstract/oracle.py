@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from hdsp.abstract.transform import feet_at_all
+from hdsp.base.errors import InputError
 from hdsp.base.settings import Count, Positive, checked
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, efforts_to, find_foothold_regions
@@ -34,6 +35,13 @@ class CostKind(StrEnum):
 
     LABEL = "label"
     PLANNING = "planning"
+
+
+def checked_kind(kind: CostKind | str) -> CostKind:
+    """Returns the kind of costs with this name; raises InputError if none has it."""
+    if kind not in tuple(CostKind):
+        raise InputError(f"kind of costs {kind!r}; need {' or '.join(CostKind)}")
+    return CostKind(kind)
 
 
 class Shared(NamedTuple):

@@ -14,9 +14,8 @@ import numpy as np
 
 from hdsp.abstract.abstract_costs import Region, checked_mask, checked_region, close_exits
 from hdsp.abstract.flat_table import base_reach, cost_limit
-from hdsp.abstract.oracle import CostKind, LabelSettings, Shared, task_costs
+from hdsp.abstract.oracle import CostKind, LabelSettings, Shared, checked_kind, task_costs
 from hdsp.abstract.transform import feet_at_all
-from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps, finished
 from hdsp.base.workers import ClusterSettings, connected
 from hdsp.detailed.actions.successors import Rules
@@ -85,9 +84,7 @@ class OracleCosts:
         Raises:
             InputError: the kind is unknown.
         """
-        if kind not in tuple(CostKind):
-            raise InputError(f"kind of costs {kind!r}; need {' or '.join(CostKind)}")
-        self.robot, self.kind = Robot.load(robot), CostKind(kind)
+        self.robot, self.kind = Robot.load(robot), checked_kind(kind)
         self.settings = settings or LabelSettings()
         self.cluster, self.progress = cluster or ClusterSettings(workers=1), progress
         #: Most expensive action that counts as feasible.

@@ -7,11 +7,15 @@ from typing import Literal
 import numpy as np
 
 from hdsp.abstract.abstract_costs import Region, checked_mask, checked_region, close_exits
+from hdsp.abstract.flat_table import planning_factors
+from hdsp.abstract.oracle import CostKind, checked_kind
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps, finished
 from hdsp.learning.abstraction import LearnedAbstraction
 from hdsp.learning.rotated_maps import RotatedMap
+from hdsp.learning.saved_abstraction import Provenance
 from hdsp.robot import lattice
+from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.patches import crop_patches
 
@@ -39,12 +43,17 @@ class LearnedCosts:
         method: ``auto``: dense if the network declares itself dense, otherwise patches. ``patches``, ``dense``: always
             this method. For a network with zero padding, dense evaluation is an approximation: it sees the map where a
             patch has zeros.
+        robot: robot of the network, for ``kind`` planning; None = the preset for which it was trained, if it still has
+            the same parameters. Without a robot, edges keep label costs.
+        kind: kind of costs of the edges. The network predicts label costs. For planning, each edge is multiplied by the
+            ratio of both costs on flat ground (``hdsp.abstract.flat_table.planning_factors``). Predictions of single
+            tasks are label costs in any case.
         quantile: cost level, see ``LearnedAbstraction.at_quantile``. A low level makes overestimates rare, for better
             plans and longer searches. None = predicted costs.
 
     Raises:
-        InputError: the method is unknown, the network does not allow dense evaluation, or the abstraction was not
-            calibrated for the quantile.
+        InputError: the method or kind is unknown, the network does not allow dense evaluation, or the abstraction was
+            not calibrated for the quantile.
     """
 
     def __init__(
@@ -53,9 +62,16 @@ class LearnedCosts:
         batch: int = 128,
         method: Literal["auto", "patches", "dense"] = "auto",
         quantile: float | None = None,
+        robot: Robot | str | None = None,
+        kind: CostKind | str = CostKind.PLANNING,
     ):
         self.abstraction = abstraction if quantile is None else abstraction.at_quantile(quantile)
         self.batch = batch
+        #: Float32 [16, 22], factors on predicted costs by heading and action; None = label costs.
+        self.factors = None
+        if checked_kind(kind) == CostKind.PLANNING:
+            known = _trained_for(abstraction.provenance) if robot is None else Robot.load(robot)
+            self.factors = None if known is None else planning_factors(known)
         network = abstraction.network
         self._on_rotated_map = network.is_dense()
         self._trunk = network.dense_trunk() if method == "dense" or (method == "auto" and network.is_dense()) else None
@@ -115,6 +131,8 @@ class LearnedCosts:
             for evaluated in evaluate(height_map, heading, wanted[heading], (first_x, first_y)):
                 if evaluated is not None:
                     states, costs = evaluated
+                    if self.factors is not None:
+                        costs = costs * self.factors[heading]
                     edges[heading, states[:, 0], states[:, 1]] = costs
                     done += len(states)
                     if progress is not None:
@@ -195,6 +213,15 @@ class LearnedCosts:
         first, which = distinct_patches(patches)
         feasible, cost = self.abstraction.predict(patches[first], goals, self.batch)
         return np.where(feasible, cost, np.float32(np.inf))[which]
+
+
+def _trained_for(provenance: Provenance) -> Robot | None:
+    """The preset for which a network was trained, None if there is none with the same parameters."""
+    try:
+        robot = Robot.load(provenance.robot)
+    except InputError:
+        return None
+    return robot if robot.hash() == provenance.robot_hash else None
 
 
 def _anchors(states: np.ndarray, heading: int) -> np.ndarray:

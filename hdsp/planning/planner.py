@@ -115,7 +115,8 @@ class Planner:
             abstraction = load_abstraction(folder, self.robot) if folder else abstraction_of(self.robot)
             from hdsp.learning.learned_costs import LearnedCosts
 
-            return AbstractHeuristic(self.world, self.terrain, LearnedCosts(abstraction), "learned")
+            costs = LearnedCosts(abstraction, robot=self.robot)
+            return AbstractHeuristic(self.world, self.terrain, costs, "learned")
         raise InputError(
             f"heuristic {shown(heuristic)}: need 'geometric', 'manual', 'learned', 'learned:FOLDER', an AbstractCosts "
             "or a Heuristic"

@@ -49,6 +49,21 @@ def test_flat_costs_are_the_published_ones(flat):
     np.testing.assert_allclose(flat.table[0], PUBLISHED_FLAT, atol=1e-5)
 
 
+def test_edges_are_planning_costs_and_predictions_are_labels(flat):
+    # Sideways, the planner turns a little more than the labels allow, and at the robot's own price.
+    assert flat.edge_table[0, AHEAD] == flat.table[0, AHEAD] and flat.edge_table[0, BACK] == flat.table[0, BACK]
+    assert (flat.edge_table <= flat.table).all() and (flat.edge_table < 0.8 * flat.table).any()
+    terrain = HeightMap.flat((120, 120))
+    for costs in (FlatCosts, ManualCosts):
+        planning, label = costs("momaro"), costs("momaro", kind="label")
+        with pytest.raises(InputError, match="kind of costs 'heuristic'; need label or planning"):
+            costs("momaro", kind="heuristic")
+        for each, table in ((planning, flat.edge_table), (label, flat.table)):
+            np.testing.assert_allclose(each.edges(terrain, (14, 14, 15, 15))[:, 0, 0], table, rtol=1e-6)
+            predicted = each.predict(np.zeros((16, 72, 72), np.float32), goals_of(range(16)))[1]
+            np.testing.assert_allclose(predicted, flat.table, rtol=1e-6)
+
+
 def test_flat_costs_turn_with_the_robot(flat):
     for heading, (ahead, left) in {0: (AHEAD, LEFT), 4: (LEFT, BACK), 8: (BACK, RIGHT), 12: (RIGHT, AHEAD)}.items():
         assert flat.table[heading, ahead] == flat.table[0, AHEAD]
@@ -66,7 +81,7 @@ def test_on_flat_ground_every_action_within_the_map_has_its_flat_cost(costs, fla
     clear = 12  # cells; beyond the map's border, ground is unknown
     assert np.isinf(edges[:, ~inside((30, 28))]).all()
     middle = edges[:, clear:-clear, clear:-clear]
-    np.testing.assert_allclose(middle, np.broadcast_to(flat.table[:, None, None], middle.shape), rtol=1e-6)
+    np.testing.assert_allclose(middle, np.broadcast_to(flat.edge_table[:, None, None], middle.shape), rtol=1e-6)
 
 
 def test_tasks_on_flat_ground_cost_the_same_at_all_headings(flat, manual):
@@ -109,7 +124,8 @@ def test_only_affected_costs_change(costs, place, request):
     assert touched.any() == (costs is request.getfixturevalue("manual"))
 
 
-def test_map_and_patch_agree_at_heading_zero(manual):
+def test_map_and_patch_agree_at_heading_zero():
+    manual = ManualCosts("momaro", kind="label")
     rng = np.random.default_rng(2)
     heights = np.zeros((200, 160), np.float32)
     for _ in range(12):

@@ -1,15 +1,19 @@
 """Abstract costs for whole maps."""
 
+from copy import copy
+
 import numpy as np
 import pytest
 import torch
 
 from hdsp.abstract.abstract_costs import AbstractCosts, TaskPredictor
+from hdsp.abstract.flat_table import planning_factors
 from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
-from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, ModelSettings, build_network
+from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, ModelSettings, Provenance, build_network
 from hdsp.learning.learned_costs import distinct_patches
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, robot_frame_goals
+from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from tests.learning.synthetic import TINY_MODEL
 
@@ -42,6 +46,32 @@ def edges(costs, terrain):
 def test_it_fulfils_both_contracts(costs):
     assert isinstance(costs, AbstractCosts)
     assert isinstance(costs, TaskPredictor)
+
+
+def test_edges_for_planning_are_corrected_by_the_ratio_on_flat_ground(costs, terrain, edges):
+    robot = Robot.load("momaro")
+    factors = planning_factors(robot)
+    assert factors.max() == 1 and 0.6 < factors.min() < 0.7
+    box = slice(None), slice(2, 5), slice(3, 6)
+    planned = LearnedCosts(costs.abstraction, robot=robot)
+    np.testing.assert_allclose(planned.edges(terrain, (2, 3, 5, 6)), edges[box] * factors[:, None, None], rtol=1e-4)
+    # The network names a preset, which must be the robot of its training.
+    for robot_hash, kind, corrected in (
+        (robot.hash(), "planning", True),
+        (robot.hash(), "label", False),
+        ("0", "planning", False),
+    ):
+        abstraction = copy(costs.abstraction)
+        abstraction.provenance = Provenance(robot="momaro", robot_hash=robot_hash)
+        found = LearnedCosts(abstraction, kind=kind).factors
+        assert (found is factors) if corrected else (found is None)
+    patches = np.zeros((1, 72, 72), np.float32)
+    for one, other in zip(
+        planned.predict(patches, robot_frame_goals(3)[None]),
+        costs.predict(patches, robot_frame_goals(3)[None]),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_each_edge_is_the_prediction_for_the_patch_of_its_state(costs, terrain, edges):

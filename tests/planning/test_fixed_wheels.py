@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hdsp import HeightMap, Planner, Robot
 from hdsp.abstract import FlatCosts, ManualCosts, check_abstract_costs
 from hdsp.abstract.flat_table import cost_limit, flat_table
-from hdsp.abstract.oracle import LabelSettings
+from hdsp.abstract.oracle import CostKind, LabelSettings
 from hdsp.base.errors import InputError
 from hdsp.detailed.actions.action import ActionKind
 from hdsp.detailed.search.outcome import Status
@@ -62,7 +62,10 @@ def test_robots_of_all_kinds_get_labels_abstract_costs_and_plans(robot, seed):
         assert labels.cost.max() <= cost_limit(robot, LabelSettings())
     manual = ManualCosts(robot)
     edges = manual.edges(terrain, (6, 6, 12, 12))
-    assert (edges >= flat[:, None, None] * (1 - 1e-6)).all() and not np.isnan(edges).any()
+    planned = flat_table(robot, None, CostKind.PLANNING)
+    assert (
+        (planned <= flat).all() and (edges >= planned[:, None, None] * (1 - 1e-6)).all() and not np.isnan(edges).any()
+    )
     feasible, cost = manual.predict(terrain.heights[None], ABSTRACT_ACTIONS[None].astype(np.float32))
     assert not (feasible[0] & np.isinf(flat[0])).any() and (cost[feasible] > 0).all()
     planner = Planner(HeightMap.flat((100, 100)), robot, heuristic="manual")
