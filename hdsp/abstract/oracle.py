@@ -68,12 +68,14 @@ class LabelSettings:
             labels end at 1.48.
         max_expansions: memory safeguard, far above usual searches. A search beyond it ends undecided; its tasks count
             as infeasible and keep this status.
+        planning_costs: whether feasible tasks also get their cost for planning (``CostKind``).
     """
 
     heading_window: Annotated[int, Field(ge=0, le=HEADINGS)] = 3
     turn_cost_factor: Positive = 1.68099
     cost_limit_factor: Positive = 2.385139176
     max_expansions: Count = 10_000_000
+    planning_costs: bool = False
 
 
 def task_costs(

@@ -1,12 +1,13 @@
 """Label counts, added up shard by shard, and the split summary computed from them."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from hdsp.labels.tasks import REASON_UNKNOWN, TaskSet
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, N_ABSTRACT_ACTIONS
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,8 @@ class LabelCounts:
         reasons: int64 [256], number of tasks for each ``Status``.
         feasible: number of feasible tasks.
         cost_sum, cost_squares: sums over feasible tasks: costs, and squared costs.
+        compared: int64 [16, 22], number of tasks with both kinds of costs, by abstract heading and action.
+        ratios: float64 [16, 22], sums of label cost over planning cost of these tasks.
     """
 
     maps: int = 0
@@ -26,6 +29,8 @@ class LabelCounts:
     feasible: int = 0
     cost_sum: float = 0.0
     cost_squares: float = 0.0
+    compared: np.ndarray = field(default_factory=lambda: np.zeros((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), np.int64))
+    ratios: np.ndarray = field(default_factory=lambda: np.zeros((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS)))
 
     @classmethod
     def of(cls, feasible: np.ndarray, cost: np.ndarray, reason: np.ndarray, dropped: int = 0) -> "LabelCounts":
@@ -33,6 +38,19 @@ class LabelCounts:
         found = cost[feasible].astype(np.float64)
         reasons = np.bincount(reason.ravel(), minlength=256)
         return cls(len(feasible), dropped, reasons, len(found), float(found.sum()), float((found**2).sum()))
+
+    def comparing(self, tasks: TaskSet) -> "LabelCounts":
+        """Returns the counts with the ratios of both kinds of costs in ``tasks``."""
+        if tasks.planning_cost is None:
+            return self
+        compared, ratios = self.compared.copy(), self.ratios.copy()
+        heading = np.broadcast_to(tasks.heading[:, None] // HEADINGS_PER_ABSTRACT, tasks.feasible.shape)
+        action = np.broadcast_to(np.arange(N_ABSTRACT_ACTIONS), tasks.feasible.shape)
+        both = tasks.feasible & (tasks.planning_cost > 0)
+        at = heading[both], action[both]
+        np.add.at(compared, at, 1)
+        np.add.at(ratios, at, tasks.cost[both].astype(np.float64) / tasks.planning_cost[both])
+        return replace(self, compared=compared, ratios=ratios)
 
     def __add__(self, other: "LabelCounts") -> "LabelCounts":
         return LabelCounts(*(getattr(self, name) + getattr(other, name) for name in self.__dataclass_fields__))
@@ -51,6 +69,17 @@ class LabelCounts:
             "cost_mean": mean,
             "cost_std": max(self.cost_squares / n - mean**2, 0.0) ** 0.5 if mean is not None else None,
             "share_per_reason": self.shares(),
+            **({"label_over_planning": self._label_over_planning()} if self.compared.any() else {}),
+        }
+
+    def _label_over_planning(self) -> dict[str, Any]:
+        """Mean ratio of both kinds of costs: of all tasks, by action, and by abstract heading."""
+        by_action = self.ratios.sum(axis=0) / np.maximum(self.compared.sum(axis=0), 1)
+        present = np.flatnonzero(self.compared.any(axis=1)).tolist()
+        return {
+            "mean": float(self.ratios.sum() / self.compared.sum()),
+            "by_action": [value or None for value in by_action.tolist()],
+            "by_heading": {str(k): float(self.ratios[k].sum() / self.compared[k].sum()) for k in present},
         }
 
     def shares(self) -> dict[str, float]:
@@ -63,7 +92,8 @@ def counts_by_category(tasks: TaskSet) -> dict[str, LabelCounts]:
     found = {}
     for category in sorted(set(tasks.category.tolist())):
         of_it = tasks.category == category
-        found[category] = LabelCounts.of(tasks.feasible[of_it], tasks.cost[of_it], tasks.reason[of_it])
+        counts = LabelCounts.of(tasks.feasible[of_it], tasks.cost[of_it], tasks.reason[of_it])
+        found[category] = counts.comparing(tasks[of_it])
     return found
 
 

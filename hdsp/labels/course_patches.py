@@ -23,7 +23,7 @@ from hdsp.base.settings import Count, Natural, checked
 from hdsp.base.workers import ClusterSettings, connected
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.rules import LabelSettings, MapTasks, label_map
-from hdsp.labels.tasks import TaskSet
+from hdsp.labels.tasks import TaskSet, columns_of
 from hdsp.robot.lattice import HEADINGS, HEADINGS_PER_ABSTRACT, PATCH_CELLS, Grid, Residue, heading_index
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -156,10 +156,8 @@ def task_set(run: PatchRun, courses: list[ScannedCourse]) -> TaskSet:
     rows = [(course.number, patch) for course in courses for patch in course.patches]
     if not rows:
         return TaskSet.empty()
-    tasks = [patch.tasks for _, patch in rows]
-    arrays = {name: np.array(column) for name, column in zip(MapTasks._fields, zip(*tasks, strict=True), strict=True)}
     return TaskSet(
-        **arrays,
+        **columns_of([patch.tasks for _, patch in rows]),
         category=np.array([patch.kind for _, patch in rows]),
         index=np.array([index for index, _ in rows]),
         heading=np.array([patch.start[2] % _QUARTER for _, patch in rows]),

@@ -8,12 +8,20 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.abstract.flat_table import cost_limit
-from hdsp.abstract.oracle import LabelSettings, task_costs
+from hdsp.abstract.oracle import CostKind, LabelSettings, task_costs
 from hdsp.abstract.transform import feet_at
 from hdsp.base.errors import InputError
 from hdsp.detailed.search.outcome import Status
 from hdsp.detailed.world.world import build_world
-from hdsp.robot.lattice import HEADINGS, HEADINGS_PER_ABSTRACT, N_ABSTRACT_ACTIONS, PATCH_CELLS, Grid, robot_frame_goals
+from hdsp.robot.lattice import (
+    ABSTRACT_ACTIONS,
+    HEADINGS,
+    HEADINGS_PER_ABSTRACT,
+    N_ABSTRACT_ACTIONS,
+    PATCH_CELLS,
+    Grid,
+    robot_frame_goals,
+)
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
@@ -34,6 +42,7 @@ class MapTasks(NamedTuple):
         reason: uint8 [22], ``Status`` of each task's search.
         start: float32 [7], detailed start state in the world: m, m, rad, 4 x m.
         goal: float32 [22, 7], detailed goal states; feet NaN-free, neutral where no state is valid.
+        planning_cost: float32 [22], cost for planning, 0 where infeasible; None without ``settings.planning_costs``.
     """
 
     heights: np.ndarray
@@ -43,6 +52,7 @@ class MapTasks(NamedTuple):
     reason: np.ndarray
     start: np.ndarray
     goal: np.ndarray
+    planning_cost: np.ndarray | None = None
 
 
 def label_map(
@@ -68,7 +78,17 @@ def label_map(
     if start is None:
         return None
     settings = settings or LabelSettings()
-    return _map_tasks(terrain, base, start, *task_costs(world, start, settings, cost_limit(robot, settings)))
+    limit = cost_limit(robot, settings)
+    tasks = _map_tasks(terrain, base, start, *(labels := task_costs(world, start, settings, limit)))
+    if not settings.planning_costs:
+        return tasks
+    _, cost, _ = labels
+    planning = np.zeros_like(tasks.cost)
+    feasible = np.flatnonzero(tasks.feasible)
+    if len(feasible):
+        actions, known = ABSTRACT_ACTIONS[feasible], cost[feasible]
+        planning[feasible] = task_costs(world, start, settings, limit, actions, CostKind.PLANNING, at_most=known)[1]
+    return tasks._replace(planning_cost=planning)
 
 
 def label_unstandable(
@@ -76,7 +96,7 @@ def label_unstandable(
 ) -> MapTasks | None:
     """Labels the 22 tasks of a map where the robot cannot stand in the middle cell: all tasks are infeasible.
 
-    Arguments and errors as for `label_map`; no search uses the settings.
+    Arguments and errors as for `label_map`; nothing is searched.
 
     Returns:
         The tasks, with start and goals at the start base with neutral feet; None if a valid start state exists.
@@ -86,7 +106,9 @@ def label_unstandable(
         return None
     start = np.array([*base, 0, 0, 0, 0])
     goals, cost = np.tile(start, (N_ABSTRACT_ACTIONS, 1)), np.full(N_ABSTRACT_ACTIONS, np.inf)
-    return _map_tasks(terrain, base, start, goals, cost, np.full(N_ABSTRACT_ACTIONS, Status.INVALID_START))
+    tasks = _map_tasks(terrain, base, start, goals, cost, np.full(N_ABSTRACT_ACTIONS, Status.INVALID_START))
+    planned = settings is not None and settings.planning_costs
+    return tasks._replace(planning_cost=np.zeros_like(tasks.cost)) if planned else tasks
 
 
 def start_base(terrain: HeightMap, start_heading: int) -> tuple[int, int, int]:

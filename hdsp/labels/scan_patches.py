@@ -20,7 +20,7 @@ from hdsp.base.settings import Count, Natural, NotNegative, Share, checked
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.rules import LabelSettings, MapTasks, label_map
 from hdsp.labels.shards import SCHEMA_VERSION, read_shard, write_shard
-from hdsp.labels.tasks import TaskSet
+from hdsp.labels.tasks import TaskSet, columns_of
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, RESOLUTION, Residue, cells, is_detailed
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -176,10 +176,8 @@ def _task_set(labels: list[MapTasks | None], starts: np.ndarray, place: str, see
     kept = [k for k, tasks in enumerate(labels) if tasks is not None]
     if not kept:
         return TaskSet.empty()
-    columns = zip(*(labels[k] for k in kept), strict=True)
-    arrays = {name: np.array(column) for name, column in zip(MapTasks._fields, columns, strict=True)}
     return TaskSet(
-        **arrays,
+        **columns_of([labels[k] for k in kept]),
         category=np.full(len(kept), place),
         index=np.array(kept),
         heading=starts[kept, 2],

@@ -17,7 +17,7 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
 from hdsp.base.storage import Place, is_folder, is_url, open_folder, split_place
-from hdsp.labels.tasks import FIELDS, TaskSet
+from hdsp.labels.tasks import FIELDS, OPTIONAL_FIELDS, TaskSet
 
 __all__ = [
     "SCHEMA_VERSION",
@@ -91,7 +91,7 @@ def shard_bytes(tasks: TaskSet, attributes: Attributes, where: str = "") -> byte
     names = sorted(set(tasks.category.tolist()))
     if len(names) > 256:
         raise InputError(f"shard {where}: {len(names)} categories; at most 256 fit")
-    arrays = {name: tasks.arrays()[name] for name in FIELDS}
+    arrays = tasks.arrays()
     arrays["category"] = np.searchsorted(names, tasks.category).astype(np.uint8)
     # The buffer turns a full disk into an ordinary OSError; HDF5 itself reports a full disk in several ways.
     buffer = io.BytesIO()
@@ -135,7 +135,8 @@ def shard_of(content: bytes, where: str = "") -> Shard:
     _verify(content, where)
     try:
         with h5py.File(io.BytesIO(content)) as file:
-            arrays = {name: file[name][()] for name in (*FIELDS, "category")}
+            optional = [name for name in OPTIONAL_FIELDS if name in file]
+            arrays = {name: file[name][()] for name in (*FIELDS, *optional, "category")}
             names = np.array([*file.attrs[_CATEGORY_NAMES], ""], dtype=np.str_)
             attributes = {name: _plain(value) for name, value in file.attrs.items() if name not in _OWN_ATTRIBUTES}
         return Shard(TaskSet(**{**arrays, "category": names[arrays["category"]]}), attributes)

@@ -29,6 +29,9 @@ FIELDS = {
     "goal": (np.float32, (*_GOALS, 7)),
 }
 
+#: The same for arrays that a set may lack.
+OPTIONAL_FIELDS = {"planning_cost": (np.float32, _GOALS)}
+
 
 @dataclass(frozen=True, eq=False)
 class TaskSet:
@@ -49,6 +52,8 @@ class TaskSet:
         heading: uint8 [n], start heading on the detailed lattice, [0, 64).
         start: float32 [n, 7], detailed start state: m, m, rad, 4 x m.
         goal: float32 [n, 22, 7], detailed goal states.
+        planning_cost: float32 [n, 22], cost for planning (`hdsp.abstract.CostKind`), 0 where infeasible; None = labels
+            without it, such as published ones.
 
     Raises:
         InputError: if an array has the wrong shape, or a cost is not finite; the message names the array.
@@ -65,19 +70,24 @@ class TaskSet:
     heading: np.ndarray
     start: np.ndarray
     goal: np.ndarray
+    planning_cost: np.ndarray | None = None
 
     def __post_init__(self):
         category = np.asarray(self.category, dtype=np.str_)
         if category.ndim != 1:
             raise InputError(f"task set: category has shape {category.shape}; need one name for each map")
         object.__setattr__(self, "category", category)
-        for name, (dtype, shape) in FIELDS.items():
+        optional = {name: kind for name, kind in OPTIONAL_FIELDS.items() if getattr(self, name) is not None}
+        for name, (dtype, shape) in {**FIELDS, **optional}.items():
             array = np.asarray(getattr(self, name), dtype=dtype)
             if array.shape != (len(category), *shape):
                 raise InputError(f"task set: {name} has shape {array.shape}; need {(len(category), *shape)}")
             object.__setattr__(self, name, array)
-        if not np.isfinite(self.cost).all():
-            raise InputError("task set: cost is not finite somewhere; infeasible tasks have feasible False and cost 0")
+        for name in ("cost", *optional):
+            if not np.isfinite(getattr(self, name)).all():
+                raise InputError(
+                    f"task set: {name} is not finite somewhere; infeasible tasks have feasible False and cost 0"
+                )
 
     def __len__(self) -> int:
         return len(self.category)
@@ -87,8 +97,9 @@ class TaskSet:
         return TaskSet(**{name: array[maps] for name, array in self.arrays().items()})
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays by name, without copies."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        """Arrays by name, without copies and without those that the set lacks."""
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: array for name, array in arrays.items() if array is not None}
 
     @classmethod
     def empty(cls) -> "TaskSet":
@@ -98,7 +109,15 @@ class TaskSet:
 
     @classmethod
     def concatenate(cls, sets: Sequence["TaskSet"]) -> "TaskSet":
-        """Maps of all ``sets``, in their order."""
+        """Maps of all ``sets``, in their order; an optional array that one set lacks is left out."""
         if not sets:
             return cls.empty()
-        return cls(**{name: np.concatenate([tasks.arrays()[name] for tasks in sets]) for name in sets[0].arrays()})
+        arrays = [tasks.arrays() for tasks in sets if len(tasks)] or [sets[0].arrays()]
+        shared = [name for name in arrays[0] if all(name in each for each in arrays)]
+        return cls(**{name: np.concatenate([each[name] for each in arrays]) for name in shared})
+
+
+def columns_of(rows: Sequence[Any]) -> dict[str, np.ndarray]:
+    """Arrays of a task set by name, from named tuples with the labels of one map each; ``None`` fields are left out."""
+    columns = zip(rows[0]._fields, zip(*rows, strict=True), strict=True)
+    return {name: np.array(column) for name, column in columns if column[0] is not None}

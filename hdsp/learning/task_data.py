@@ -1,7 +1,7 @@
 """Labelled tasks as tensor batches, from memory by index."""
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -13,6 +13,9 @@ from hdsp.learning.learning_settings import BatchSettings
 
 if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
+
+#: Names of the costs in a batch: ``cost`` and ``planning_cost``.
+Targets = Sequence[Literal["cost", "planning_cost"]]
 
 
 class Batch(NamedTuple):
@@ -31,6 +34,16 @@ class Batch(NamedTuple):
     cost: Tensor
 
 
+class PlanningBatch(NamedTuple):
+    """A ``Batch`` with a second target: ``planning_cost`` [B, G], cost for planning, 0 if infeasible."""
+
+    heights: Tensor
+    goals: Tensor
+    feasible: Tensor
+    cost: Tensor
+    planning_cost: Tensor
+
+
 class BatchIndex(NamedTuple):
     """Batch contents.
 
@@ -46,30 +59,37 @@ class BatchIndex(NamedTuple):
 
 
 class TaskDataset(Dataset):
-    """Tensors that share memory with a ``TaskSet``; indexed by ``BatchIndex``."""
+    """Tensors that share memory with a ``TaskSet``; indexed by ``BatchIndex``.
 
-    def __init__(self, tasks: "TaskSet"):
+    ``targets`` names the costs in a batch: ``cost``, and ``planning_cost`` for ``PlanningBatch`` if the labels have it.
+    """
+
+    def __init__(self, tasks: "TaskSet", targets: Targets = ("cost",)):
         if len(tasks.heights) == 0:
             raise InputError("task set: it holds no maps")
         self.heights = _shared(tasks.heights, np.float32)
         self.goals = _shared(tasks.goals, np.float32)
         self.feasible = _shared(tasks.feasible, np.bool_)
         self.cost = _shared(tasks.cost, np.float32)
+        self.planning_cost = None
+        if "planning_cost" in targets:
+            if tasks.planning_cost is None:
+                raise InputError("task set: its labels have no planning_cost; label with settings.planning_costs: true")
+            self.planning_cost = _shared(tasks.planning_cost, np.float32)
 
     def __len__(self) -> int:
         return len(self.heights)
 
-    def __getitem__(self, index: BatchIndex) -> Batch:
+    def __getitem__(self, index: BatchIndex) -> Batch | PlanningBatch:
         maps, tasks, mirrored = index
         heights = self.heights[maps][:, None]
-        if tasks is None:
-            goals, feasible, cost = self.goals[maps], self.feasible[maps], self.cost[maps]
-        else:
-            goals, feasible, cost = (part[maps, tasks][:, None] for part in (self.goals, self.feasible, self.cost))
+        goals, feasible, cost = (_chosen(part, maps, tasks) for part in (self.goals, self.feasible, self.cost))
         if mirrored is not None:
             heights = torch.where(mirrored[:, None, None, None], mirror_heights(heights), heights)
             goals = torch.where(mirrored[:, None, None], mirror_goals(goals), goals)
-        return Batch(heights, goals, feasible, cost)
+        if self.planning_cost is None:
+            return Batch(heights, goals, feasible, cost)
+        return PlanningBatch(heights, goals, feasible, cost, _chosen(self.planning_cost, maps, tasks))
 
 
 class BatchSampler(Sampler[BatchIndex]):
@@ -116,7 +136,12 @@ class BatchSampler(Sampler[BatchIndex]):
 
 
 def task_loader(
-    tasks: "TaskSet", settings: BatchSettings, shuffle: bool = False, mirror: bool = False, seed: int = 0
+    tasks: "TaskSet",
+    settings: BatchSettings,
+    shuffle: bool = False,
+    mirror: bool = False,
+    seed: int = 0,
+    targets: Targets = ("cost",),
 ) -> DataLoader:
     """Batches from a task set.
 
@@ -126,11 +151,12 @@ def task_loader(
         shuffle: new order every epoch.
         mirror: mirror each item on its x axis with probability one half; the robot and its costs are symmetric.
         seed: seed for order and mirroring.
+        targets: costs in each batch, as in ``TaskDataset``.
 
     Raises:
-        InputError: the task set is empty.
+        InputError: the task set is empty, or it lacks a target.
     """
-    dataset = TaskDataset(tasks)
+    dataset = TaskDataset(tasks, targets)
     sampler = BatchSampler(len(dataset), dataset.goals.shape[1], settings, shuffle, mirror, seed)
     return DataLoader(dataset, batch_size=None, sampler=sampler, collate_fn=_as_is)
 
@@ -149,6 +175,11 @@ def mirror_heights(heights: Tensor) -> Tensor:
 def mirror_goals(goals: Tensor) -> Tensor:
     """Mirrors goals [..., 3] on the robot's x axis: (dx, -dy, -dtheta)."""
     return goals * goals.new_tensor([1.0, -1.0, -1.0])
+
+
+def _chosen(part: Tensor, maps: Tensor, tasks: Tensor | None) -> Tensor:
+    """Entries [B, G, ...] of an array [n, 22, ...]: all tasks of each map, or one."""
+    return part[maps] if tasks is None else part[maps, tasks][:, None]
 
 
 def _shared(array: np.ndarray, dtype) -> Tensor:

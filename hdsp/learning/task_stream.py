@@ -10,7 +10,7 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from hdsp.base.errors import InputError
 from hdsp.learning.learning_settings import BatchSettings
-from hdsp.learning.task_data import Batch, BatchSampler, TaskDataset
+from hdsp.learning.task_data import Batch, BatchSampler, PlanningBatch, Targets, TaskDataset
 from hdsp.robot.lattice import N_ABSTRACT_ACTIONS
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ class TaskStream(IterableDataset):
     Args:
         places: one or several folders or URLs with shards.
         settings: batches by map or by single tasks.
-        shuffle, mirror, seed: as for `task_loader`.
+        shuffle, mirror, seed, targets: as for `task_loader`.
         shards_in_memory: number of shards read at a time.
 
     Attributes:
@@ -45,6 +45,7 @@ class TaskStream(IterableDataset):
         mirror: bool = False,
         seed: int = 0,
         shards_in_memory: int = 8,
+        targets: Targets = ("cost",),
     ):
         from hdsp.labels.shards import shard_paths
 
@@ -56,6 +57,7 @@ class TaskStream(IterableDataset):
             self.paths += found
         self.settings, self.shuffle, self.mirror = settings, shuffle, mirror
         self.seed, self.shards_in_memory = seed, shards_in_memory
+        self.targets = targets
         self.epoch = self.skip = 0
 
     @cached_property
@@ -74,15 +76,15 @@ class TaskStream(IterableDataset):
         """Sets the next iteration's epoch; Lightning calls it before each epoch."""
         self.epoch = epoch
 
-    def __iter__(self) -> Iterator[Batch]:
+    def __iter__(self) -> Iterator[Batch | PlanningBatch]:
         skip, self.skip = self.skip, 0
-        rest: Batch | None = None
+        rest: Batch | PlanningBatch | None = None
         for dataset, sampler in self._parts():
             sampler.first = self.settings.size - len(rest.heights) if rest is not None else 0
             for index in sampler:
                 batch = dataset[index]
                 if rest is not None:
-                    batch, rest = Batch(*(torch.cat(pair) for pair in zip(rest, batch, strict=True))), None
+                    batch, rest = type(batch)(*(torch.cat(pair) for pair in zip(rest, batch, strict=True))), None
                 if len(batch.heights) < self.settings.size:
                     rest = batch
                 elif skip:
@@ -110,7 +112,7 @@ class TaskStream(IterableDataset):
             seed = self.seed * 10_007 + number
             sampler = BatchSampler(len(tasks), N_ABSTRACT_ACTIONS, self.settings, self.shuffle, self.mirror, seed)
             sampler.set_epoch(self.epoch)
-            yield TaskDataset(tasks), sampler
+            yield TaskDataset(tasks, self.targets), sampler
 
 
 class ResumableBatches:
@@ -132,7 +134,7 @@ class ResumableBatches:
     def __len__(self) -> int:
         return len(self.batches)
 
-    def __iter__(self) -> Iterator[Batch]:
+    def __iter__(self) -> Iterator[Batch | PlanningBatch]:
         self.given, self.start = self.start, 0
         self.sampler.skip = self.given
         for batch in self.batches:

@@ -1,6 +1,9 @@
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from hdsp.abstract.oracle import CostKind, task_costs
 from hdsp.abstract.transform import best_feet, feet_at
 from hdsp.base.errors import InputError
 from hdsp.detailed.actions.successors import Rules
@@ -12,9 +15,9 @@ from hdsp.labels.rules import LabelSettings, label_map
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, Grid
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.scenes import random_map
+from hdsp.terrain.scenes import CATEGORIES, random_map
 from tests.detailed.instances import blocky, toy
-from tests.naive import Naive
+from tests.naive import Naive, dijkstra
 
 MOMARO = Robot.load("momaro")
 
@@ -64,6 +67,43 @@ def test_labels_equal_separate_searches_with_another_heuristic(category):
             assert alone.cost[0] == pytest.approx(labels.cost[m], rel=1e-4, abs=1e-5)
             compared += 1
     assert compared >= 8
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.sampled_from(CATEGORIES), st.integers(0, 200), st.sampled_from([0, 4, 8]))
+def test_planning_costs_never_exceed_labels_and_are_the_least_without_rules(category, index, heading):
+    terrain = random_map(1003, category, index, cells=104)
+    labels = label_map(terrain, MOMARO, LabelSettings(planning_costs=True), heading)
+    if labels is None:
+        return
+    plain = label_map(terrain, MOMARO, LabelSettings(), heading)
+    assert plain.planning_cost is None
+    for name in plain._fields[:-1]:
+        np.testing.assert_array_equal(getattr(labels, name), getattr(plain, name))
+    cost, feasible = labels.planning_cost, labels.feasible
+    assert cost.dtype == np.float32 and (cost[~feasible] == 0).all()
+    assert (cost[feasible] > 0).all() and (cost[feasible] <= labels.cost[feasible]).all()
+    world, grid = build_world(terrain, MOMARO), Grid(terrain.origin, terrain.shape)
+    start = grid.to_lattice(labels.start[:3], labels.start[3:])
+    alone = task_costs(world, start, LabelSettings(), 1.6, kind=CostKind.PLANNING)[1]
+    np.testing.assert_allclose(alone[feasible], cost[feasible], rtol=1e-5)
+
+
+def test_planning_costs_are_those_of_the_textbook_search():
+    robot, compared = toy(), 0
+    for seed, heading in ((0, 4), (0, 0), (1, 24)):
+        heights = blocky(np.random.default_rng(seed), cells=14, blocks=2)
+        world = build_world(HeightMap(heights), robot)
+        start = feet_at(world, np.array([7, 7, heading]))
+        if start is None:
+            continue
+        least = dijkstra(Naive(heights, robot), tuple(start.tolist()), most=1000).cost
+        goals, costs, _ = task_costs(world, start, LabelSettings(), 2.0, kind=CostKind.PLANNING)
+        for goal, cost in zip(map(tuple, goals.tolist()), costs, strict=True):
+            if goal in least:
+                compared += 1
+                assert cost == pytest.approx(least[goal], rel=1e-5)
+    assert compared >= 4
 
 
 def test_labels_say_how_each_task_ended():

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import h5py
 import numpy as np
 import pytest
@@ -5,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hdsp.base.errors import InputError
+from hdsp.labels.counts import LabelCounts, add_up, counts_by_category
 from hdsp.labels.shards import read_shard, read_tasks, write_shard
 from hdsp.labels.tasks import TaskSet
 from tests.labels.task_sets import assert_same_tasks, random_tasks
@@ -115,3 +118,27 @@ def test_maps_are_picked_like_elements_of_an_array():
     tasks = random_tasks(5)
     assert_same_tasks(TaskSet.concatenate([tasks[:2], tasks[[2, 3]], tasks[tasks.index == 4]]), tasks)
     assert len(TaskSet.concatenate([])) == 0
+
+
+def test_planning_costs_are_stored_beside_labels_and_may_be_missing(tmp_path):
+    tasks = random_tasks(4)
+    planned = replace(tasks, planning_cost=0.9 * tasks.cost)
+    for name, each in (("a.h5", planned), ("b.h5", tasks)):
+        write_shard(tmp_path / name, each, {"labels_hash": name})
+    assert read_shard(tmp_path / "b.h5").tasks.planning_cost is None
+    read = read_shard(tmp_path / "a.h5").tasks
+    assert read.planning_cost.dtype == np.float32
+    assert_same_tasks(read, planned)
+    assert_same_tasks(planned[1:3], TaskSet.concatenate([planned[1:2], TaskSet.empty(), planned[2:3]]))
+    assert read_tasks(tmp_path).planning_cost is None and len(read_tasks(tmp_path)) == 8
+    with pytest.raises(InputError, match="planning_cost is not finite"):
+        replace(tasks, planning_cost=tasks.cost + np.inf)
+    with pytest.raises(InputError, match=r"planning_cost has shape \(4, 21\)"):
+        replace(tasks, planning_cost=tasks.cost[:, 1:])
+    # Two headings and a task that only the planner's rules make cheaper.
+    compared = replace(planned, heading=np.array([0, 0, 4, 4]))
+    found = add_up([counts_by_category(compared)], set(tasks.category.tolist()))
+    ratio = sum(found.values(), LabelCounts()).summary()["label_over_planning"]
+    assert ratio["mean"] == pytest.approx(1 / 0.9, rel=1e-5) and set(ratio["by_heading"]) == {"0", "1"}
+    assert len(ratio["by_action"]) == 22 and ratio["by_heading"]["1"] == pytest.approx(1 / 0.9, rel=1e-5)
+    assert "label_over_planning" not in sum(counts_by_category(tasks).values(), LabelCounts()).summary()

@@ -1,13 +1,17 @@
 """Batches of tasks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from hdsp.base.errors import InputError
+from hdsp.labels.shards import write_shard
 from hdsp.labels.tasks import TaskSet
 from hdsp.learning.learning_settings import BatchSettings
-from hdsp.learning.task_data import TaskDataset, mirror_goals, mirror_heights, task_loader
+from hdsp.learning.task_data import Batch, TaskDataset, mirror_goals, mirror_heights, task_loader
+from hdsp.learning.task_stream import TaskStream
 from hdsp.terrain.height_map import HeightMap
 from tests.learning.synthetic import synthetic_tasks
 
@@ -98,3 +102,23 @@ def test_mirroring_concerns_map_and_goals_together(tasks):
 def test_empty_task_sets_are_refused():
     with pytest.raises(InputError, match="holds no maps"):
         task_loader(TaskSet.empty(), BatchSettings())
+
+
+@pytest.mark.parametrize("by", ["map", "task"])
+def test_planning_costs_are_a_target_on_request(tasks, tmp_path, by):
+    planned = replace(tasks, planning_cost=0.8 * tasks.cost)
+    for number in range(2):
+        write_shard(tmp_path / f"{number}.h5", planned[5 * number : 5 * number + 5], {"labels_hash": "x"})
+    chosen, targets = BatchSettings(by, 4), ("cost", "planning_cost")
+    loaders = (
+        task_loader(planned, chosen, shuffle=True, targets=targets),
+        TaskStream(tmp_path, chosen, shards_in_memory=1, targets=targets),
+    )
+    for loader in loaders:
+        batches = list(loader)
+        assert sum(batch.cost.numel() for batch in batches) == tasks.cost.size
+        for batch in batches:
+            torch.testing.assert_close(batch.planning_cost, 0.8 * batch.cost)
+    assert type(next(iter(task_loader(planned, chosen)))) is Batch
+    with pytest.raises(InputError, match="no planning_cost; label with settings"):
+        task_loader(tasks, chosen, targets=targets)

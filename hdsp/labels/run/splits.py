@@ -19,7 +19,7 @@ from pydantic import Field
 from hdsp.base.provenance import ROOT, code_fingerprint
 from hdsp.base.settings import Count, Natural, checked, one_of
 from hdsp.labels.shards import SCHEMA_VERSION, SUFFIX
-from hdsp.labels.tasks import TaskSet
+from hdsp.labels.tasks import TaskSet, columns_of
 from hdsp.robot.lattice import HEADINGS_PER_ABSTRACT, PATCH_CELLS, AbstractHeading
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -164,10 +164,8 @@ class LabelRun:
             return TaskSet.empty()
         numbers, tasks = zip(*kept, strict=True)
         category, index, heading = zip(*map(self.map_of, numbers), strict=True)
-        columns = zip(tasks[0]._fields, zip(*tasks, strict=True), strict=True)
-        arrays = {name: np.array(column) for name, column in columns}
         return TaskSet(
-            **arrays,
+            **columns_of(tasks),
             category=np.array(category),
             index=np.array(index),
             heading=np.array(heading),
