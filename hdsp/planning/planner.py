@@ -37,7 +37,7 @@ from hdsp.planning.improving import improving_plans
 from hdsp.planning.map_changes import changed_cells
 from hdsp.planning.margin import with_margin
 from hdsp.planning.measured_map import MeasuredMap
-from hdsp.planning.polish import DEFAULT, Polish, polish_seconds
+from hdsp.planning.polish import DEFAULT, Polish, polish_seconds, weight_and_polish
 from hdsp.planning.query import Query
 from hdsp.planning.refinable import refinable_plan
 from hdsp.robot.lattice import Grid
@@ -220,7 +220,7 @@ class Planner:
         self,
         start,
         goal,
-        weight: float = 1.0,
+        weight: float | None = None,
         *,
         tolerance: Tolerance | None = None,
         start_free: bool = True,
@@ -248,7 +248,8 @@ class Planner:
                 ``hdsp.planning.ends.departure``.
             way_out: whether a robot that stands within the clearance of obstacles may drive straight out first, each
                 action away from them (``hdsp.planning.ends.way_out``). The plan's ``way_out`` counts these actions.
-            weight: W >= 1 in weighted A*. With an admissible heuristic the cost is at most W times the optimum.
+            weight: W >= 1 in weighted A*. With an admissible heuristic the cost is at most W times the optimum. None: 2
+                with a polish, for a heuristic that is not admissible and without an anchor; else 1.
             anchor_weight: W2 >= 1 in multi-heuristic A*. The heuristic guides, the geometric heuristic is the anchor.
                 The cost is at most W * W2 times the optimum; ``bound`` states the proved factor, often a smaller one.
                 An admissible heuristic needs no anchor. None: weighted A*, without a proof if the heuristic is not
@@ -258,8 +259,8 @@ class Planner:
             refinable: refine the plan; while a step cannot be carried out, report it in ``refused`` and search again
                 without it.
             polish: time (s) in which windows of the plan are planned again at W = 1, so that it gets cheaper; see
-                `hdsp.planning.polish`. 0 switches it off. None: a small budget for plans whose cost no heuristic
-                bounds (W > 1, not admissible, no anchor), else 0.
+                `hdsp.planning.polish`. 0 switches it off. None: 0.2 s, counted in expansions, for plans whose cost
+                nothing bounds (W > 1, not admissible, no anchor), else 0.
             progress: called now and then with (expansions, seconds).
 
         Returns:
@@ -269,12 +270,11 @@ class Planner:
             InputError: a value is not a number, a pose lies off the map, or a weight is < 1.
             RefinementError: ``refinable``, and an action before the first step cannot be carried out.
         """
-        weight = number("weight", weight, 1.0)
         anchored = None if anchor_weight is None else number("anchor_weight", anchor_weight, 1.0)
         limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
         start_free, way_out = choice("start_free", start_free), choice("way_out", way_out)
-        unbounded = weight > 1 and not self.heuristic.admissible and anchored is None
-        polish = polish_seconds(polish, DEFAULT if unbounded else 0.0)
+        unbounded = not self.heuristic.admissible and anchored is None
+        weight, polish = weight_and_polish(weight, polish, unbounded)
         compile_for(self.robot, self.heuristic, anchored=anchored is not None, refinable=refinable)
         began = now()
         query = self._query(start, goal, tolerance, start_free, way_out, weight, limits, callback("progress", progress))
@@ -289,12 +289,12 @@ class Planner:
 
         plan = query.search_or_prove(search)
         if refinable:
-            plan = refinable_plan(query, search, plan, Polish(polish))
+            plan = refinable_plan(query, search, plan, Polish(polish, second=True))
         else:
-            plan = Polish(polish).of(query, plan)
+            plan = Polish(polish, second=True).of(query, plan)
         return query.from_start(plan.renewed({"heuristic_seconds": prepared, "seconds": now() - began}))
 
-    def plan_each(self, start, goals: Sequence, weight: float = 1.0, **options) -> list[Plan]:
+    def plan_each(self, start, goals: Sequence, weight: float | None = None, **options) -> list[Plan]:
         """Plans from start to each of several goals; returns one plan for each goal.
 
         The plans share the map-wide part of the heuristic. To the cheapest goal alone, ``plan`` takes less time.

@@ -5,8 +5,11 @@ search for this path knows a good cost limit, the window's present cost, and is 
 than short ones and cost more, so sweeps with longer and longer windows follow each other; windows of one sweep overlap
 by half. A window whose cost equals its lower bound is skipped.
 
-The plan never gets more expensive, and both its ends stay. The work is counted in expansions: equal queries give equal
-plans, unless the time ends before the expansions.
+No window sees another way round. A fast search with a large weight therefore gets a *second plan*, from a short search
+with a smaller weight. Both pass the first sweep, and the cheaper one goes on.
+
+The plan never gets more expensive, and it stays between start and goal. The work is counted in expansions: equal
+queries give equal plans, unless the time ends before the expansions.
 """
 
 from __future__ import annotations
@@ -33,6 +36,11 @@ PER_SECOND = 500_000
 WIDTHS = 1.0, 1.6, 2.4
 #: Expansions in one window, at most.
 MOST = 40_000
+#: Weight of a search that the polish makes good; docs/heuristics.md has the figures.
+FAST = 2.0
+#: Weight and most expansions of the search for a second plan.
+SECOND = 1.25
+MOST_SECOND = 30_000
 
 
 def polish_seconds(asked: object, default: float) -> float:
@@ -44,18 +52,36 @@ def polish_seconds(asked: object, default: float) -> float:
     return default if asked is None else number("polish", asked, 0.0)
 
 
+def weight_and_polish(weight: object, polish: object, unbounded: bool) -> tuple[float, float]:
+    """Returns the weight of a search and the budget of its polish in seconds; each may be None.
+
+    Args:
+        weight, polish: as asked.
+        unbounded: whether nothing bounds the cost of the plan.
+
+    Raises:
+        InputError: a weight below 1, or no finite number >= 0 as a budget.
+    """
+    if weight is None:
+        weight = FAST if unbounded and polish_seconds(polish, DEFAULT) > 0 else 1.0
+    weight = number("weight", weight, 1.0)
+    return weight, polish_seconds(polish, DEFAULT if unbounded and weight > 1 else 0.0)
+
+
 @dataclass(frozen=True)
 class Polish:
     """Budget for the improvement of plans.
 
     Attributes:
         seconds: time for one plan; 0 switches the polish off.
+        second: whether a plan from a search with a large weight gets a second plan beside it.
     """
 
     seconds: float
+    second: bool = False
 
     def of(self, query: Query, plan: Plan) -> Plan:
-        """Returns a plan that costs at most as much, with the same ends.
+        """Returns a plan that costs at most as much; only a second plan may end at another goal.
 
         Args:
             query: the query; its world, its time and its limits hold.
@@ -67,8 +93,16 @@ class Polish:
             return plan
         windows = Windows(query.world, query.limits.memory)
         ends = min(began + self.seconds, query.ends)
-        course = _Course.of(query, plan)
-        for width in WIDTHS:
+        narrow, *wider = WIDTHS
+        course, goal_index = _Course.of(query, plan), plan.goal_index
+        if other := self._second(query, plan, min(expansions, MOST_SECOND), ends):
+            windows.expansions += other.stats.expansions
+        course = _swept(course, windows, narrow, expansions, ends)
+        if other and other.solved and not np.array_equal(other.states, plan.states):
+            rival = _swept(_Course.of(query, other), windows, narrow, expansions, ends)
+            if rival.costs.sum() < course.costs.sum():
+                course, goal_index = rival, other.goal_index
+        for width in wider:
             course = _swept(course, windows, width, expansions, ends)
         spent = {"polish_expansions": windows.expansions, "polish_seconds": now() - began, "unpolished_cost": plan.cost}
         plan, cost = plan.renewed(spent), float(course.costs.sum())
@@ -80,8 +114,16 @@ class Polish:
             states=query.grid.to_world(course.states),
             actions=course.actions,
             action_costs=course.costs,
+            goal_index=goal_index,
             bound=min(plan.bound, suboptimality(cost, plan.stats.lower_bound, rounding(query.world))),
         )
+
+    def _second(self, query: Query, plan: Plan, expansions: int, ends: float) -> Plan | None:
+        """A plan from a search with a smaller weight; None where the first search has none that is larger."""
+        if not self.second or query.admissible or plan.stats.anchor_weight or plan.stats.weight <= SECOND:
+            return None
+        limits = replace(query.limits, expansions=expansions)
+        return replace(query, limits=limits, ends=ends, progress=None).weighted(SECOND)
 
 
 class _Course(NamedTuple):

@@ -51,6 +51,22 @@ def test_only_costs_that_nothing_bounds_are_polished_unasked(arena):
     assert asked.cost <= asked.stats.unpolished_cost
 
 
+def test_the_default_is_a_fast_search_that_the_polish_makes_good(arena):
+    plan = arena.plan(*ENDS)
+    assert plan.stats.weight == polish.FAST and plan.cost < plan.stats.unpolished_cost
+    assert arena.plan(*ENDS, polish=0).stats.weight == 1
+    assert Planner(HeightMap.flat((100, 100))).plan((0.9, 0.9, 0.0), (1.6, 1.1, 0.3)).stats.weight == 1
+
+
+def test_a_second_plan_leaves_a_way_round(arena, monkeypatch):
+    """Windows of single actions find nothing, so only the second plan can be cheaper."""
+    monkeypatch.setattr(polish, "WIDTHS", (0.0,))
+    first, both = arena.plan(*ENDS, 3.0, polish=0), arena.plan(*ENDS, 3.0)
+    second = arena.plan(*ENDS, polish.SECOND, polish=0)
+    assert both.cost <= second.cost < first.cost == both.stats.unpolished_cost
+    assert both.stats.polish_expansions >= second.stats.expansions
+
+
 def test_a_lower_cost_proves_a_smaller_bound_and_an_optimal_plan_stays():
     planner = Planner(HeightMap.flat((100, 100)))
     start, goal = (0.6, 0.6, 0.0), (1.7, 1.8, 2.5)
