@@ -1,7 +1,8 @@
 """Polish of found plans: cost before and after over the proved optimum, expansions and CPU time.
 
     python -m benchmarks.polish [--seeds 20] [--test] [--size 5] [--pairs 4] [--near 1] [--far 4] [--heuristic manual]
-                                [--weights 1 1.25 1.5 2] [--hard 10000] [--expansions 3000000] [--page docs/heuristics.md]
+                                [--weights 1 1.25 1.5 2] [--hard 10000] [--expansions 3000000]
+                                [--page docs/heuristics.md]
 
 Tasks are pairs of random valid states on random arenas, `near` to `far` metres apart. Development seeds begin at 1000;
 `--test` takes the seeds from 0 on. The optimum comes from A* with the geometric heuristic and W = 1, which looks only
@@ -91,7 +92,8 @@ def on_arena(seed: int, arguments: argparse.Namespace) -> list[dict]:
 
 
 def timed(planner: Planner, start, goal, weight: float, polish: float, expansions: int):
-    """Returns a plan and its CPU seconds."""
+    """Returns a plan and its CPU seconds, without knowledge from earlier queries."""
+    planner.clear()
     began = time.process_time()
     plan = planner.plan(start, goal, weight, polish=polish, expansions=expansions)
     return plan, time.process_time() - began
