@@ -248,8 +248,8 @@ class Planner:
                 ``hdsp.planning.ends.departure``.
             way_out: whether a robot that stands within the clearance of obstacles may drive straight out first, each
                 action away from them (``hdsp.planning.ends.way_out``). The plan's ``way_out`` counts these actions.
-            weight: W >= 1 in weighted A*. With an admissible heuristic the cost is at most W times the optimum. None: 2
-                with a polish, for a heuristic that is not admissible and without an anchor; else 1.
+            weight: W >= 1 in weighted A*. With an admissible heuristic the cost is at most W times the optimum. None:
+                1.25 with a polish, for a heuristic that is not admissible and without an anchor; else 1.
             anchor_weight: W2 >= 1 in multi-heuristic A*. The heuristic guides, the geometric heuristic is the anchor.
                 The cost is at most W * W2 times the optimum; ``bound`` states the proved factor, often a smaller one.
                 An admissible heuristic needs no anchor. None: weighted A*, without a proof if the heuristic is not

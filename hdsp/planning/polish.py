@@ -37,7 +37,7 @@ WIDTHS = 1.0, 1.6, 2.4
 #: Expansions in one window, at most.
 MOST = 40_000
 #: Weight of a search that the polish makes good; docs/heuristics.md has the figures.
-FAST = 2.0
+FAST = 1.25
 #: Weight and most expansions of the search for a second plan.
 SECOND = 1.25
 MOST_SECOND = 30_000

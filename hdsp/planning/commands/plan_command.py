@@ -47,10 +47,7 @@ def add_plan(commands) -> None:
         help="geometric, manual, learned (the abstraction that comes with the package) or learned:FOLDER "
         "(default: manual)",
     )  # fmt: skip
-    parser.add_argument(
-        "--weight", type=float,
-        help="how much speed counts, from 1 on (default: 2 with a polish, 1.25 for geometric and without a polish)",
-    )  # fmt: skip
+    parser.add_argument("--weight", type=float, default=1.25, help="how much speed counts, from 1 on (default: 1.25)")
     parser.add_argument(
         "--polish", type=float, metavar="S",
         help="s in which parts of the path are planned again, so that it gets cheaper; 0 for none (default: 0.2 if "
@@ -88,12 +85,10 @@ def _plan(chosen: argparse.Namespace) -> int:
     if report is not None and (report.changed or (report.unknown and not is_conditioned(terrain.frame.notes))):
         print(f"map: {report}")
     goals = [_goal(words) for words in chosen.goal]
-    weight = chosen.weight
-    if weight is None and (planner.heuristic.admissible or chosen.polish == 0):
-        weight = 1.25
     plan = planner.plan(
-        _pose(chosen.start), goals if len(goals) > 1 else goals[0], weight, time=chosen.time, polish=chosen.polish,
-        tolerance=_tolerance(chosen.tolerance), start_free=chosen.start_free, way_out=chosen.way_out,
+        _pose(chosen.start), goals if len(goals) > 1 else goals[0], chosen.weight,
+        time=chosen.time, polish=chosen.polish, tolerance=_tolerance(chosen.tolerance), start_free=chosen.start_free,
+        way_out=chosen.way_out,
     )  # fmt: skip
     if len(goals) > 1 and plan.goal_index is not None:
         print(f"goal {plan.goal_index + 1} of {len(goals)}: {' '.join(chosen.goal[plan.goal_index])}")
