@@ -1,6 +1,6 @@
 """Two kinds of costs: how much more labels cost than the planner, and how well a factor corrects them.
 
-    python -m benchmarks.planning_costs [--seeds 0 1 2 3 4 5] [--size 5] [--states 100] [--page docs/heuristics.md]
+    python -m benchmarks.planning_costs [--seeds 0 1 2 3 4 5] [--size 5] [--states 100] [--page docs/cost-model.md]
 
 Labels keep a window of headings, planning costs do not (`hdsp.abstract.CostKind`). The oracle computes both on random
 arenas, from random states at which the robot can stand. Three predictions of the planning cost are compared, each
@@ -9,7 +9,7 @@ relative to the true one:
 - label: the label cost itself;
 - corrected: the label cost times the ratio of both costs on flat ground, by heading and action
   (`hdsp.abstract.flat_table.planning_factors`), as `LearnedCosts` plans;
-- measured: the label cost times the mean ratio on the other arenas, by heading within a quarter turn and action.
+- measured: the label cost divided by the mean ratio of tasks with the same goal in the other arenas.
 
 The last line is JSON: mean and largest ratio (`label_over_planning_mean`, `_max`, and the same for `corrected` and
 `measured`), the mean absolute deviation from 1 (`_error`), and actions that are feasible in planning alone. `--page`
@@ -28,11 +28,9 @@ from hdsp.abstract.flat_table import planning_factors
 from hdsp.base.workers import ClusterSettings
 from hdsp.detailed.world.world import build_world
 from hdsp.planning.heuristics import standing_states
-from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, robot_frame_goals
+from hdsp.robot.lattice import ABSTRACT_ACTIONS, robot_frame_goals
 from hdsp.robot.robot import Robot
 from hdsp.terrain.random_arenas import random_arena
-
-_QUARTER = ABSTRACT_HEADINGS // 4
 
 
 def main(argv=None) -> dict:
