@@ -41,14 +41,18 @@ class BucketRing(NamedTuple):
     current: np.ndarray  # int64 [1], the bucket being emptied
 
     @classmethod
-    def starting_at(cls, goals: np.ndarray, states: int, margin: int, buckets: int) -> BucketRing:
+    def starting_at(
+        cls, goals: np.ndarray, costs: np.ndarray, per_width: float, states: int, margin: int, buckets: int
+    ) -> BucketRing:
+        """Returns a search from goals, flat indices int64 [n], each at a cost within the ring, float64 [n]."""
         n = len(goals)
         distance = np.full(states + 2 * margin, np.inf)
-        distance[goals + margin] = 0.0
+        distance[goals + margin] = costs
         entries = np.empty((buckets, max(2 * N_ABSTRACT_ACTIONS + n, 2 * states // buckets)), np.uint32)
-        entries[0, :n] = goals + margin
         filled = np.zeros(buckets, np.int64)
-        filled[0] = n
+        for goal, bucket in zip(goals.tolist(), (costs * per_width).astype(int).tolist(), strict=True):
+            entries[bucket, filled[bucket]] = goal + margin
+            filled[bucket] += 1
         return cls(distance, np.zeros(len(distance), np.bool_), entries, filled, np.zeros(1, np.int64))
 
     def with_more_room(self) -> BucketRing:

@@ -96,7 +96,13 @@ class PreparedGraph:
         """Returns the cost from every state to the goal `(ix, iy, heading)`, float32 [16, nx, ny]; see `cost_to_go`."""
         return self.distances(goal_abstract).astype(np.float32)
 
-    def repaired(self, distances: np.ndarray, goal_abstract: tuple[int, int, int], states: np.ndarray) -> np.ndarray:
+    def repaired(
+        self,
+        distances: np.ndarray,
+        goals_abstract: tuple[int, int, int] | np.ndarray,
+        states: np.ndarray,
+        initial: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Returns `distances`, computed from its result on a graph with other edges at some states.
 
         The repair visits only states whose cost-to-go changes, and their neighbours (Ramalingam & Reps 1996). From the
@@ -104,38 +110,60 @@ class PreparedGraph:
         dropped states and from states with a better edge. A new search replaces the repair when too many states change.
 
         Args:
-            distances: float64 [16, nx, ny], result on the other graph, for the same goal.
-            goal_abstract: goal.
+            distances: float64 [16, nx, ny], result on the other graph, for the same goals.
+            goals_abstract, initial: as for `distances`.
             states: int64 [n, 3], (heading, ix, iy), states with other edges.
         """
         finite = distances[np.isfinite(distances)]
         # A cost lost by rounding in a sum leaves open which of two states explains the other.
         if not finite.max() + self.cheapest > finite.max():
-            return self.distances(goal_abstract)
-        ix, iy, heading = (int(value) for value in goal_abstract)
+            return self.distances(goals_abstract, initial)
         nx, ny = self.shape
         k, a, b = np.asarray(states, np.int64).T
         flat = np.pad(distances.ravel(), self._margin, constant_values=np.inf)
-        goal = (heading * nx + ix) * ny + iy + self._margin
+        straight = np.full(len(flat), np.inf)
+        goals, costs = self._sources(goals_abstract, initial)
+        straight[goals + self._margin] = costs
         sources = (k * nx + a) * ny + b + self._margin
         most = distances.size // REPAIRED_SHARE
-        if not repair(self.incoming.reshape(-1), self._offsets, flat, self._margin, goal, sources, most):
-            return self.distances(goal_abstract)
+        if not repair(self.incoming.reshape(-1), self._offsets, flat, self._margin, straight, sources, most):
+            return self.distances(goals_abstract, initial)
         return flat[self._margin : len(flat) - self._margin].reshape(distances.shape)
 
-    def distances(self, goals_abstract: tuple[int, int, int] | np.ndarray) -> np.ndarray:
+    def distances(
+        self, goals_abstract: tuple[int, int, int] | np.ndarray, initial: np.ndarray | None = None
+    ) -> np.ndarray:
         """Costs to the nearest of several goals, before rounding: float64 [16, nx, ny].
 
         Args:
             goals_abstract: one goal `(ix, iy, heading)`, or several, int64 [n, 3].
+            initial: float64 [n], >= 0, cost that is left at each goal; None: 0.
 
         Raises:
             InputError: a goal lies outside the map.
         """
-        return finished(self.distance_steps(goals_abstract))
+        return finished(self.distance_steps(goals_abstract, initial))
 
-    def distance_steps(self, goals_abstract: tuple[int, int, int] | np.ndarray) -> Steps[np.ndarray]:
+    def distance_steps(
+        self, goals_abstract: tuple[int, int, int] | np.ndarray, initial: np.ndarray | None = None
+    ) -> Steps[np.ndarray]:
         """Like `distances`, in short steps."""
+        goals, costs = self._sources(goals_abstract, initial)
+        nx, ny = self.shape
+        width, buckets = bucket_sizes(self.cheapest, max(self.most_expensive, float(costs.max())))
+        queue = BucketRing.starting_at(goals, costs, 1.0 / width, ABSTRACT_HEADINGS * nx * ny, self._margin, buckets)
+        incoming = self.incoming.reshape(-1)
+        while (end := search(incoming, self._offsets, queue, self._margin, 1.0 / width, _ENTRIES)) != DONE:
+            if end == FULL:
+                queue = queue.with_more_room()
+            yield
+        inside = queue.distance[self._margin : len(queue.distance) - self._margin]
+        return inside.reshape(ABSTRACT_HEADINGS, nx, ny)
+
+    def _sources(
+        self, goals_abstract: tuple[int, int, int] | np.ndarray, initial: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Flat indices of distinct goals, int64 [n], and the least initial cost of each, float64 [n]."""
         goals = np.atleast_2d(np.asarray(goals_abstract, dtype=np.int64))
         nx, ny = self.shape
         outside = ((goals < 0) | (goals >= (nx, ny, ABSTRACT_HEADINGS))).any(axis=1)
@@ -144,16 +172,10 @@ class PreparedGraph:
                 f"abstract goal {tuple(goals[outside][0].tolist())} lies outside the map: allowed are ix < {nx}, "
                 f"iy < {ny}, heading < {ABSTRACT_HEADINGS}, none negative"
             )
-        width, buckets = bucket_sizes(self.cheapest, self.most_expensive)
-        flat = np.unique((goals[:, 2] * nx + goals[:, 0]) * ny + goals[:, 1])
-        queue = BucketRing.starting_at(flat, ABSTRACT_HEADINGS * nx * ny, self._margin, buckets)
-        incoming = self.incoming.reshape(-1)
-        while (end := search(incoming, self._offsets, queue, self._margin, 1.0 / width, _ENTRIES)) != DONE:
-            if end == FULL:
-                queue = queue.with_more_room()
-            yield
-        inside = queue.distance[self._margin : len(queue.distance) - self._margin]
-        return inside.reshape(ABSTRACT_HEADINGS, nx, ny)
+        flat, which = np.unique((goals[:, 2] * nx + goals[:, 0]) * ny + goals[:, 1], return_inverse=True)
+        costs = np.full(len(flat), np.inf)
+        np.minimum.at(costs, which.ravel(), 0.0 if initial is None else np.asarray(initial, dtype=float))
+        return flat, costs
 
     def bridged(self, distances: np.ndarray) -> np.ndarray:
         """Returns costs-to-go with values for states between the ends of an action.

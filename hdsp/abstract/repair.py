@@ -10,9 +10,10 @@ from hdsp.robot.lattice import N_ABSTRACT_ACTIONS
 
 
 @njit()
-def repair(incoming, offsets, distance, margin, goal, sources, most):
+def repair(incoming, offsets, distance, margin, initial, sources, most):
     """Updates `distance` in place; flat arrays and indices as in `hdsp.abstract.dijkstra.search`.
 
+    `initial` is the cost from a state straight to a goal, inf for most states.
     Returns False if more than `most` states would be dropped, or too many searched again; `distance` is then invalid.
     """
     given_up = np.zeros(len(distance), np.bool_)
@@ -20,13 +21,13 @@ def repair(incoming, offsets, distance, margin, goal, sources, most):
     lost = np.empty(most, np.int64)
     count = 0
     # In order of former cost: every state that may explain another one is decided before it.
-    waiting = [(distance[state], state) for state in sources if state != goal and distance[state] < np.inf]
+    waiting = [(distance[state], state) for state in sources if distance[state] < np.inf]
     for _, state in waiting:
         queued[state] = True
     heapq.heapify(waiting)
     while waiting:
         former, state = heapq.heappop(waiting)
-        if _least(incoming, offsets, distance, given_up, margin, state) <= former:
+        if _least(incoming, offsets, distance, initial, given_up, margin, state) <= former:
             continue
         if count == most:
             return False
@@ -36,14 +37,14 @@ def repair(incoming, offsets, distance, margin, goal, sources, most):
         for action in range(N_ABSTRACT_ACTIONS):
             before = _neighbour(state, offsets[action], action, margin, len(distance))
             cost = incoming[(state - margin) * N_ABSTRACT_ACTIONS + action]
-            if cost < np.inf and not queued[before] and before != goal and distance[before] == former + cost:
+            if cost < np.inf and not queued[before] and distance[before] == former + cost:
                 queued[before] = True
                 heapq.heappush(waiting, (distance[before], before))
     for state in lost[:count]:
         distance[state] = np.inf
     for group in (lost[:count], sources):
         for state in group:
-            least = _least(incoming, offsets, distance, given_up, margin, state)
+            least = _least(incoming, offsets, distance, initial, given_up, margin, state)
             if least < distance[state]:
                 distance[state] = least
                 waiting.append((least, state))
@@ -80,9 +81,9 @@ def _neighbour(state, offset, action, margin, length):
 
 
 @njit()
-def _least(incoming, offsets, distance, given_up, margin, state):
-    """Least cost over successors that were not dropped."""
-    least = np.inf
+def _least(incoming, offsets, distance, initial, given_up, margin, state):
+    """Least cost straight to a goal, or over successors that were not dropped."""
+    least = initial[state]
     for action in range(N_ABSTRACT_ACTIONS):
         after = _neighbour(state, -offsets[action], action, margin, len(distance))
         if distance[after] < np.inf and not given_up[after]:

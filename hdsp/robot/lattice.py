@@ -112,6 +112,24 @@ def detailed_to_abstract(states: np.ndarray) -> np.ndarray:
     return np.concatenate([position, heading[..., None]], axis=-1)
 
 
+def surrounding_abstract(states: np.ndarray) -> np.ndarray:
+    """Abstract states whose anchors surround detailed states, for interpolation.
+
+    Args:
+        states: int64 [n, >=3], lattice units.
+
+    Returns:
+        int64 [n, 8, 3], (ix, iy, heading), possibly off the map; some coincide where a state lies on a line of anchors.
+    """
+    states = np.asarray(states, dtype=np.int64)[:, :3]
+    scale = np.array([CELLS_PER_ABSTRACT, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT])
+    below, beyond = np.divmod(states - (ABSTRACT_ANCHOR, ABSTRACT_ANCHOR, 0), scale)
+    upper = np.array([[n >> 2 & 1, n >> 1 & 1, n & 1] for n in range(8)])
+    around = below[:, None] + np.where(beyond[:, None] > 0, upper, 0)
+    around[..., 2] %= ABSTRACT_HEADINGS
+    return around
+
+
 def abstract_steps(displacement: ArrayLike) -> np.ndarray:
     """Converts displacements (dx, dy, dtheta) [..., 3] from metres and radians to steps of 10 cm and 22.5 degrees."""
     return np.asarray(displacement, dtype=float) / _ABSTRACT_STEP

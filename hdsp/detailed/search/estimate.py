@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.detailed.search.interpolation import CostsToGo, interpolated, no_costs_to_go
 from hdsp.detailed.states import unpack
 from hdsp.robot.lattice import HEADINGS, metres
 
@@ -31,6 +32,7 @@ class Estimate(NamedTuple):
         cells: detailed cells per table cell.
         heading_steps: detailed headings per table heading.
         outside: cost added to the geometric part where the table is inf or ends; inf excludes these states.
+        to_go: costs-to-go of abstract states, interpolated between them.
         region: int32, flat as in ``World``, region of each foothold (see ``foothold_regions``).
         effort: float32 [4 * regions], per foot the least effort of steps from a region to the goal; empty = none.
         feet, n_offsets, n_samples, pad, stride: positions of the feet, as in ``World`` and its tables.
@@ -51,6 +53,7 @@ class Estimate(NamedTuple):
     cells: int
     heading_steps: int
     outside: float
+    to_go: CostsToGo
     region: np.ndarray
     effort: np.ndarray
     feet: np.ndarray
@@ -114,6 +117,9 @@ def estimate(e, key):
         h += e.foot * _feet(e.goal_feet, o0, o1, o2, o3)
     if len(e.effort) > 0:
         h += _steps(e, ix, iy, heading, o0, o1, o2, o3)
+    if len(e.to_go.values) > 0:
+        between = interpolated(e.to_go, key)
+        h = h + e.outside if between == np.inf else max(h, between)
     return h
 
 
@@ -167,6 +173,7 @@ def geometric_estimate(world, goals, groups=None) -> Estimate:
         cells=1,
         heading_steps=1,
         outside=0.0,
+        to_go=no_costs_to_go(world),
         region=NO_REGION,
         effort=NO_TABLE,
         feet=world.tables.feet,

@@ -5,23 +5,27 @@ from __future__ import annotations
 import numpy as np
 
 from hdsp.abstract.abstract_costs import AbstractCosts, LocalCosts, Region, edge_steps
+from hdsp.abstract.cut_off import reconnect
 from hdsp.abstract.prepared_graph import PreparedGraph
 from hdsp.base.gradual import Gradual, Steps, finished
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, efforts_to, foothold_region_steps
 from hdsp.detailed.search.estimate import Estimate, geometric_estimate, least_foot_cost, with_step_efforts
+from hdsp.detailed.search.interpolation import CostsToGo
 from hdsp.detailed.world.world import World
+from hdsp.planning.heuristics.goal_sources import Sources, goal_sources
 from hdsp.planning.heuristics.heuristic import Heuristic
-from hdsp.planning.heuristics.standing import standing_states, standing_steps
+from hdsp.planning.heuristics.standing import standing_steps, uneven_cells
 from hdsp.planning.map_changes import changed_cells
 from hdsp.robot.lattice import (
     ABSTRACT_HEADINGS,
     CELLS_PER_ABSTRACT,
     HEADINGS_PER_ABSTRACT,
-    abstract_shape,
-    detailed_to_abstract,
 )
 from hdsp.terrain.height_map import HeightMap
+
+#: Price of an action that the abstraction judges infeasible, relative to its cost on even ground.
+DOUBT = 3.0
 
 
 class AbstractHeuristic(Heuristic):
@@ -48,8 +52,9 @@ class AbstractHeuristic(Heuristic):
         super().__init__(world)
         self.name, self.costs, self.terrain = name, costs, terrain
         self._graph: PreparedGraph | None = None
-        self._standing = np.empty(0, bool)  # of the graph
-        self._reached: tuple[np.ndarray, np.ndarray] | None = None  # abstract goals int64 [n, 3], distances to them
+        self._feet = np.empty(0, np.int32)  # of the graph: feet where the robot can stand, else -1
+        self._uneven = np.empty(0, bool)  # abstract cells around which feet may step
+        self._reached: tuple[Sources, np.ndarray] | None = None  # abstract goals and distances to them
         self._foothold_regions: FootholdRegions | None = None
         self._preparation: Gradual[None] | None = None  # begun, and not yet complete
 
@@ -72,9 +77,9 @@ class AbstractHeuristic(Heuristic):
 
     def steps_to(self, goals: np.ndarray, groups: np.ndarray | None = None) -> Steps[Estimate]:
         yield from self._prepared()
-        abstract = self._abstract_goals(goals)
-        if self._reached is None or not np.array_equal(self._reached[0], abstract):
-            self._reached = abstract, (yield from self.graph.distance_steps(abstract))
+        sources = self._sources(goals)
+        if self._reached is None or not self._reached[0].equal(sources):
+            self._reached = sources, (yield from self.graph.distance_steps(*sources))
         return (yield from super().steps_to(goals, groups))
 
     def _prepared(self) -> Steps[None]:
@@ -91,13 +96,13 @@ class AbstractHeuristic(Heuristic):
         if self._foothold_regions is None:
             self._foothold_regions = yield from foothold_region_steps(world, Rules(), least_foot_cost(world))
         if self._graph is None:
-            standing = yield from standing_steps(world)
-            edges = yield from edge_steps(self.costs, terrain, standing)
+            feet = yield from standing_steps(world)
+            edges = yield from edge_steps(self.costs, terrain, feet >= 0)
             yield
             graph = PreparedGraph.from_edges(edges)
             yield
             _ = graph.passed_over
-            self._standing, self._graph = standing, graph
+            self._feet, self._uneven, self._graph = feet, uneven_cells(world), graph
 
     def clear(self) -> None:
         super().clear()
@@ -107,30 +112,35 @@ class AbstractHeuristic(Heuristic):
         return self.estimate_for_nearest(goal[None], np.zeros(1, dtype=np.int64))
 
     def estimate_for_nearest(self, goals: np.ndarray, groups: np.ndarray) -> Estimate:
-        to_go = self._cost_to_go(self._abstract_goals(goals))
+        to_go = self._cost_to_go(self._sources(goals))
         finite = to_go[np.isfinite(to_go)]
         efforts = efforts_to(self.foothold_regions, self.world, goals)
         geometric = geometric_estimate(self.world, goals, groups)
-        view = with_step_efforts(geometric, self.foothold_regions.region, efforts)
-        return view._replace(
-            table=np.ascontiguousarray(to_go, dtype=np.float32).ravel(),
-            table_nx=to_go.shape[1],
-            table_ny=to_go.shape[2],
-            cells=CELLS_PER_ABSTRACT,
-            heading_steps=HEADINGS_PER_ABSTRACT,
+        return with_step_efforts(geometric, self.foothold_regions.region, efforts)._replace(
+            to_go=CostsToGo(
+                np.ascontiguousarray(to_go, dtype=np.float32).ravel(), self._feet.ravel(), self._uneven.ravel(),
+                *to_go.shape[1:], self.world,
+            ),
             outside=float(finite.max()) if len(finite) else 0.0,
-        )
+        )  # fmt: skip
 
-    def _abstract_goals(self, goals: np.ndarray) -> np.ndarray:
-        """Distinct abstract states, int64 [n, 3] (ix, iy, heading), of goals [n, 7]."""
-        # Cells at the map's far borders may belong to no whole abstract cell.
-        last = *(n - 1 for n in abstract_shape(self.terrain.shape)), ABSTRACT_HEADINGS - 1
-        return np.unique(np.minimum(detailed_to_abstract(goals), last), axis=0)
+    def _sources(self, goals: np.ndarray) -> Sources:
+        self.prepare()
+        return goal_sources(self.world, self._feet >= 0, goals)
 
-    def _cost_to_go(self, goals: np.ndarray) -> np.ndarray:
-        if self._reached is None or not np.array_equal(self._reached[0], goals):
-            self._reached = goals, self.graph.distances(goals)
-        return self.graph.bridged(self._reached[1]).astype(np.float32)
+    def _cost_to_go(self, sources: Sources) -> np.ndarray:
+        if self._reached is None or not self._reached[0].equal(sources):
+            self._reached = sources, self.graph.distances(*sources)
+        to_go = self.graph.bridged(self._reached[1])
+        reconnect(to_go, (self._feet >= 0) | self.graph.passed_over, self._prices())
+        return to_go
+
+    def _prices(self) -> np.ndarray:
+        """Prices of actions that the abstraction judges infeasible, float64 [16, 22]; see ``reconnect``."""
+        t = self.world.tables
+        drives = CELLS_PER_ABSTRACT * t.drive_price[0, ::HEADINGS_PER_ABSTRACT, : len(t.move_dx)]
+        turns = np.full((ABSTRACT_HEADINGS, 2), HEADINGS_PER_ABSTRACT * self.world.constants.turn)
+        return DOUBT * np.concatenate([drives, turns], axis=1)
 
     def update(self, world: World, terrain: HeightMap, region: Region | None = None) -> None:
         """See ``Heuristic.update``.
@@ -144,11 +154,12 @@ class AbstractHeuristic(Heuristic):
         if self._graph is None or changed is None or not isinstance(self.costs, LocalCosts):
             self._graph = self._reached = None
             return
-        standing = standing_states(world)
+        feet, before = finished(standing_steps(world)), self._feet >= 0
+        standing = feet >= 0
         # States at which the robot could not stand before have no edges yet.
-        stale = standing & (self.costs.affected(changed) | ~self._standing)
-        states = np.argwhere(stale | (self._standing & ~standing))
-        self._standing = standing
+        stale = standing & (self.costs.affected(changed) | ~before)
+        states = np.argwhere(stale | (before & ~standing))
+        self._feet, self._uneven = feet, uneven_cells(world)
         if len(states) == 0:
             return
         (_, *first), (_, *last) = states.min(axis=0), states.max(axis=0)
@@ -157,6 +168,5 @@ class AbstractHeuristic(Heuristic):
         k, a, b = states.T
         self._graph = self._graph.with_edges(states, edges[k, a - first[0], b - first[1]])
         if self._reached is not None:
-            goals, distances = self._reached
-            # A repair keeps the costs of one goal; those of several goals are computed again at the next query.
-            self._reached = (goals, self._graph.repaired(distances, goals[0], states)) if len(goals) == 1 else None
+            sources, distances = self._reached
+            self._reached = sources, self._graph.repaired(distances, sources.states, states, sources.costs)

@@ -1,10 +1,13 @@
-"""Abstract states at which the robot can stand."""
+"""Abstract states at which the robot can stand, and its feet there."""
+
+import math
 
 import numpy as np
 
 from hdsp.base.gradual import Steps, finished
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import foot_row
+from hdsp.detailed.states import pack
 from hdsp.detailed.world.body import body_is_free
 from hdsp.detailed.world.world import World, cell_index
 from hdsp.robot.lattice import (
@@ -23,19 +26,39 @@ def standing_states(world: World) -> np.ndarray:
 
     Some feet have footholds, far enough apart, and the body is free over the footholds nearest to neutral.
     """
-    return finished(standing_steps(world))
+    return finished(standing_steps(world)) >= 0
 
 
 def standing_steps(world: World) -> Steps[np.ndarray]:
-    """Like `standing_states`, in short steps."""
+    """Feet at abstract states, in short steps.
+
+    Returns:
+        int32 [16, nx, ny], the footholds nearest to neutral, as packed bits (`hdsp.detailed.states`); -1 where the
+        robot cannot stand.
+    """
     nx, ny = abstract_shape((world.nx, world.ny))
-    result = np.zeros((ABSTRACT_HEADINGS, nx, ny), dtype=np.bool_)
+    result = np.full((ABSTRACT_HEADINGS, nx, ny), -1, dtype=np.int32)
     rows = max(1, _STATES // max(ny, 1))
     for k in range(ABSTRACT_HEADINGS):
         for first in range(0, nx, rows):
             _find_standing(world, result, k, first, min(first + rows, nx))
             yield
     return result
+
+
+def uneven_cells(world: World) -> np.ndarray:
+    """Abstract cells around which a foot within its reach may meet an edge, bool [nx, ny]."""
+    from scipy.ndimage import maximum_filter
+
+    nx, ny = abstract_shape((world.nx, world.ny))
+    size = CELLS_PER_ABSTRACT
+    inner = slice(world.pad, world.pad + size * nx), slice(world.pad, world.pad + size * ny)
+    blocked = ~world.standable.reshape(-1, world.stride)[inner]
+    blocks = blocked.reshape(nx, size, ny, size).any(axis=(1, 3))
+    c, t = world.constants, world.tables
+    reach = math.hypot(c.neutral_x + max(-t.lowest, t.n_offsets - 1 + t.lowest), c.neutral_y)
+    width = 2 * math.ceil(reach / size + 1) + 1
+    return maximum_filter(blocks, width, mode="constant", cval=True)
 
 
 @njit()
@@ -49,23 +72,19 @@ def _find_standing(world, result, k, first, end):
         for b in range(result.shape[2]):
             ix, iy = CELLS_PER_ABSTRACT * a + ABSTRACT_ANCHOR, CELLS_PER_ABSTRACT * b + ABSTRACT_ANCHOR
             p = cell_index(world, ix, iy)
-            result[k, a, b] = (
-                _side_stands(standable, feet, samples, n, p, left_front, left_rear, apart)
-                and _side_stands(standable, feet, samples, n, p, right_front, right_rear, apart)
-                and _is_free_near_neutral(world, heading, p)
-            )
-
-
-@njit(inline="always")
-def _is_free_near_neutral(world, heading, p):
-    """Whether the body is free over the feet nearest to neutral; each foot has some foothold."""
-    o0, o1 = _nearest_to_neutral(world, heading, p, 0), _nearest_to_neutral(world, heading, p, 1)
-    o2, o3 = _nearest_to_neutral(world, heading, p, 2), _nearest_to_neutral(world, heading, p, 3)
-    return body_is_free(world, heading, p, o0, o1, o2, o3)
+            if not _side_stands(standable, feet, samples, n, p, left_front, left_rear, apart):
+                continue
+            if not _side_stands(standable, feet, samples, n, p, right_front, right_rear, apart):
+                continue
+            o0, o1 = _nearest_to_neutral(world, heading, p, 0), _nearest_to_neutral(world, heading, p, 1)
+            o2, o3 = _nearest_to_neutral(world, heading, p, 2), _nearest_to_neutral(world, heading, p, 3)
+            if body_is_free(world, heading, p, o0, o1, o2, o3):
+                result[k, a, b] = np.int32(pack(0, 0, 0, o0, o1, o2, o3))
 
 
 @njit(inline="always")
 def _nearest_to_neutral(world, heading, p, foot):
+    """Offset, counted from the lowest, of a foot's foothold nearest to neutral; the foot has some foothold."""
     t = world.tables
     best = -t.lowest
     farther = max(-t.lowest, t.n_offsets - 1 + t.lowest) + 1

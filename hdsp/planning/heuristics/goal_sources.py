@@ -1,0 +1,73 @@
+"""Abstract states around goals, and the cost from each to its goal: sources for the search of costs-to-go."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.detailed.world.world import World
+from hdsp.robot.lattice import (
+    ABSTRACT_HEADINGS,
+    DRIVE_MOVES,
+    HEADINGS,
+    abstract_anchor,
+    detailed_to_abstract,
+    metres,
+    surrounding_abstract,
+)
+
+
+class Sources(NamedTuple):
+    """Sources of a search for costs-to-go.
+
+    Attributes:
+        states: int64 [n, 3], distinct abstract states (ix, iy, heading).
+        costs: float64 [n], cost from each to a goal.
+    """
+
+    states: np.ndarray
+    costs: np.ndarray
+
+    def equal(self, other: "Sources") -> bool:
+        """Whether both have the same states and costs."""
+        return np.array_equal(self.states, other.states) and np.array_equal(self.costs, other.costs)
+
+
+def goal_sources(world: World, standing: np.ndarray, goals: np.ndarray) -> Sources:
+    """Returns the abstract states from which a search for costs-to-go begins.
+
+    They surround the goals, as the goals seldom lie on an anchor. The cost from an anchor to the goal is the cost of
+    the straight way, and of the turn, on even ground. A goal around which the robot can stand at no anchor has its own
+    abstract state as its source.
+
+    Args:
+        world: terrain and robot.
+        standing: bool [16, nx, ny], abstract states at which the robot can stand.
+        goals: int64 [n, 7], lattice units.
+    """
+    last = np.array([*standing.shape[1:], ABSTRACT_HEADINGS]) - 1
+    around = surrounding_abstract(goals)  # [n, 8, 3]
+    inside = ((around >= 0) & (around <= last)).all(axis=2)
+    states = np.clip(around, 0, last)
+    stands = inside & standing[states[..., 2], states[..., 0], states[..., 1]]
+    own = np.minimum(detailed_to_abstract(goals), last)[~stands.any(axis=1)]
+    chosen = np.concatenate([states[stands], own])
+    behind = np.broadcast_to(goals[:, None, :3], around.shape)[stands]
+    costs = np.concatenate([_straight_costs(world, states[stands], behind), np.zeros(len(own))])
+    distinct, which = np.unique(chosen, axis=0, return_inverse=True)
+    least = np.full(len(distinct), np.inf)
+    np.minimum.at(least, which.ravel(), costs)
+    return Sources(distinct, least)
+
+
+def _straight_costs(world: World, states: np.ndarray, goals: np.ndarray) -> np.ndarray:
+    """Costs, float64 [n], from the anchors of abstract states [n, 3] to base poses [n, 3] on even ground."""
+    t = world.tables
+    anchors = abstract_anchor(states)
+    away = goals - anchors
+    turned = abs((away[:, 2] + HEADINGS // 2) % HEADINGS - HEADINGS // 2)
+    directions = np.arctan2(DRIVE_MOVES[:, 1], DRIVE_MOVES[:, 0])
+    off = np.arctan2(away[:, 1], away[:, 0])[:, None] - directions
+    nearest = abs(np.mod(off + np.pi, 2 * np.pi) - np.pi).argmin(axis=1)
+    factor = t.deviation[anchors[:, 2], nearest]
+    factor = np.where(np.isfinite(factor), factor, t.deviation[np.isfinite(t.deviation)].max())
+    return metres(np.hypot(away[:, 0], away[:, 1])) * factor + world.constants.turn * turned
