@@ -112,22 +112,23 @@ def detailed_to_abstract(states: np.ndarray) -> np.ndarray:
     return np.concatenate([position, heading[..., None]], axis=-1)
 
 
-def surrounding_abstract(states: np.ndarray) -> np.ndarray:
+def surrounding_abstract(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Abstract states whose anchors surround detailed states, for interpolation.
 
     Args:
         states: int64 [n, >=3], lattice units.
 
     Returns:
-        int64 [n, 8, 3], (ix, iy, heading), possibly off the map; some coincide where a state lies on a line of anchors.
+        States int64 [n, 8, 3], (ix, iy, heading), possibly off the map, and their shares float64 [n, 8] with sum 1.
     """
     states = np.asarray(states, dtype=np.int64)[:, :3]
     scale = np.array([CELLS_PER_ABSTRACT, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT])
     below, beyond = np.divmod(states - (ABSTRACT_ANCHOR, ABSTRACT_ANCHOR, 0), scale)
     upper = np.array([[n >> 2 & 1, n >> 1 & 1, n & 1] for n in range(8)])
-    around = below[:, None] + np.where(beyond[:, None] > 0, upper, 0)
+    around = below[:, None] + upper
     around[..., 2] %= ABSTRACT_HEADINGS
-    return around
+    part = beyond[:, None] / scale
+    return around, np.where(upper, part, 1 - part).prod(axis=2)
 
 
 def abstract_steps(displacement: ArrayLike) -> np.ndarray:

@@ -1,6 +1,6 @@
 """The heuristic in the form for the kernels: a flat array and a lookup rule, without calls into Python.
 
-``h = max(geometric, table) + feet + steps``. Each part can be switched off.
+``h = max(max(geometric, table) + feet + steps, costs-to-go between abstract states)``. Each part can be switched off.
 """
 
 from typing import NamedTuple
@@ -10,7 +10,7 @@ import numpy as np
 from hdsp.base.jit import njit
 from hdsp.detailed.search.interpolation import CostsToGo, interpolated, no_costs_to_go
 from hdsp.detailed.states import unpack
-from hdsp.robot.lattice import HEADINGS, metres
+from hdsp.robot.lattice import CELLS_PER_ABSTRACT, HEADINGS, metres
 
 
 class Estimate(NamedTuple):
@@ -99,7 +99,8 @@ def _way(e, ix, iy, heading):
 def estimate(e, key):
     """Estimated cost from a packed state to the goal, float64."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
-    h = _way(e, ix, iy, heading)
+    way = _way(e, ix, iy, heading)
+    h = way
     if len(e.table) > 0:
         a, b = ix // e.cells, iy // e.cells
         k = ((heading + e.heading_steps // 2) // e.heading_steps) % (HEADINGS // e.heading_steps)
@@ -119,6 +120,8 @@ def estimate(e, key):
         h += _steps(e, ix, iy, heading, o0, o1, o2, o3)
     if len(e.to_go.values) > 0:
         between = interpolated(e.to_go, key)
+        # Interpolation rounds off the tip at the goal; the value falls to 0 over the last abstract cell.
+        between *= min(1.0, way / (CELLS_PER_ABSTRACT * e.distance))
         h = h + e.outside if between == np.inf else max(h, between)
     return h
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import foot_row, merged_cost
-from hdsp.detailed.states import foot_offset, foot_shift, unpack
+from hdsp.detailed.states import FEET_MASK, foot_offset, foot_shift, neutral_feet, unpack
 from hdsp.detailed.world.world import World, cell_index, step_effort
 from hdsp.robot.lattice import ABSTRACT_ANCHOR, ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT
 
@@ -63,11 +63,27 @@ def no_costs_to_go(world: World) -> CostsToGo:
 @njit(allocates=False)
 def interpolated(table, key):
     """Cost-to-go of a packed state, float64; inf without a known abstract state around it."""
-    ix, iy, heading, _, _, _, _ = unpack(key)
+    ix, iy, heading, o0, o1, o2, o3 = unpack(key)
+    world = table.world
+    t, c = world.tables, world.constants
     x, y = ix - ABSTRACT_ANCHOR, iy - ABSTRACT_ANCHOR
     a0, b0, k0 = x // CELLS_PER_ABSTRACT, y // CELLS_PER_ABSTRACT, heading // HEADINGS_PER_ABSTRACT
     far_x, far_y, far_k = x % CELLS_PER_ABSTRACT, y % CELLS_PER_ABSTRACT, heading % HEADINGS_PER_ABSTRACT
-    correct = table.uneven[(ix // CELLS_PER_ABSTRACT) * table.ny + iy // CELLS_PER_ABSTRACT]
+    a, b = min(ix // CELLS_PER_ABSTRACT, table.nx - 1), min(iy // CELLS_PER_ABSTRACT, table.ny - 1)
+    neutral = key & FEET_MASK == neutral_feet(t.lowest)
+    prices = 1.0, 0.0, 0.0, 0.0, 0.0  # of a step, relative to its effort, and of rolling each foot by a cell
+    correct = not neutral or table.uneven[a * table.ny + b]
+    if correct:
+        p = cell_index(world, ix, iy)
+        s0 = world.uneven[p + t.contacts[foot_row(t, heading, 0, o0)]]
+        s1 = world.uneven[p + t.contacts[foot_row(t, heading, 1, o1)]]
+        s2 = world.uneven[p + t.contacts[foot_row(t, heading, 2, o2)]]
+        s3 = world.uneven[p + t.contacts[foot_row(t, heading, 3, o3)]]
+        cost = merged_cost(c.unevenness, s0, s1, s2, s3)
+        if cost == np.inf:
+            return np.inf
+        roll, more = c.foot_move, 10.0 * c.unevenness * c.foot_move
+        prices = cost, roll + more * s0, roll + more * s1, roll + more * s2, roll + more * s3
     total, weights = 0.0, 0.0
     for i in range(2):
         a, in_x = a0 + i, (far_x if i else CELLS_PER_ABSTRACT - far_x)
@@ -87,55 +103,51 @@ def interpolated(table, key):
                     continue
                 if correct:
                     moved_x, moved_y = CELLS_PER_ABSTRACT * i - far_x, CELLS_PER_ABSTRACT * j - far_y
-                    value += _correction(table, key, place, moved_x, moved_y)
+                    along = moved_x * t.ahead[heading, 0] + moved_y * t.ahead[heading, 1]
+                    value += _correction(table, key, place, np.int64(np.rint(along)), prices)
                 weight = np.float64(in_x * in_y * in_k)
                 total += weight * value
                 weights += weight
     if weights == 0:
         return np.inf
-    return total / weights + PUT_OFF * _put_off(table.world, key)
+    between = max(total / weights, 0.0)
+    return between if neutral else between + PUT_OFF * _put_off(world, key)
 
 
 @njit(allocates=False)
-def _correction(table, key, place, moved_x, moved_y):
+def _correction(table, key, place, along, prices):
     """Cost of the work by which the feet of a state are behind their reference at an anchor; negative if ahead.
 
     Args:
         table: the table.
         key: packed state.
         place: index of the anchor's abstract state.
-        moved_x, moved_y: from the base to the anchor, cells.
+        along: distance of the anchor ahead of the base, cells.
+        prices: of a step, relative to its effort, and of rolling each foot by one cell.
     """
     world = table.world
-    t, c = world.tables, world.constants
-    ix, iy, heading, o0, o1, o2, o3 = unpack(key)
+    t = world.tables
+    ix, iy, heading, _, _, _, _ = unpack(key)
     p = cell_index(world, ix, iy)
-    s0 = world.uneven[p + t.contacts[foot_row(t, heading, 0, o0)]]
-    s1 = world.uneven[p + t.contacts[foot_row(t, heading, 1, o1)]]
-    s2 = world.uneven[p + t.contacts[foot_row(t, heading, 2, o2)]]
-    s3 = world.uneven[p + t.contacts[foot_row(t, heading, 3, o3)]]
-    cost = merged_cost(c.unevenness, s0, s1, s2, s3)
-    if cost == np.inf:
-        return 0.0
-    along = np.int64(np.rint(moved_x * t.ahead[heading, 0] + moved_y * t.ahead[heading, 1]))
-    result, rolls = 0.0, 0.0
+    steps, rolling = 0.0, 0.0
     for foot in range(4):
         offset = foot_offset(key, foot_shift(foot))
-        reference = foot_offset(np.int64(table.feet[place]), foot_shift(foot)) if table.feet[place] >= 0 else -t.lowest
-        s = s0 if foot == 0 else s1 if foot == 1 else s2 if foot == 2 else s3
-        roll = c.foot_move * (1.0 + 10.0 * c.unevenness * s)
+        reference = -t.lowest
+        if table.feet[place] >= 0:
+            reference = foot_offset(np.int64(table.feet[place]), foot_shift(foot))
+        roll = prices[1] if foot == 0 else prices[2] if foot == 1 else prices[3] if foot == 2 else prices[4]
         at = min(max(reference + along, 0), t.n_offsets - 1)
-        work = _steps_between(world, heading, foot, p, min(offset, at), max(offset, at), cost, roll)
+        work = _steps_between(world, heading, foot, p, min(offset, at), max(offset, at), prices[0], roll)
         if at >= offset:
-            result += work
-            rolls += roll * (reference - offset)
+            steps += work
+            rolling += roll * (reference - offset)
         elif work > 0 and _falls(table, ix, iy, heading, min(offset - reference, _AHEAD)):
-            result -= work
-            rolls -= roll * (offset - reference)
+            steps -= work
+            rolling -= roll * (offset - reference)
         else:
-            rolls += roll * abs(reference - offset)
+            rolling += roll * abs(reference - offset)
     # Near a goal that leaves the feet free, no rolling remains.
-    return result + min(rolls, np.float64(table.values[place]))
+    return steps + min(rolling, np.float64(table.values[place]))
 
 
 @njit(allocates=False)

@@ -79,7 +79,7 @@ class AbstractHeuristic(Heuristic):
         yield from self._prepared()
         sources = self._sources(goals)
         if self._reached is None or not self._reached[0].equal(sources):
-            self._reached = sources, (yield from self.graph.distance_steps(*sources))
+            self._reached = sources, (yield from self.graph.distance_steps(sources.states, sources.costs))
         return (yield from super().steps_to(goals, groups))
 
     def _prepared(self) -> Steps[None]:
@@ -130,8 +130,9 @@ class AbstractHeuristic(Heuristic):
 
     def _cost_to_go(self, sources: Sources) -> np.ndarray:
         if self._reached is None or not self._reached[0].equal(sources):
-            self._reached = sources, self.graph.distances(*sources)
+            self._reached = sources, self.graph.distances(sources.states, sources.costs)
         to_go = self.graph.bridged(self._reached[1])
+        to_go -= sources.excess
         reconnect(to_go, (self._feet >= 0) | self.graph.passed_over, self._prices())
         return to_go
 

@@ -21,23 +21,27 @@ class Sources(NamedTuple):
 
     Attributes:
         states: int64 [n, 3], distinct abstract states (ix, iy, heading).
-        costs: float64 [n], cost from each to a goal.
+        costs: float64 [n], cost from each to a goal, plus ``excess``.
+        excess: costs-to-go between the sources exceed the cost to the goal by this much.
     """
 
     states: np.ndarray
     costs: np.ndarray
+    excess: float
 
     def equal(self, other: "Sources") -> bool:
         """Whether both have the same states and costs."""
-        return np.array_equal(self.states, other.states) and np.array_equal(self.costs, other.costs)
+        same = np.array_equal(self.states, other.states) and np.array_equal(self.costs, other.costs)
+        return same and self.excess == other.excess
 
 
 def goal_sources(world: World, standing: np.ndarray, goals: np.ndarray) -> Sources:
     """Returns the abstract states from which a search for costs-to-go begins.
 
     They surround the goals, as the goals seldom lie on an anchor. The cost from an anchor to the goal is the cost of
-    the straight way, and of the turn, on even ground. A goal around which the robot can stand at no anchor has its own
-    abstract state as its source.
+    the straight way, and of the turn, on even ground. Their interpolation at the goal is above 0: the excess, which a
+    reader of costs-to-go subtracts. A goal around which the robot can stand at no anchor has its own abstract state as
+    its source.
 
     Args:
         world: terrain and robot.
@@ -45,18 +49,22 @@ def goal_sources(world: World, standing: np.ndarray, goals: np.ndarray) -> Sourc
         goals: int64 [n, 7], lattice units.
     """
     last = np.array([*standing.shape[1:], ABSTRACT_HEADINGS]) - 1
-    around = surrounding_abstract(goals)  # [n, 8, 3]
+    around, shares = surrounding_abstract(goals)
     inside = ((around >= 0) & (around <= last)).all(axis=2)
     states = np.clip(around, 0, last)
-    stands = inside & standing[states[..., 2], states[..., 0], states[..., 1]]
-    own = np.minimum(detailed_to_abstract(goals), last)[~stands.any(axis=1)]
-    chosen = np.concatenate([states[stands], own])
-    behind = np.broadcast_to(goals[:, None, :3], around.shape)[stands]
-    costs = np.concatenate([_straight_costs(world, states[stands], behind), np.zeros(len(own))])
-    distinct, which = np.unique(chosen, axis=0, return_inverse=True)
+    shares = shares * (inside & standing[states[..., 2], states[..., 0], states[..., 1]])
+    alone = shares.sum(axis=1) == 0
+    states[alone, 0], shares[alone, 0] = np.minimum(detailed_to_abstract(goals[alone]), last), 1.0
+    behind = np.broadcast_to(goals[:, None, :3], around.shape)
+    costs = _straight_costs(world, states.reshape(-1, 3), behind.reshape(-1, 3)).reshape(shares.shape)
+    costs[alone] = 0.0
+    excess = (shares * costs).sum(axis=1) / shares.sum(axis=1)
+    most = float(excess.max())
+    chosen = shares > 0
+    distinct, which = np.unique(states[chosen], axis=0, return_inverse=True)
     least = np.full(len(distinct), np.inf)
-    np.minimum.at(least, which.ravel(), costs)
-    return Sources(distinct, least)
+    np.minimum.at(least, which.ravel(), (costs + (most - excess)[:, None])[chosen])
+    return Sources(distinct, least, most)
 
 
 def _straight_costs(world: World, states: np.ndarray, goals: np.ndarray) -> np.ndarray:
