@@ -189,15 +189,18 @@ def _steps_between(world, heading, foot, p, low, high, cost, roll):
     """Cost of the steps of a foot from one offset to a higher one, less the rolling that they save."""
     t, c, standable, height = world.tables, world.constants, world.standable, world.height
     before = low  # last foothold
-    while before > max(low - _NEAR, 0) and not standable[p + t.feet[foot_row(t, heading, foot, before)]]:
+    least = max(low - _NEAR, 0)
+    while before >= least and not standable[p + t.feet[foot_row(t, heading, foot, before)]]:
         before -= 1
+    at = max(before, low) + 1
+    if before < least:
+        before = -1  # none
     last = min(high + _NEAR, t.n_offsets - 1)
     work = 0.0
-    at = before + 1
     while at <= last:
         cell = p + t.feet[foot_row(t, heading, foot, at)]
         if standable[cell]:
-            if at - before > 1:
+            if before >= 0 and at - before > 1:
                 level = height[p + t.feet[foot_row(t, heading, foot, before)]]
                 effort = step_effort(c.step, c.step_per_metre, c.step_per_height, at - before, level, height[cell])
                 work += max(cost * effort - roll * (at - before), 0.0)

@@ -116,13 +116,16 @@ class AbstractHeuristic(Heuristic):
         finite = to_go[np.isfinite(to_go)]
         efforts = efforts_to(self.foothold_regions, self.world, goals)
         geometric = geometric_estimate(self.world, goals, groups)
-        return with_step_efforts(geometric, self.foothold_regions.region, efforts)._replace(
-            to_go=CostsToGo(
-                np.ascontiguousarray(to_go, dtype=np.float32).ravel(), self._feet.ravel(), self._uneven.ravel(),
-                *to_go.shape[1:], self.world,
-            ),
-            outside=float(finite.max()) if len(finite) else 0.0,
-        )  # fmt: skip
+        table = CostsToGo(
+            values=np.ascontiguousarray(to_go, dtype=np.float32).ravel(),
+            feet=self._feet.ravel(),
+            uneven=self._uneven.ravel(),
+            nx=to_go.shape[1],
+            ny=to_go.shape[2],
+            world=self.world,
+        )
+        view = with_step_efforts(geometric, self.foothold_regions.region, efforts)
+        return view._replace(to_go=table, outside=float(finite.max()) if len(finite) else 0.0)
 
     def _sources(self, goals: np.ndarray) -> Sources:
         self.prepare()
