@@ -135,7 +135,7 @@ class AbstractHeuristic(Heuristic):
         if self._reached is None or not self._reached[0].equal(sources):
             self._reached = sources, self.graph.distances(sources.states, sources.costs)
         to_go = self.graph.bridged(self._reached[1])
-        to_go -= sources.excess
+        to_go = np.maximum(to_go - sources.excess, 0.0)
         reconnect(to_go, (self._feet >= 0) | self.graph.passed_over, self._prices())
         return to_go
 

@@ -39,9 +39,11 @@ def goal_sources(world: World, standing: np.ndarray, goals: np.ndarray) -> Sourc
     """Returns the abstract states from which a search for costs-to-go begins.
 
     They surround the goals, as the goals seldom lie on an anchor. The cost from an anchor to the goal is the cost of
-    the straight way, and of the turn, on even ground. Their interpolation at the goal is above 0: the excess, which a
-    reader of costs-to-go subtracts. A goal around which the robot can stand at no anchor has its own abstract state as
-    its source.
+    the straight way, and of the turn, on even ground. Their interpolation at the goal is above 0. Costs-to-go exceed
+    the costs to the goal by up to this value where ways lead past many anchors, and by nothing where they end at the
+    best anchor. Half of it counts as the excess, which a reader of costs-to-go subtracts.
+
+    A goal around which the robot can stand at no anchor has its own abstract state as its source.
 
     Args:
         world: terrain and robot.
@@ -58,7 +60,7 @@ def goal_sources(world: World, standing: np.ndarray, goals: np.ndarray) -> Sourc
     behind = np.broadcast_to(goals[:, None, :3], around.shape)
     costs = _straight_costs(world, states.reshape(-1, 3), behind.reshape(-1, 3)).reshape(shares.shape)
     costs[alone] = 0.0
-    excess = (shares * costs).sum(axis=1) / shares.sum(axis=1)
+    excess = 0.5 * (shares * costs).sum(axis=1) / shares.sum(axis=1)
     most = float(excess.max())
     chosen = shares > 0
     distinct, which = np.unique(states[chosen], axis=0, return_inverse=True)
