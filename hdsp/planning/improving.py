@@ -90,7 +90,7 @@ def _rounds(
     began, spent, cost, world = now(), 0, np.inf, query.world
     proof = query.proof()
     guide = None if query.admissible else query.estimate
-    admissible = query.estimate if guide is None else query.geometric()
+    admissible = query.estimate if guide is None else query.grid_anchor()
     reached = ReachedStates(query.goal)
     while True:
         limits = query.limits

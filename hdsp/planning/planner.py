@@ -32,7 +32,7 @@ from hdsp.planning.ends.arrival import Arrival, Tolerance, arrival, poses_of, se
 from hdsp.planning.ends.departure import departure
 from hdsp.planning.ends.location import locate
 from hdsp.planning.ends.nearby import can_leave, nearest_to_leave
-from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
+from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, GridHeuristic, Heuristic
 from hdsp.planning.improving import improving_plans
 from hdsp.planning.map_changes import changed_cells
 from hdsp.planning.margin import with_margin
@@ -58,7 +58,7 @@ class Planner:
         terrain: height map with cells of up to 0.2 m, an array [nx, ny] of heights in m with ``resolution``, or the
             path of a map file.
         robot: a ``Robot``, the name of a preset, or the path to a YAML file.
-        heuristic: ``"geometric"``, ``"manual"``, ``"learned"`` (the shipped abstraction for this robot),
+        heuristic: ``"geometric"``, ``"grid"``, ``"manual"``, ``"learned"`` (the shipped abstraction for this robot),
             ``"learned:FOLDER"`` (a trained abstraction), any ``AbstractCosts``, or a ``Heuristic`` for the same terrain
             and robot.
         margin: distance between body and obstacles, m; see ``with_margin``.
@@ -106,6 +106,8 @@ class Planner:
         name = heuristic if isinstance(heuristic, str) else ""
         if name == "geometric":
             return GeometricHeuristic(self.world)
+        if name == "grid":
+            return GridHeuristic(self.world)
         if name == "manual":
             from hdsp.abstract.manual import ManualCosts
 
@@ -118,8 +120,8 @@ class Planner:
             costs = LearnedCosts(abstraction, robot=self.robot)
             return AbstractHeuristic(self.world, self.terrain, costs, "learned")
         raise InputError(
-            f"heuristic {shown(heuristic)}: need 'geometric', 'manual', 'learned', 'learned:FOLDER', an AbstractCosts "
-            "or a Heuristic"
+            f"heuristic {shown(heuristic)}: need 'geometric', 'grid', 'manual', 'learned', 'learned:FOLDER', an "
+            "AbstractCosts or a Heuristic"
         )
 
     @property
@@ -250,7 +252,7 @@ class Planner:
                 action away from them (``hdsp.planning.ends.way_out``). The plan's ``way_out`` counts these actions.
             weight: W >= 1 in weighted A*. With an admissible heuristic the cost is at most W times the optimum. None:
                 1.25 with a polish, for a heuristic that is not admissible and without an anchor; else 1.
-            anchor_weight: W2 >= 1 in multi-heuristic A*. The heuristic guides, the geometric heuristic is the anchor.
+            anchor_weight: W2 >= 1 in multi-heuristic A*. The heuristic guides, the grid heuristic is the anchor.
                 The cost is at most W * W2 times the optimum; ``bound`` states the proved factor, often a smaller one.
                 An admissible heuristic needs no anchor. None: weighted A*, without a proof if the heuristic is not
                 admissible. All proofs hold over all states in which the plan may end.
@@ -334,7 +336,7 @@ class Planner:
 
         Rounds of weighted A* with falling weights share their states. The search ends at a limit, or with a plan that
         costs at most the last weight times the optimum. A heuristic that is not admissible needs one more round with
-        the geometric heuristic, which may take long.
+        the grid heuristic, which may take long.
 
         Args:
             start, goal, tolerance, start_free, way_out: as in ``plan``.
@@ -441,6 +443,8 @@ class Planner:
 
 def _on_ground(world: World, estimate: Estimate, ends: Arrival) -> Estimate:
     """Returns an estimate for a world with other ground under the start, where the map has no foothold regions."""
+    if len(estimate.back.place) > 0:
+        return GridHeuristic(world).set_goals(ends.states, np.unique(ends.goal, return_inverse=True)[1].ravel())
     if len(estimate.effort) == 0:
         return estimate
     regions = find_foothold_regions(world, Rules(), least_foot_cost(world))

@@ -16,7 +16,7 @@ import numpy as np
 from hdsp.base.gradual import Gradual, now
 from hdsp.detailed.actions.action import action_of
 from hdsp.detailed.relaxed.proofs import Unreachable, nearest_state, proof_steps
-from hdsp.detailed.search.estimate import Estimate, geometric_estimate
+from hdsp.detailed.search.estimate import Estimate
 from hdsp.detailed.search.life_cycle import Hopeless, Progress, Search
 from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
@@ -27,7 +27,8 @@ from hdsp.planning.answers.findings import Inquiry
 from hdsp.planning.answers.plan_statistics import PlanStatistics
 from hdsp.planning.answers.plans import Plan
 from hdsp.planning.ends.way_out import WayOut
-from hdsp.planning.heuristics import Heuristic
+from hdsp.planning.heuristics import GridHeuristic, Heuristic
+from hdsp.planning.heuristics.grid import MEMORY
 from hdsp.robot.lattice import Grid
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -124,13 +125,13 @@ class Query:
         return self.plan_of(result, PlanStatistics(self.heuristic.name, float(weight)), reached)
 
     def anchored(self, weight: float, anchor_weight: float, hopeless: Hopeless | None = None) -> Plan:
-        """Searches with multi-heuristic A* and the geometric heuristic as the anchor; ``hopeless`` as in ``solve``."""
+        """Searches with multi-heuristic A* and the grid heuristic as the anchor; ``hopeless`` as in ``solve``."""
         reached = ReachedStates(self.goal)
         result = solve_multi(
             self.world,
             self.start,
             self.goals,
-            self.geometric(),
+            self.grid_anchor(),
             [self.estimate],
             weight=weight,
             anchor_weight=anchor_weight,
@@ -144,14 +145,15 @@ class Query:
             self.heuristic.name,
             float(weight),
             anchor_weight=float(anchor_weight),
-            expansions_by={"geometric": anchored, self.heuristic.name: guided},
+            expansions_by={"grid": anchored, self.heuristic.name: guided},
         )
         return self.plan_of(result, stats, reached)
 
-    def geometric(self) -> Estimate:
-        """Returns the geometric estimate for the goals."""
+    def grid_anchor(self) -> Estimate:
+        """Returns the grid heuristic's estimate for the goals, the consistent heuristic for all proofs."""
         groups = np.unique(self.goal_numbers, return_inverse=True)[1].ravel()
-        return geometric_estimate(self.world, self.goals, groups)
+        # Half of the memory, since the search needs the rest.
+        return GridHeuristic(self.world, min(MEMORY, self.limits.memory // 2)).set_goals(self.goals, groups)
 
     def plan_of(self, result: SearchResult, stats: PlanStatistics, reached: ReachedStates) -> Plan:
         """Returns the plan from a search in world coordinates; ``stats`` holds the search settings."""

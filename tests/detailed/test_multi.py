@@ -331,7 +331,7 @@ def test_plans_with_an_anchor_keep_their_bound(rough, heuristic):
     assert 0 < plan.stats["lower_bound"] <= least.cost
     assert plan.stats["anchor_weight"] == 1.3 and plan.stats["weight"] == 1.2
     by = plan.stats["expansions_by"]
-    assert sum(by.values()) == plan.stats["expansions"] and list(by) == ["geometric", planner.heuristic.name]
+    assert sum(by.values()) == plan.stats["expansions"] and list(by) == ["grid", planner.heuristic.name]
     assert plan.explain().startswith("solved")
     assert planner.plan(START, GOAL, weight=1.2, anchor_weight=1.3, refinable=True).solved
 

@@ -185,43 +185,57 @@ def _turns(world, rules, key, heading, p, rows, out_key, out_cost, out_action, n
 
 @njit(allocates=False)
 def _arcs(world, rules, key, heading, p, rows, out_key, out_cost, out_action, n):
-    """Arcs by one heading step: the cost of driving, over its samples and the end, plus the cost of turning."""
-    t, c, uneven, k = world.tables, world.constants, world.uneven, world.constants.unevenness
-    here = _summed_unevenness(uneven, t.contacts, p, rows)
+    here = _summed_unevenness(world.uneven, world.tables.contacts, p, rows)
     for arc in range(ARCS):
-        price, row = t.drive_price[0, heading, DRIVES + arc], t.arcs[heading, arc]
-        if price == _INF:
-            continue
         new = (heading + arc_turn(arc)) % HEADINGS
         off = (new - rules.heading_center + HEADINGS // 2) % HEADINGS - HEADINGS // 2
         if abs(off) > rules.heading_window:
             continue
-        q, change, count = p + row[2], row[3], row[4]
-        r0, r1, r2, r3 = neutral_rows(t, new)
-        s0, s1 = uneven[q + t.contacts[r0]], uneven[q + t.contacts[r1]]
-        s2, s3 = uneven[q + t.contacts[r2]], uneven[q + t.contacts[r3]]
-        there = np.float64(s0) + s1 + s2 + s3
-        if there == _INF or not _stands_free(world, new, q):
+        cost = arc_cost(world, p, heading, arc, here)
+        if cost == _INF:
             continue
-        total = there + max(max(s0, s1), max(s2, s3))
-        for s in range(count):
-            first = 5 + 5 * s
-            s0, s1 = uneven[p + row[first + 1]], uneven[p + row[first + 2]]
-            s2, s3 = uneven[p + row[first + 3]], uneven[p + row[first + 4]]
-            total += np.float64(max(max(s0, s1), max(s2, s3))) + s0 + s1 + s2 + s3
-            turned = 2 * (s + 1) >= count + 1
-            if total == _INF or not _stands_free(world, new if turned else heading, p + row[first]):
-                total = _INF
-                break
-        if total == _INF:
-            continue
-        drive = price * (1.0 + k * total / (count + 1))
-        turn = c.turn * (1.0 + c.turn_unevenness * 0.5 * (here + there))
-        out_key[n] = key + change + ((new - heading) << HEADING_SHIFT)
-        out_cost[n] = rules.turn_cost_factor * (drive + turn)
+        out_key[n] = key + world.tables.arcs[heading, arc, 3] + ((new - heading) << HEADING_SHIFT)
+        out_cost[n] = rules.turn_cost_factor * cost
         out_action[n] = ARC + arc
         n += 1
     return n
+
+
+@njit(inline="always")
+def arc_cost(world, p, heading, arc, here):
+    """Cost of an arc by one heading step: driving, over its samples and the end, plus turning; inf if impossible.
+
+    Args:
+        world: terrain and robot.
+        p: flat cell of the base.
+        heading: heading index.
+        arc: number of the arc.
+        here: summed unevenness under neutral feet.
+    """
+    t, c, uneven, k = world.tables, world.constants, world.uneven, world.constants.unevenness
+    price, row = t.drive_price[0, heading, DRIVES + arc], t.arcs[heading, arc]
+    if price == _INF:
+        return _INF
+    new = (heading + arc_turn(arc)) % HEADINGS
+    q, count = p + row[2], row[4]
+    r0, r1, r2, r3 = neutral_rows(t, new)
+    s0, s1 = uneven[q + t.contacts[r0]], uneven[q + t.contacts[r1]]
+    s2, s3 = uneven[q + t.contacts[r2]], uneven[q + t.contacts[r3]]
+    there = np.float64(s0) + s1 + s2 + s3
+    if there == _INF or not _stands_free(world, new, q):
+        return _INF
+    total = there + max(max(s0, s1), max(s2, s3))
+    for s in range(count):
+        first = 5 + 5 * s
+        s0, s1 = uneven[p + row[first + 1]], uneven[p + row[first + 2]]
+        s2, s3 = uneven[p + row[first + 3]], uneven[p + row[first + 4]]
+        total += np.float64(max(max(s0, s1), max(s2, s3))) + s0 + s1 + s2 + s3
+        turned = 2 * (s + 1) >= count + 1
+        if total == _INF or not _stands_free(world, new if turned else heading, p + row[first]):
+            return _INF
+    drive = price * (1.0 + k * total / (count + 1))
+    turn = c.turn * (1.0 + c.turn_unevenness * 0.5 * (here + there))
+    return drive + turn
 
 
 @njit(inline="always")

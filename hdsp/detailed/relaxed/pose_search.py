@@ -10,8 +10,9 @@ import numpy as np
 
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.action import ARCS, DRIVES, TURN_LEFT, TURN_RIGHT, arc_turn
+from hdsp.detailed.actions.any_feet import stands_on_neutral
 from hdsp.detailed.relaxed.bucket_queue import BucketQueue, put, take
-from hdsp.detailed.relaxed.poses import look_at_feet, look_at_pose, stands_on_neutral
+from hdsp.detailed.relaxed.poses import look_at_feet, look_at_pose
 from hdsp.robot.lattice import HEADINGS
 
 _NOTHING = np.float32(0)

@@ -1,6 +1,8 @@
 """The heuristic in the form for the kernels: a flat array and a lookup rule, without calls into Python.
 
 ``h = max(max(geometric, table) + feet + steps, costs-to-go between abstract states)``. Each part can be switched off.
+With a backward search (``backward``), ``h = max(geometric + feet, relaxed) + steps``; its values rise while the search
+goes on.
 """
 
 from typing import NamedTuple
@@ -8,6 +10,15 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.detailed.search.backward import (
+    Backward,
+    advance,
+    begin_toward,
+    is_final,
+    lower_bound,
+    new_backward,
+    no_backward,
+)
 from hdsp.detailed.search.interpolation import CostsToGo, interpolated, no_costs_to_go
 from hdsp.detailed.states import unpack
 from hdsp.robot.lattice import CELLS_PER_ABSTRACT, HEADINGS, metres
@@ -36,6 +47,7 @@ class Estimate(NamedTuple):
         region: int32, flat as in ``World``, region of each foothold (see ``foothold_regions``).
         effort: float32 [4 * regions], per foot the least effort of steps from a region to the goal; empty = none.
         feet, n_offsets, n_samples, pad, stride: positions of the feet, as in ``World`` and its tables.
+        back: backward search over base poses; empty = none.
     """
 
     distance: float
@@ -61,6 +73,7 @@ class Estimate(NamedTuple):
     n_samples: int
     pad: int
     stride: int
+    back: Backward
 
 
 #: Most foot configurations at the goals that the foot term compares; its time grows with their number.
@@ -116,6 +129,8 @@ def estimate(e, key):
             h = max(h, looked_up)
     if e.foot > 0:
         h += e.foot * _feet(e.goal_feet, o0, o1, o2, o3)
+    if len(e.back.place) > 0:
+        h = max(h, _relaxed(e, ix, iy, heading, o0, o1, o2, o3))
     if len(e.effort) > 0:
         h += _steps(e, ix, iy, heading, o0, o1, o2, o3)
     if len(e.to_go.values) > 0:
@@ -124,6 +139,41 @@ def estimate(e, key):
         between *= min(1.0, way / (CELLS_PER_ABSTRACT * e.distance))
         h = h + e.outside if between == np.inf else max(h, between)
     return h
+
+
+@njit(allocates=False)
+def _relaxed(e, ix, iy, heading, o0, o1, o2, o3):
+    """The backward search's lower bound, as far as it is known."""
+    layer = not (o0 == e.neutral and o1 == e.neutral and o2 == e.neutral and o3 == e.neutral)
+    begin_toward(e.back, ix, iy, heading)
+    feet = e.foot * _feet(e.goal_feet, o0, o1, o2, o3) if e.back.follow == 0 else 0.0
+    return lower_bound(e.back, np.int64(layer), ix, iy, heading) - e.back.follow * (o0 + o1 + o2 + o3) + feet
+
+
+@njit(allocates=False)
+def resume(e, key):
+    """Continues the backward search a little for a state; returns whether ``estimate`` is final.
+
+    Several calls lead to a final estimate. Final estimates depend on the first state asked, and on no other.
+    """
+    ix, iy, heading, o0, o1, o2, o3 = unpack(key)
+    layer = np.int64(not (o0 == e.neutral and o1 == e.neutral and o2 == e.neutral and o3 == e.neutral))
+    begin_toward(e.back, ix, iy, heading)
+    if not is_final(e.back, layer, ix, iy, heading):
+        advance(e.back, layer, ix, iy, heading)
+    return is_final(e.back, layer, ix, iy, heading)
+
+
+@njit()
+def final_estimates(e, keys):
+    """Final estimates, float64 [n], for packed states int64 [n]."""
+    result = np.empty(len(keys))
+    for i in range(len(keys)):
+        if len(e.back.place) > 0:
+            while not resume(e, keys[i]):
+                pass
+        result[i] = estimate(e, keys[i])
+    return result
 
 
 @njit(inline="always")
@@ -184,6 +234,7 @@ def geometric_estimate(world, goals, groups=None) -> Estimate:
         n_samples=world.tables.n_samples,
         pad=world.pad,
         stride=world.stride,
+        back=no_backward(world),
     )
 
 
@@ -223,6 +274,21 @@ def pose_estimate(world, to_go: np.ndarray, follow: float, feet: np.ndarray) -> 
         table_ny=to_go.shape[3],
         outside=np.inf,
     )
+
+
+def grid_estimate(world, goals, groups, memory: int) -> Estimate:
+    """Admissible and consistent heuristic from a backward search over base poses; without efforts of steps.
+
+    Args:
+        world: terrain and robot.
+        goals: int64 [n, 7], valid states.
+        groups: as for ``geometric_estimate``.
+        memory: budget of the backward search in bytes.
+    """
+    goals = np.atleast_2d(np.asarray(goals, dtype=np.int64))
+    e = geometric_estimate(world, goals, groups)
+    follow = 0.0 if world.constants.shift_backward else least_foot_cost(world)
+    return e._replace(back=new_backward(world, goals, e.distance, e.turn, follow, memory))
 
 
 def with_step_efforts(e: Estimate, region: np.ndarray, efforts: np.ndarray) -> Estimate:

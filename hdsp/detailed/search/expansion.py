@@ -9,10 +9,14 @@ import numpy as np
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.action import START
 from hdsp.detailed.actions.successors import other_successors, pose_successors
-from hdsp.detailed.search.estimate import estimate
+from hdsp.detailed.search.backward import SETTLED
+from hdsp.detailed.search.estimate import estimate, resume
 from hdsp.detailed.search.open_list import push
 from hdsp.detailed.search.store import CLOSED, CUT, SEEN, node_of
 from hdsp.detailed.states import FEET_MASK
+
+#: Nodes that the backward search settles in the time of an expansion, roughly.
+_SETTLED = 4
 
 
 @njit(inline="always")
@@ -73,3 +77,27 @@ def offer(open_list, store, heuristic, weight, key, node):
         return False
     push(open_list, np.float32(np.float64(store.g[node]) + weight * h), node)
     return True
+
+
+@njit(inline="always")
+def rises(open_list, store, heuristic, weight, key, node, f):
+    """Whether a node came out of an open list too early: its heuristic rises, or may rise, with more backward search.
+
+    The node then goes back into the list with its new f, unless h is infinite. A node that may be expanded has its
+    final h, and no other node in the list has a smaller final f. The order is thus the same as with final values from
+    the beginning, and only states that are next to be expanded need them.
+
+    Returns:
+        Work for the answer, in expansions; 0 if the node may be expanded.
+    """
+    if len(heuristic.back.place) == 0:
+        return 0
+    before = heuristic.back.counts[SETTLED]
+    final = resume(heuristic, key)
+    h = estimate(heuristic, key)
+    new = np.float32(np.float64(store.g[node]) + weight * h)
+    if final and new <= f:
+        return 0
+    if h < np.inf:
+        push(open_list, new, node)
+    return 1 + (heuristic.back.counts[SETTLED] - before) // _SETTLED

@@ -11,7 +11,7 @@ import numpy as np
 
 from hdsp.base.jit import njit
 from hdsp.detailed.search.estimate import estimate
-from hdsp.detailed.search.expansion import begin_at, expand, offer, relax
+from hdsp.detailed.search.expansion import begin_at, expand, offer, relax, rises
 from hdsp.detailed.search.open_list import FAR, NEAR, list_has_room, pop, push, refill
 from hdsp.detailed.search.store import (
     BLOCK,
@@ -122,10 +122,15 @@ def run(world, rules, heuristic, store, open_list, weight, goals, goal_cost, cos
             continue
         if open_list.f[0] > f_limit:
             return OVER_COST_LIMIT
+        f = open_list.f[0]
         node = pop(open_list)
         if flags[node] & CLOSED:
             continue
         key = key_of(store, node)
+        work = rises(open_list, store, heuristic, weight, key, node, f)
+        if work > 0:
+            until -= work
+            continue
         g = np.float64(store.g[node])
         if flags[node] & GOAL:
             for k in range(len(goals)):

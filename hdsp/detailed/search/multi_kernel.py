@@ -3,7 +3,7 @@
 import numpy as np
 
 from hdsp.base.jit import njit
-from hdsp.detailed.search.expansion import begin_at, expand, offer, relax
+from hdsp.detailed.search.expansion import begin_at, expand, offer, relax, rises
 from hdsp.detailed.search.kernel import EXHAUSTED, FULL, OVER_COST_LIMIT, RUNNING, SOLVED
 from hdsp.detailed.search.open_list import first_f, list_has_room, pop
 from hdsp.detailed.search.store import CLOSED, CUT, EXPANDED, GOAL, has_room, key_of
@@ -93,6 +93,10 @@ def run(
             if costs[goal] <= anchor_weight * least:
                 return SOLVED
             node = pop(anchor_list)
+            work = rises(anchor_list, store, anchor, weight, key_of(store, node), node, np.float32(least))
+            if work > 0:
+                until -= work
+                continue
             flags[node] |= CLOSED | ANCHORED
         count[EXPANDED] += 1
         g = np.float64(costs[node])

@@ -9,8 +9,7 @@ import numpy as np
 from hdsp.abstract.abstract_costs import Region
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps
-from hdsp.base.jit import njit
-from hdsp.detailed.search.estimate import Estimate, estimate, geometric_estimate
+from hdsp.detailed.search.estimate import Estimate, final_estimates, geometric_estimate
 from hdsp.detailed.states import pack_states
 from hdsp.detailed.world.world import World
 from hdsp.terrain.height_map import HeightMap
@@ -89,7 +88,7 @@ class Heuristic(ABC):
         """
         if self._estimate is None:
             raise InputError(f"{self.name} heuristic: call set_goal first")
-        return _estimates(self._estimate, pack_states(states, self.world.tables.lowest))
+        return final_estimates(self._estimate, pack_states(states, self.world.tables.lowest))
 
     def clear(self) -> None:
         """Forgets the last goal; results for the whole map stay."""
@@ -105,11 +104,3 @@ class Heuristic(ABC):
                 change may be anywhere.
         """
         self.world, self._estimate = world, None
-
-
-@njit()
-def _estimates(parameters, keys):
-    result = np.empty(len(keys))
-    for i in range(len(keys)):
-        result[i] = estimate(parameters, keys[i])
-    return result
