@@ -61,12 +61,18 @@ def scene(seed, cells=9):
 @pytest.mark.parametrize("seed", range(15))
 def test_grid_heuristic_never_exceeds_the_exact_cost(seed):
     world, twin, states, rng = scene(seed)
-    gone = dijkstra(twin, states[rng.integers(len(states))], most=500)
-    start, reached = next(iter(gone.cost)), list(gone.cost)
-    assert len(reached) >= 90
-    for goal in [reached[i] for i in rng.permutation(len(reached))[:90]]:
-        assert asked(grid(world, goal), world, [start])[0] <= gone.cost[goal] * NEARLY
-        assert asked(grid(world, goal), world, [goal])[0] == pytest.approx(0, abs=1e-6)
+    asked_for = 0
+    for start in states:
+        gone = dijkstra(twin, start, most=300)
+        reached = list(gone.cost)
+        for goal in [reached[i] for i in rng.permutation(len(reached))[:40]]:
+            e = grid(world, goal)
+            assert asked(e, world, [start])[0] <= gone.cost[goal] * NEARLY
+            assert asked(e, world, [goal])[0] == pytest.approx(0, abs=1e-6)
+            asked_for += 1
+        if asked_for >= 80:
+            return
+    raise AssertionError("few instances")
 
 
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
