@@ -193,7 +193,7 @@ def assert_each_is_news(plans):
 def test_plans_get_better_until_the_best_is_proved(rough, planner, heuristic):
     least = planner.plan(START, GOAL)
     assert least.bound == 1 and least.stats["lower_bound"] == pytest.approx(least.cost, rel=1e-4)
-    plans = list(Planner(rough, heuristic=heuristic).improve(START, GOAL))
+    plans = list(Planner(rough, heuristic=heuristic).improve(START, GOAL, polish=0))
     assert_each_is_news(plans)
     assert len(plans) >= 2 and plans[0].cost > least.cost * 1.001
     assert plans[-1].bound == 1 and plans[-1].stats["ended"] == "solved"
@@ -302,10 +302,10 @@ def test_steps_that_cannot_be_carried_out_are_refused_and_the_rounds_go_on(plann
 def test_all_plans_can_be_carried_out_if_asked_for(monkeypatch):
     planner = Planner(with_bar(), heuristic="manual")
     start, goal = (0.5, 0.75, 0.0), (1.6, 0.75, 0.0)
-    first = next(planner.improve(start, goal, (2.0, 1.5)))
+    first = next(planner.improve(start, goal, (2.0, 1.5), polish=0))
     unwanted = steps_of(first)[1]
     refusing({unwanted}, monkeypatch)
-    plans = list(planner.improve(start, goal, (2.0, 1.5), refinable=True, expansions=200_000))
+    plans = list(planner.improve(start, goal, (2.0, 1.5), refinable=True, expansions=200_000, polish=0))
     assert_each_is_news(plans)
     assert str(unwanted[0]) in plans[-1].refused[0]
     assert all(unwanted not in steps_of(plan) and plan.refine().check() == [] for plan in plans)
