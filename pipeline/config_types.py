@@ -194,6 +194,31 @@ class PlanLimits:
 
 
 @checked
+class RandomTaskSettings:
+    """Random tasks on random arenas, beside the tasks of the arena.
+
+    Attributes:
+        heuristics: as in `planner.heuristics`; the first one tells hard tasks from easy ones.
+        weight: W of weighted A*.
+        seed: seed of the first arena; later arenas have later seeds.
+        arenas: number of arenas.
+        size: their side length, m.
+        tasks: number of tasks in each arena.
+        expansions: limit of a search.
+        hard: a task is hard if the first heuristic needs as many expansions.
+    """
+
+    heuristics: Annotated[tuple[Heuristic, ...], Field(min_length=1)]
+    weight: Weight
+    seed: Natural
+    arenas: Count
+    size: Positive
+    tasks: Count
+    expansions: Count
+    hard: Count
+
+
+@checked
 class PlannerSettings:
     """Group `planner`: the planning experiment.
 
@@ -204,6 +229,7 @@ class PlannerSettings:
         limits: a search ends at its first limit.
         repeats: largest number of repetitions of a search; the median time is reported.
         repeat_below: s; no repetitions beyond this total time.
+        random: random tasks beside those of the arena.
     """
 
     heuristics: Annotated[tuple[Heuristic, ...], Field(min_length=1)]
@@ -212,6 +238,7 @@ class PlannerSettings:
     limits: PlanLimits
     repeats: Count
     repeat_below: NotNegative
+    random: RandomTaskSettings
 
 
 @checked

@@ -13,6 +13,7 @@ from hdsp.robot.robot import Robot
 from pipeline.abstractions import abstract_costs, available
 from pipeline.config import plain
 from pipeline.config_types import Config, PlannerSettings
+from pipeline.random_tasks import random_task_report
 from pipeline.speedup import best_known, summarise
 from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.task_sets import ABSENT
@@ -82,6 +83,7 @@ def plan(config: Config, folders: Folders) -> None:
         "best_known": best_known(runs),
         "summary": summarise(runs),
         "collisions": collisions(runs),
+        "random": random_task_report(config, folders),
     }
     write_json(folders.write("reports", "planning.json"), report)
     save_planning_bars(runs, folders.write("reports", "figures", "planning.png"))

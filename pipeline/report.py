@@ -9,7 +9,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 from pipeline.config_types import Config
 from pipeline.stage import Folders, read_json, run_stage, write_json
-from pipeline.tables import abstraction_quality_table, heuristic_table
+from pipeline.tables import abstraction_quality_table, heuristic_table, random_task_table
 
 BEGIN, END = "<!-- tables: written by `python -m pipeline.report` -->", "<!-- end of tables -->"
 
@@ -18,7 +18,10 @@ def report(config: Config, folders: Folders) -> None:
     quality = read_json(folders.read("reports", "abstraction_quality.json"))
     planning = read_json(folders.read("reports", "planning.json"))
     training = read_json(folders.read("reports", "training.json"))
-    tables = abstraction_quality_table(quality, training) + "\n\n" + heuristic_table(planning) + "\n"
+    parts = [abstraction_quality_table(quality, training), heuristic_table(planning)]
+    if "random" in planning:
+        parts.append(random_task_table(planning["random"]))
+    tables = "\n\n".join(parts) + "\n"
     with replacing(folders.write("reports", "tables.md")) as path:
         path.write_text(tables, encoding="utf-8")
     write_json(folders.write("reports", "summary.json"), summary(quality, planning))

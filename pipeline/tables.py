@@ -135,6 +135,33 @@ def _task(run: Mapping[str, Any]) -> str:
     return f"{_bound(is_bound(run))}{_seconds(run['seconds'])}, {cost}"
 
 
+def random_task_table(random: Mapping[str, Any]) -> str:
+    """Random tasks: expansions of easy and hard ones, and costs.
+
+    Args:
+        random: entry `random` of `reports/planning.json`.
+    """
+    header = ["heuristic", "solved", "expansions, easy", "expansions, hard", "mean time (s)", "above best known"]
+    rows = [
+        [
+            HEURISTIC_NAMES.get(heuristic, heuristic),
+            f"{ours['solved']} of {ours['solvable']}",
+            *(f"{ours[part]:,.0f}" if _known(ours[part]) else EMPTY for part in ("expansions_easy", "expansions_hard")),
+            _seconds(ours["seconds_mean"]) if _known(ours["seconds_mean"]) else EMPTY,
+            _increase(ours["cost_above_best"]),
+        ]
+        for heuristic, ours in random["summary"].items()
+    ]
+    reference, first = next(iter(random["summary"].items()))
+    note = (
+        f"Random tasks, W = {random['weight']:g}: {random['tasks']} pairs of random poses on {random['arenas']} random "
+        f"arenas, {random['size']:g} x {random['size']:g} m; {first['solvable']} have a plan, {first['hard']} are hard "
+        f"for the {HEURISTIC_NAMES.get(reference, reference)}. A search ends at {random['expansions']:,} expansions. "
+        "Expansions are geometric means."
+    )
+    return markdown(header, rows) + "\n\n" + note
+
+
 def _limits(limits: Mapping[str, float]) -> str:
     return (
         f"{limits['time']:g} s, {limits['expansions'] / 1e6:g} million expansions, or {limits['memory'] / 1e9:g} GB "

@@ -7,6 +7,8 @@ coded and trained: the same commit or another one may read it.
 from __future__ import annotations
 
 import hashlib
+import inspect
+from copy import copy
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 
@@ -33,24 +35,30 @@ def keep_edges(planner: Planner) -> Planner:
     """Lets a planner take the edges of its abstraction from disk, where they are slow to compute; returns it."""
     heuristic = planner.heuristic
     if isinstance(heuristic, AbstractHeuristic) and type(heuristic.costs).__name__ not in _FAST:
-        heuristic.costs = KeptCosts(heuristic.costs, cache_folder() / "edges")
+        costs = heuristic.costs
+        factors = getattr(costs, "factors", None)
+        if factors is not None:  # the network's own costs serve all commits, with factors and before them
+            costs = copy(costs)
+            costs.factors = None
+        heuristic.costs = KeptCosts(costs, cache_folder() / "edges", factors)
     return planner
 
 
 class KeptCosts:
     """``AbstractCosts`` whose edges of whole maps are kept in a folder.
 
-    States outside an earlier mask are computed when a later mask asks for them.
+    States outside an earlier mask are computed when a later mask asks for them. ``factors``, float32 [16, 22] by heading
+    and action, multiply the kept costs.
     """
 
-    def __init__(self, costs: AbstractCosts, folder: Path):
-        self.costs, self.folder = costs, folder
+    def __init__(self, costs: AbstractCosts, folder: Path, factors: np.ndarray | None = None):
+        self.costs, self.folder, self.factors = costs, folder, factors
         self.key = costs_key(costs)
 
     def edges(self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None) -> np.ndarray:
         """See ``AbstractCosts.edges``."""
         if region is not None or mask is None:
-            return self.costs.edges(height_map, region, mask)
+            return self._multiplied(self.costs.edges(height_map, region, mask))
         heights = np.ascontiguousarray(height_map.heights, np.float32)
         name = hashlib.sha256(f"{self.key} {heights.shape}".encode() + heights.tobytes()).hexdigest()[:32]
         path = self.folder / f"{name}.npz"
@@ -68,16 +76,31 @@ class KeptCosts:
                 np.savez_compressed(temporary, known=known, costs=edges[known])
         edges[~mask] = np.inf
         close_exits(edges, height_map)
-        return edges
+        return self._multiplied(edges)
+
+    def _multiplied(self, edges: np.ndarray) -> np.ndarray:
+        return edges if self.factors is None else edges * self.factors[:, None, None]
 
 
 def costs_key(costs: AbstractCosts) -> str:
     """Hash of the code and of all settings and weights of an abstraction."""
-    digest = hashlib.sha256(code_fingerprint(type(costs).__module__).encode())
+    digest = hashlib.sha256(_code(costs).encode())
     for name, value in sorted(vars(costs).items()):
+        if name == "factors":
+            continue
         digest.update(name.encode())
         digest.update(_content(value))
     return digest.hexdigest()
+
+
+def _code(costs: AbstractCosts) -> str:
+    """Hash of the code that computes edges."""
+    cls = type(costs)
+    if cls.__name__ != "LearnedCosts":
+        return code_fingerprint(cls.__module__)
+    # Not the whole class: factors, kinds of costs and progress change no cost of the network.
+    own = (inspect.getsource(getattr(cls, name)) for name in ("_by_tiles", "_by_patches", "_costs"))
+    return "".join(own) + code_fingerprint("hdsp.learning.abstraction", "hdsp.learning.rotated_maps")
 
 
 def _content(value) -> bytes:
