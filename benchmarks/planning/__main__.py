@@ -15,6 +15,7 @@ The last line is JSON.
 
 import argparse
 import json
+import math
 from pathlib import Path
 
 from benchmarks.page import table
@@ -39,6 +40,7 @@ def main(argv=None) -> dict:
     parser.add_argument("--seed", type=int, default=0, help="below 1000: test; from 1000 on: development")
     parser.add_argument("--maps", type=int, default=DEFAULT_MAPS)
     parser.add_argument("--pairs", type=int, default=16, help="pairs on each map")
+    parser.add_argument("--area", type=float, default=math.inf, help="largest map, m2")
     parser.add_argument("--heuristics", nargs="+", default=list(HEURISTICS), choices=list(HEURISTICS))
     parser.add_argument("--weights", type=float, nargs="+", default=[1.0, 1.25, 1.5, 2.0])
     parser.add_argument("--expansions", type=int, default=EXPANSIONS, help="limit of each search")
@@ -53,7 +55,8 @@ def main(argv=None) -> dict:
     arguments = parser.parse_args(argv)
 
     cases, runs, absent = [], [], {}
-    for case in make_cases(arguments.seed, arguments.maps, arguments.pairs, arguments.out / f"seed_{arguments.seed}"):
+    out = arguments.out / f"seed_{arguments.seed}"
+    for case in make_cases(arguments.seed, arguments.maps, arguments.pairs, out, arguments.area):
         cases.append(case)
         done = [f"{case.name}, {len(case.pairs)} pairs:"]
         for name in [name for name in arguments.heuristics if name not in absent]:
@@ -80,13 +83,14 @@ def main(argv=None) -> dict:
     compared_rows = comparisons(results, earlier)
     result = {
         "seed": arguments.seed,
+        "largest_area": arguments.area if math.isfinite(arguments.area) else None,
         **headline(results, compared_rows, earlier),
         **(arena_figures() if arguments.arena else {}),
         **counts(results, earlier),
         "heuristics": rows(results),
         "ratios": compared_rows,
     }
-    write_json(arguments.out / f"seed_{arguments.seed}" / "summary.json", result)
+    write_json(out / "summary.json", result)
     if arguments.picture:
         draw(results, arguments.picture)
     if arguments.page:

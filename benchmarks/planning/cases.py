@@ -43,9 +43,13 @@ class Case:
         return HeightMap.load(self.folder / MAP)
 
 
-def make_cases(seed: int, count: int, pairs: int, out: Path, robot: str = "momaro") -> Iterator[Case]:
-    """Draws maps and pairs, and writes each case into a folder of ``out``."""
+def make_cases(
+    seed: int, count: int, pairs: int, out: Path, area: float = np.inf, robot: str = "momaro"
+) -> Iterator[Case]:
+    """Draws maps and pairs, and writes each case into a folder of ``out``; larger maps than ``area`` (m2) are left out."""
     for number, made in enumerate(maps(seed, count)):
+        if np.prod(made.terrain.size) > area:
+            continue
         planner = Planner(made.terrain, robot)
         drawn = draw_pairs(planner, pairs, np.random.SeedSequence([seed, number, _PAIRS_STREAM]))
         size = tuple(round(float(side), 3) for side in planner.terrain.size)

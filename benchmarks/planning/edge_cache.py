@@ -47,8 +47,8 @@ def keep_edges(planner: Planner) -> Planner:
 class KeptCosts:
     """``AbstractCosts`` whose edges of whole maps are kept in a folder.
 
-    States outside an earlier mask are computed when a later mask asks for them. ``factors``, float32 [16, 22] by heading
-    and action, multiply the kept costs.
+    States outside an earlier mask are computed when a later mask asks for them. ``factors``, float32 [16, 22] by
+    heading and action, multiply the kept costs.
     """
 
     def __init__(self, costs: AbstractCosts, folder: Path, factors: np.ndarray | None = None):
