@@ -46,7 +46,7 @@ class Case:
 def make_cases(
     seed: int, count: int, pairs: int, out: Path, area: float = np.inf, robot: str = "momaro"
 ) -> Iterator[Case]:
-    """Draws maps and pairs, and writes each case into a folder of ``out``; larger maps than ``area`` (m2) are left out."""
+    """Draws maps and pairs, and writes each case into a folder of ``out``; leaves out maps larger than ``area``, m2."""
     for number, made in enumerate(maps(seed, count)):
         if np.prod(made.terrain.size) > area:
             continue

@@ -5,8 +5,10 @@ import json
 import pytest
 
 from hdsp.base.errors import InputError
+from pipeline.config import configure
+from pipeline.random_tasks import summarise_random
 from pipeline.report import BEGIN, END, put_between_markers, summary
-from pipeline.tables import abstraction_quality_table, heuristic_table
+from pipeline.tables import abstraction_quality_table, heuristic_table, random_task_table
 from tests import ROOT
 
 METHOD = {"feasibility_accuracy": 0.9512, "cost_error": 0.0201, "abstract_cost_mean": 0.44}
@@ -111,3 +113,23 @@ def test_the_tables_can_be_traced_to_the_reports():
     quality, planning, training = (json.loads((ROOT / f"reports/{name}.json").read_text()) for name in names)
     tables = abstraction_quality_table(quality, training) + "\n\n" + heuristic_table(planning) + "\n"
     assert tables == (ROOT / "reports/tables.md").read_text()
+
+
+def test_random_tasks_are_judged_pair_by_pair():
+    section = configure().planner.random
+    runs = [
+        {"pair": "0.0", "heuristic": "manual", "status": "solved", "cost": 2.0, "expansions": 100, "seconds": 0.1},
+        {"pair": "0.1", "heuristic": "manual", "status": "expansion_limit", "cost": None, "expansions": 500_000,
+         "seconds": 0.5},
+        {"pair": "0.2", "heuristic": "manual", "status": "infeasible", "cost": None, "expansions": 9, "seconds": 0.1},
+        {"pair": "0.0", "heuristic": "trained", "status": "solved", "cost": 2.2, "expansions": 50, "seconds": 0.1},
+        {"pair": "0.1", "heuristic": "trained", "status": "solved", "cost": 4.0, "expansions": 2_000, "seconds": 0.1},
+        {"pair": "0.2", "heuristic": "trained", "status": "infeasible", "cost": None, "expansions": 9, "seconds": 0.1},
+    ]  # fmt: skip
+    table = random_task_table({
+        "arenas": 1, "size": 5.0, "weight": 1.25, "tasks": 3, "expansions": 500_000,
+        "summary": summarise_random(runs, section),
+    })  # fmt: skip
+    assert cells(table, "manual abstraction")[1:4] == ["1 of 2", "100", "500,000"]
+    assert cells(table, "trained abstraction")[1:] == ["2 of 2", "50", "2,000", "0.10", "+5.0 %"]
+    assert "2 have a plan, 1 are hard for the manual abstraction" in table
