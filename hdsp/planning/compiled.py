@@ -23,7 +23,7 @@ from hdsp.detailed.search.outcome import Limits
 from hdsp.detailed.world.world import build_world, cell_index
 from hdsp.planning.ends.arrival import arrival
 from hdsp.planning.ends.location import locate
-from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, Heuristic
+from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, GridHeuristic, Heuristic
 from hdsp.planning.improving import improving_plans
 from hdsp.planning.polish import DEFAULT, Polish
 from hdsp.planning.query import Query
@@ -43,6 +43,7 @@ class QueryKind:
     Attributes:
         abstract: the heuristic comes from an abstraction.
         learned: a network computes its costs.
+        grid: the heuristic is the grid heuristic.
         anchored: the search is multi-heuristic A*.
         anytime: the search is ARA*.
         refinable: plans are refined.
@@ -50,6 +51,7 @@ class QueryKind:
 
     abstract: bool = False
     learned: bool = False
+    grid: bool = False
     anchored: bool = False
     anytime: bool = False
     refinable: bool = False
@@ -73,7 +75,14 @@ def compile_for(
     """
     abstract = isinstance(heuristic, AbstractHeuristic)
     learned = _learned(heuristic)
-    kind = QueryKind(abstract, learned is not None, anchored and not heuristic.admissible, anytime, refinable)
+    kind = QueryKind(
+        abstract=abstract,
+        learned=learned is not None,
+        grid=isinstance(heuristic, GridHeuristic),
+        anchored=anchored and not heuristic.admissible,
+        anytime=anytime,
+        refinable=refinable,
+    )
     if kind in _DONE:
         return
     with _LOCK:
@@ -96,7 +105,7 @@ def _learned(heuristic: Heuristic) -> LearnedCosts | None:
 def _try(robot: Robot, kind: QueryKind, learned: LearnedCosts | None) -> None:
     terrain = _ground(robot)
     world, grid = build_world(terrain, robot), Grid(terrain.origin, terrain.shape)
-    heuristic: Heuristic = GeometricHeuristic(world)
+    heuristic: Heuristic = GridHeuristic(world) if kind.grid else GeometricHeuristic(world)
     if kind.abstract:
         heuristic = AbstractHeuristic(world, terrain, _EvenCosts())
     if learned is not None:

@@ -62,6 +62,7 @@ print(json.dumps({"status": str(first_answer.status), "steps": first_answer.step
     ("heuristic", "options"),
     [
         ("geometric", {"refinable": True}),
+        ("grid", {}),
         ("manual", {"anchor_weight": 1.5, "refinable": True}),
         ("manual", {"improve": True, "refinable": True, "time": 5.0}),
         ("learned", {"time": 0.5}),
