@@ -23,7 +23,8 @@ def summarise(runs: Sequence[Run], reference: tuple[str, float] = ("geometric", 
         `speedup` (mean time ratio, as in the paper), `speedup_least` and `speedup_is_lower_bound` (a limit ended a
         reference search, which would have taken longer). `cost_increase` is the mean over the `cost_pairs` solved by
         both searches. `cost_above_best` is the mean over all solved pairs, against the least cost from any search.
-        Values without pairs are None.
+        `polished_seconds_mean` and `polished_above_best` are the time and the cost with polish, if the runs have them;
+        the best known cost stays the least without polish. Values without pairs are None.
     """
     references = {run["pair"]: run for run in runs if (run["heuristic"], run["weight"]) == reference}
     best = best_known(runs)
@@ -66,6 +67,18 @@ def _entry(group: Sequence[Run], references: Mapping[Any, Run], best: Mapping[An
         "cost_increase": _mean(run["cost"] / other["cost"] - 1 for run, other in both),
         "cost_pairs": len(both),
         "cost_above_best": _mean(run["cost"] / best[run["pair"]]["cost"] - 1 for run in solved),
+        **_polished(group, best),
+    }
+
+
+def _polished(group: Sequence[Run], best: Mapping[Any, Run]) -> dict[str, float | None]:
+    """Mean query time with polish, and mean cost above the best known cost without; empty for runs without polish."""
+    if "polished_seconds" not in group[0]:
+        return {}
+    costs = [run["polished_cost"] / best[run["pair"]]["cost"] for run in group if run["polished_cost"] is not None]
+    return {
+        "polished_seconds_mean": fmean(run["polished_seconds"] for run in group),
+        "polished_above_best": _mean(cost - 1 for cost in costs),
     }
 
 

@@ -75,6 +75,9 @@ def heuristic_table(planning: Mapping[str, Any]) -> str:
     """
     header = ["heuristic", "W", "solved", "mean time (s)", "mean expansions", "memory (MB)", "speed-up", "paper",
               "cost", "paper ", "above best known"]  # fmt: skip
+    with_polish = all("polished_seconds_mean" in ours for by in planning["summary"].values() for ours in by.values())
+    if with_polish:
+        header += ["with polish", "mean time (s) "]
     rows = []
     for heuristic, by_weight in planning["summary"].items():
         for weight, ours in by_weight.items():
@@ -92,6 +95,8 @@ def heuristic_table(planning: Mapping[str, Any]) -> str:
                 _increase(theirs.get("cost_increase")),
                 _increase(ours["cost_above_best"]),
             ])  # fmt: skip
+            if with_polish:
+                rows[-1] += [_increase(ours["polished_above_best"]), _seconds(ours["polished_seconds_mean"])]
     arena, once, checked = planning["arena"], planning["edges_seconds"], planning["collisions"]
     seconds = ", ".join(f"{HEURISTIC_NAMES.get(name, name)} {value:.1f} s" for name, value in once.items())
     note = (
