@@ -181,19 +181,6 @@ def advance(b, layer, ix, iy, heading):
         _empty_bucket(b)
 
 
-@njit(allocates=False)
-def advance_by(b, nodes, f):
-    """Continues for some nodes, until F reaches ``f``; returns F, inf if nothing waits."""
-    until = b.counts[SETTLED] + nodes
-    while b.counts[WAITING] > 0 and not b.counts[FULL]:
-        if b.counts[SETTLED] >= until or b.counts[BUCKET] * b.width >= f:
-            break
-        _empty_bucket(b)
-    if b.counts[WAITING] == 0 and not b.counts[FULL]:
-        return np.inf
-    return b.counts[BUCKET] * b.width * _ROUNDED_DOWN
-
-
 @njit(inline="always")
 def _from_start(b, ix, iy, heading):
     """Least cost from the forward search's start to a pose, by distance and turns."""
