@@ -1,20 +1,28 @@
-"""Multi-heuristic A* against weighted A*: the price of a proved bound with an inadmissible heuristic.
+"""Searches with a proved bound: geometric, grid, and multi-heuristic A* with a guide and the grid anchor.
 
-    python -m benchmarks.multi_heuristic [--seeds 4] [--size 5] [--bounds 1.25 1.5 2] [--expansions 2000000]
-                                         [--guides manual learned] [--arena] [--json FILE]
+    python -m benchmarks.multi_heuristic [--tasks 200] [--per-arena 5] [--seed 0] [--size 5] [--bounds 1.25 1.5 2]
+                                         [--expansions 500000] [--guides manual] [--json FILE]
                                          [--page docs/guarantees.md]
 
-Terrain is random arenas (start and goal far apart) and, with `--arena`, the paper's arena with its tasks (as scanned if
-data/arena/scanned.npz exists, otherwise its true heights). For each bound W:
+Tasks are random pairs on random arenas (`benchmarks.planning.pairs`), up to `per-arena` on each; pairs that the planner
+proves infeasible are left out. The feet at both ends are as the planner chooses them. Development seeds begin at 1000.
+For each bound W:
 
-- `geometric`: weighted A* with the admissible heuristic and W; its bound is proved;
-- `plain`: weighted A* with the manual or learned heuristic and W; no bound is proved;
-- `anchored 1 x W` and `anchored W^1/2 x W^1/2`: multi-heuristic A*, W1 x W2, same guide, geometric anchor.
+- `geometric`, `grid`: weighted A* with this heuristic and W, as in `plan(weight=W)`; its bound is proved;
+- `plain`: weighted A* with the guide and W; no bound is proved;
+- `anchored 1 x W` and `anchored W^1/2 x W^1/2`: multi-heuristic A*, W1 x W2, as in `plan(weight=W1, anchor_weight=W2)`.
 
-Times are processor seconds for the search alone. The last line is JSON with all runs and their summary. Mean ratios are
-geometric, over the tasks solved by the anchored search; tasks without any solution are left out. If the geometric
-search ends at the expansion limit, its ratio is a lower bound (`geometric_capped` counts these cases).
+Times are processor seconds for the heuristics of the goal and the search, each as the first query on its map. The
+preparation for the whole map comes before. Expansions leave out the base poses that backward searches settle; a column
+adds them. Ratios geometric / other are geometric means over all tasks that one of the two solves, with intervals by
+bootstrap over arenas. A search that ends at its limit counts with its effort up to there.
+
+The last line is JSON with these ratios and their intervals: `bound_W_expansions`, `bound_W_with_settled` and
+`bound_W_time` for the anchored search with the first guide and equal shares, `bound_W_grid_expansions` and so on for
+`grid`.
 """
+
+from __future__ import annotations
 
 import argparse
 import json
@@ -23,185 +31,220 @@ import time
 from pathlib import Path
 
 import numpy as np
-import yaml
 
+from benchmarks.grid_heuristic import settled
 from benchmarks.page import shown, table, write_block
-from benchmarks.search import far_apart
-from hdsp.detailed.search.estimate import geometric_estimate
+from benchmarks.planning.pairs import draw_pairs
+from benchmarks.planning.statistics import Interval, geometric_mean_ratio
 from hdsp.detailed.search.multi_heuristic import solve_multi
-from hdsp.detailed.search.outcome import Limits, Status
+from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.search.weighted_astar import solve
+from hdsp.planning.heuristics import GeometricHeuristic, GridHeuristic
 from hdsp.planning.planner import Planner
-from hdsp.terrain.arenas import read_arena
-from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.random_arenas import random_arena
 
-PAPER = Path("conf/arena/paper.yaml")
-SCANNED = Path("data/arena/scanned.npz")
+#: The anchored search of the JSON keys.
+EQUAL_SHARES = "anchored W^1/2 x W^1/2"
+#: Names of ratios in rows and keys, and the effort behind each.
+EFFORTS = {
+    "expansions": lambda run: run["expansions"],
+    "with_settled": lambda run: run["expansions"] + run["settled"],
+    "time": lambda run: max(run["cpu_s"], 1e-4),  # the clock's resolution
+}
 
 
-def main(argv=None) -> dict:
+def main(argv: list[str] | None = None) -> dict:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=4, help="number of random arenas")
+    parser.add_argument("--tasks", type=int, default=200, help="number of tasks")
+    parser.add_argument("--per-arena", type=int, default=5, help="tasks on each arena")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the first arena")
     parser.add_argument("--size", type=float, default=5.0, help="side of the arenas, m")
     parser.add_argument("--bounds", type=float, nargs="+", default=[1.25, 1.5, 2.0])
-    parser.add_argument("--expansions", type=int, default=2_000_000, help="limit of each search")
-    parser.add_argument("--guides", nargs="+", default=["manual", "learned"], help="heuristics, as Planner takes them")
-    parser.add_argument("--arena", action="store_true", help="include the paper's arena")
-    parser.add_argument("--json", type=Path, help="output file for the result")
+    parser.add_argument("--expansions", type=int, default=500_000, help="limit of each search")
+    parser.add_argument("--guides", nargs="+", default=["manual"], help="heuristics, as Planner takes them")
+    parser.add_argument("--json", type=Path, help="output file for the result with all searches")
     parser.add_argument("--page", type=Path, help="docs page to update")
     arguments = parser.parse_args(argv)
 
-    limits = Limits(expansions=arguments.expansions)
-    runs = []
-    for name, planners, tasks in places(arguments):
-        for task, start, goal in tasks:
-            found = compare(planners, start, goal, arguments.bounds, limits)
-            runs += [{"place": name, "task": task, **run} for run in found]
-            print(f"{name}, {task}: {len(found)} searches, {sum(run['cpu_s'] for run in found):.1f} s", flush=True)
-    result = {"runs": runs, "summary": summary(runs)}
+    limits = Limits(expansions=arguments.expansions, time=math.inf)
+    runs: list[dict] = []
+    tasks, seed = 0, arguments.seed
+    while tasks < arguments.tasks:
+        terrain = random_arena(seed, arguments.size)
+        planners = [Planner(terrain, heuristic=guide).prepare() for guide in arguments.guides]
+        for pair in draw_pairs(planners[0], arguments.per_arena, np.random.SeedSequence([seed, 1])):
+            tried = planners[0].plan(pair.start, pair.goal, 2.0, polish=0, expansions=arguments.expansions)
+            if tried.status == Status.INFEASIBLE or tasks == arguments.tasks:
+                continue
+            ends = (planners[0].grid.to_lattice(end[:3], end[3:]) for end in tried.ends)
+            found = compare(planners, *ends, arguments.bounds, limits)
+            runs += [{"place": f"random {seed}", "task": pair.key, **run} for run in found]
+            tasks += 1
+        print(f"random {seed}: {tasks} tasks, {sum(run['cpu_s'] for run in runs):.1f} CPU s so far", flush=True)
+        seed += 1
+    rows = summary(runs)
+    result = {
+        "tasks": tasks,
+        "solved_by_some": len(solvable(runs)),
+        "arenas": seed - arguments.seed,
+        "first_seed": arguments.seed,
+        "size": arguments.size,
+        "limit": arguments.expansions,
+        "guides": arguments.guides,
+        **keys(rows, arguments.guides[0]),
+    }
+    whole = {**result, "summary": rows, "runs": runs}
     if arguments.json:
-        arguments.json.write_text(json.dumps(result, indent=1) + "\n")
+        arguments.json.write_text(json.dumps(whole, indent=1) + "\n")
     if arguments.page:
-        write_block(arguments.page, "benchmarks.multi_heuristic", text(result, arguments.expansions))
+        write_block(arguments.page, "benchmarks.multi_heuristic", text(whole))
     print(json.dumps(result))
-    return result
+    return whole
 
 
-def places(arguments):
-    """Yields, for each terrain, its name, a planner for each guide, and tasks (name, start, goal in lattice units)."""
-    for seed in range(arguments.seeds):
-        planners = prepared(random_arena(seed, arguments.size), arguments.guides)
-        yield f"random {seed}", planners, [("far", *far_apart(planners[0], seed))]
-    if arguments.arena:
-        description = yaml.safe_load(PAPER.read_text())
-        scanned = SCANNED.exists()
-        terrain = HeightMap.load(SCANNED) if scanned else read_arena(description).height_map()
-        planners = prepared(terrain, arguments.guides)
-        grid = planners[0].grid
-        ends = [
-            (task["name"], *(grid.to_lattice(task[end]) for end in ("start", "goal"))) for task in description["tasks"]
-        ]
-        yield "arena, scanned" if scanned else "arena, true heights", planners, ends
-
-
-def prepared(terrain, guides) -> list[Planner]:
-    return [Planner(terrain, heuristic=guide).prepare() for guide in guides]
-
-
-def compare(planners, start, goal, bounds, limits) -> list[dict]:
-    """All searches for one task."""
-    world = planners[0].world
-    anchor = geometric_estimate(world, goal)
-    views = {planner.heuristic.name: planner.heuristic.set_goal(goal) for planner in planners}
-    solve(world, start, goal[None], anchor, limits=Limits(expansions=10))  # compiles kernels before any timing
-    solve_multi(world, start, goal, anchor, [anchor], limits=Limits(expansions=10))
+def compare(planners: list[Planner], start: np.ndarray, goal: np.ndarray, bounds: list[float], limits: Limits):
+    """Returns all searches for one task; start and goal in lattice units."""
     runs = []
-    for bound in bounds:
-        result, seconds = timed(solve, world, start, goal[None], anchor, weight=bound, limits=limits)
-        runs.append(run_of("geometric", None, bound, result, seconds, bound))
-        for name, view in views.items():
-            result, seconds = timed(
-                solve, world, start, goal[None], view, weight=bound, admissible=False, limits=limits
+    for planner in planners:
+        world, guide = planner.world, planner.heuristic
+        geometric, grid = GeometricHeuristic(world), GridHeuristic(world)
+        grid.prepare()
+
+        def weighted(heuristic, weight, limits=limits, world=world):
+            view = heuristic.set_goal(goal)
+            result = solve(
+                world, start, goal[None], view, weight=weight, admissible=heuristic.admissible, reopen=False,
+                limits=limits,
+            )  # fmt: skip
+            return result, settled(view)
+
+        def anchored(weight, anchor_weight, limits=limits, world=world, guide=guide, grid=grid):
+            anchor, view = grid.set_goal(goal), guide.set_goal(goal)
+            result = solve_multi(
+                world, start, goal, anchor, [view], weight=weight, anchor_weight=anchor_weight, limits=limits
             )
-            runs.append(run_of("plain", name, bound, result, seconds, math.inf))
-            for split, w1, w2 in (("1 x W", 1.0, bound), ("W^1/2 x W^1/2", math.sqrt(bound), math.sqrt(bound))):
-                result, seconds = timed(
-                    solve_multi, world, start, goal, anchor, [view], weight=w1, anchor_weight=w2, limits=limits
-                )
-                runs.append(run_of(f"anchored {split}", name, bound, result, seconds, result.bound))
+            return result, settled(anchor)
+
+        weighted(guide, 1.5, Limits(expansions=10))  # loads kernels before any measurement
+        anchored(1.5, 1.5, Limits(expansions=10))
+        for bound in bounds:
+            root = math.sqrt(bound)
+            if planner is planners[0]:
+                for heuristic in (geometric, grid):
+                    runs.append(run_of(heuristic.name, None, bound, planner, weighted, heuristic, bound))
+            runs.append(run_of("plain", guide.name, bound, planner, weighted, guide, bound))
+            runs.append(run_of("anchored 1 x W", guide.name, bound, planner, anchored, 1.0, bound))
+            runs.append(run_of(EQUAL_SHARES, guide.name, bound, planner, anchored, root, root))
     return runs
 
 
-def timed(search, *arguments, **options):
+def run_of(search: str, guide: str | None, wanted: float, planner: Planner, call, *options) -> dict:
+    """Measures one search as the first query on its map; ``call`` returns its result and the settled poses."""
+    planner.clear()
     began = time.process_time()
-    result = search(*arguments, **options)
-    return result, time.process_time() - began
-
-
-def run_of(search: str, guide: str | None, wanted: float, result, seconds: float, proved: float) -> dict:
-    solved = result.status[0] == Status.SOLVED
-    by = getattr(result, "expansions_by", [])
+    result, poses = call(*options)
+    seconds = time.process_time() - began
     return {
         "search": search,
         "guide": guide,
         "bound": wanted,
-        "status": str(result.status[0]),
-        "cost": round(float(result.cost[0]), 4) if solved else None,
-        "proved": round(proved, 4) if solved and np.isfinite(proved) else None,
+        **ended(result),
         "expansions": result.expansions,
-        "expansions_anchor": by[0] if by else None,
+        "settled": poses,
         "cpu_s": round(seconds, 4),
-        "memory_mb": round(result.memory / 2**20, 1),
     }
 
 
-def solvable(runs: list[dict]) -> list[tuple[str, str]]:
-    """Place and name of each task solved by some search."""
-    return sorted({(r["place"], r["task"]) for r in runs if r["status"] == "solved"})
+def ended(result: SearchResult) -> dict:
+    solved = result.status[0] == Status.SOLVED
+    return {
+        "status": str(result.status[0]),
+        "cost": round(float(result.cost[0]), 4) if solved else None,
+        "proved": round(result.bound, 4) if solved and np.isfinite(result.bound) else None,
+    }
+
+
+def solvable(runs: list[dict]) -> dict[tuple[str, str], float]:
+    """Least cost of a plan for each task (place and name) that some search solved."""
+    best: dict[tuple[str, str], float] = {}
+    for run in runs:
+        if run["status"] == "solved":
+            task = run["place"], run["task"]
+            best[task] = min(best.get(task, math.inf), run["cost"])
+    return best
 
 
 def summary(runs: list[dict]) -> list[dict]:
-    """For each guide, bound and split: the anchored search beside the others, over all tasks."""
-    at = {(r["place"], r["task"], r["search"], r["guide"], r["bound"]): r for r in runs}
-    groups = sorted({(r["guide"], r["bound"], r["search"]) for r in runs if r["search"].startswith("anchored")})
+    """For each bound, search and guide: its effort beside that of the geometric search with the same bound."""
+    at = {(r["bound"], r["search"], r["guide"], r["place"], r["task"]): r for r in runs}
+    best = solvable(runs)
     rows = []
-    for guide, bound, search in groups:
-        tasks = solvable(runs)
-        solved = [task for task in tasks if at[*task, search, guide, bound]["status"] == "solved"]
-        anchored = [at[*task, search, guide, bound] for task in solved]
-        geometric = [at[*task, "geometric", None, bound] for task in solved]
-        plain = [at[*task, "plain", guide, bound] for task in solved]
+    for bound, search, guide in dict.fromkeys((r["bound"], r["search"], r["guide"]) for r in runs):
+        own = [at[bound, search, guide, *task] for task in best]
+        base = [at[bound, "geometric", None, *task] for task in best]
+        solved = [run for run in own if run["status"] == "solved"]
+        pairs = [(a, b) for a, b in zip(base, own, strict=True) if "solved" in (a["status"], b["status"])]
+        places = [b["place"] for _, b in pairs]
+        ratios = {
+            name: geometric_mean_ratio([effort(a) for a, _ in pairs], [effort(b) for _, b in pairs], places)
+            for name, effort in EFFORTS.items()
+        }
         rows.append({
-            "guide": guide,
             "bound": bound,
             "search": search,
-            "tasks": len(tasks),
+            "guide": guide,
+            "tasks": len(best),
             "solved": len(solved),
-            "geometric_capped": sum(r["status"] != "solved" for r in geometric),
-            "expansions_geometric_to_anchored": mean_ratio(geometric, anchored, "expansions"),
-            "cpu_geometric_to_anchored": mean_ratio(geometric, anchored, "cpu_s"),
-            "expansions_anchored_to_plain": mean_ratio(anchored, plain, "expansions"),
-            "cpu_anchored_to_plain": mean_ratio(anchored, plain, "cpu_s"),
-            "cost_anchored_to_plain": mean_ratio(anchored, plain, "cost"),
-            "proved_mean": round(float(np.mean([r["proved"] for r in anchored])), 3) if anchored else None,
+            "compared": len(pairs),
+            "geometric_solved": sum(a["status"] == "solved" for a, _ in pairs),
+            **ratios,
+            "proved_mean": mean([run["proved"] for run in solved if run["proved"] is not None]),
+            "cost_to_best": mean([run["cost"] / best[run["place"], run["task"]] for run in solved]),
         })  # fmt: skip
     return rows
 
 
-def text(result: dict, limit: int) -> str:
+def mean(values: list[float]) -> float | None:
+    return round(float(np.mean(values)), 3) if values else None
+
+
+def keys(rows: list[dict], guide: str) -> dict:
+    """Returns the ratios of the last line, each with its interval."""
+    found = {}
+    for row in rows:
+        chosen = {("grid", None): "grid_", (EQUAL_SHARES, guide): ""}.get((row["search"], row["guide"]))
+        if chosen is not None:
+            for name in EFFORTS:
+                found[f"bound_{row['bound']:g}_{chosen}{name}"] = row[name].mean
+                found[f"bound_{row['bound']:g}_{chosen}{name}_interval"] = row[name].ends
+    return found
+
+
+def text(result: dict) -> str:
     """Formats the summary for the page."""
     head = [
-        "guide", "bound W", "W1 x W2", "solved", "proved on average", "expansions: geometric / anchored",
-        "time: geometric / anchored", "expansions: anchored / plain", "cost: anchored / plain",
+        "bound W", "search", "solved", "proved on average", "expansions: geometric / this",
+        "with settled poses", "CPU time", "cost over the least found",
     ]  # fmt: skip
     lines = []
     for row in result["summary"]:
-        capped = ">= " if row["geometric_capped"] else ""
+        name = row["search"] if row["guide"] is None else f"{shown(row['guide'])}, {row['search']}"
+        compared = row["search"] != "geometric"
         lines.append([
-            shown(row["guide"]), f"{row['bound']:g}", row["search"].removeprefix("anchored "),
-            f"{row['solved']} of {row['tasks']}", row["proved_mean"],
-            f"{capped}{row['expansions_geometric_to_anchored']}", f"{capped}{row['cpu_geometric_to_anchored']}",
-            row["expansions_anchored_to_plain"], row["cost_anchored_to_plain"],
+            f"{row['bound']:g}", name, f"{row['solved']} of {row['tasks']}", row["proved_mean"],
+            *(in_words(row[effort]) if compared else None for effort in EFFORTS),
+            None if row["cost_to_best"] is None else f"{100 * (row['cost_to_best'] - 1):+.1f}%",
         ])  # fmt: skip
-    tasks = {(run["place"], run["task"]) for run in result["runs"]}
-    left_out = len(tasks) - len(solvable(result["runs"]))
     ends = (
-        f"Each search is limited to {limit:,} expansions. The table leaves out {left_out} of {len(tasks)} tasks: no "
-        "search solved them."
+        f"Tasks: {result['tasks']} on {result['arenas']} random arenas of {result['size']:g} x {result['size']:g} m, "
+        f"seeds from {result['first_seed']}; {result['solved_by_some']} of them solved by some search, the others are "
+        f"left out. Each search is limited to {result['limit']:,} expansions. In brackets: 95 % intervals."
     )
     return f"{table(head, lines)}\n\n{ends}"
 
 
-def mean_ratio(over: list[dict], under: list[dict], what: str) -> float | None:
-    """Geometric mean ratio, over tasks for which both sides have this number."""
-    pairs = [
-        (a[what], b[what]) for a, b in zip(over, under, strict=True) if a[what] is not None and b[what] is not None
-    ]
-    if not pairs:
-        return None
-    # The lower limit is the clock's resolution.
-    return round(math.exp(np.mean([math.log(max(a, 1e-4) / max(b, 1e-4)) for a, b in pairs])), 3)
+def in_words(ratio: Interval) -> str | None:
+    return None if ratio.mean is None else f"{ratio.mean:.3g} ({ratio.low:.3g} to {ratio.high:.3g})"
 
 
 if __name__ == "__main__":

@@ -20,17 +20,38 @@ def a_copy(folder):
 
 def test_anchored_searches_prove_their_bound_on_a_random_arena(tmp_path):
     copy = a_copy(tmp_path)
-    options = ["--seeds", "1", "--bounds", "2", "--expansions", "20000", "--guides", "manual"]
+    options = ["--tasks", "1", "--seed", "1001", "--bounds", "2", "--expansions", "20000"]
     result = multi_heuristic.main([*options, "--page", str(copy), "--json", str(tmp_path / "found.json")])
     assert [run["search"] for run in result["runs"]] == [
-        "geometric", "plain", "anchored 1 x W", "anchored W^1/2 x W^1/2",
+        "geometric", "grid", "plain", "anchored 1 x W", "anchored W^1/2 x W^1/2",
     ]  # fmt: skip
-    anchored = [run for run in result["runs"] if run["search"].startswith("anchored") and run["status"] == "solved"]
+    runs = {run["search"]: run for run in result["runs"]}
+    anchored = [run for name, run in runs.items() if name.startswith("anchored") and run["status"] == "solved"]
     assert anchored and all(1 <= run["proved"] <= 2 for run in anchored)
-    assert all(run["proved"] is None for run in result["runs"] if run["search"] == "plain")
-    assert {row["search"] for row in result["summary"]} == {"anchored 1 x W", "anchored W^1/2 x W^1/2"}
-    assert "| manual | 2 | 1 x W | " in copy.read_text()
+    assert runs["plain"]["proved"] is None and runs["plain"]["settled"] == runs["geometric"]["settled"] == 0
+    assert runs["grid"]["settled"] > 0
+    ratio = runs["geometric"]["expansions"] / runs["anchored W^1/2 x W^1/2"]["expansions"]
+    assert result["bound_2_expansions"] == pytest.approx(ratio, rel=1e-3)
+    assert "| 2 | manual, anchored 1 x W | " in copy.read_text()
     assert (tmp_path / "found.json").stat().st_size > 0
+
+
+def test_a_search_that_ends_at_its_limit_counts_with_it():
+    def run(search, task, expansions, cost):
+        return {
+            "place": "a", "task": task, "search": search, "guide": None, "bound": 2.0, "expansions": expansions,
+            "status": "expansion_limit" if cost is None else "solved", "cost": cost, "settled": 0, "cpu_s": 0.1,
+            "proved": None if cost is None else 2.0,
+        }  # fmt: skip
+
+    runs = [
+        run("geometric", "1", 900, None), run("grid", "1", 100, 1.5),
+        run("geometric", "2", 400, 1.0), run("grid", "2", 100, 1.0),
+        run("geometric", "3", 900, None), run("grid", "3", 900, None),
+    ]  # fmt: skip
+    geometric, grid = multi_heuristic.summary(runs)
+    assert (grid["tasks"], grid["compared"], grid["geometric_solved"], geometric["solved"]) == (2, 2, 1, 1)
+    assert grid["expansions"].mean == pytest.approx(6) and grid["time"].mean == pytest.approx(1)
 
 
 def test_measured_inadmissibility_is_that_of_exact_costs(tmp_path):
