@@ -43,6 +43,8 @@ from hdsp.planning.heuristics import GeometricHeuristic, GridHeuristic
 from hdsp.planning.planner import Planner
 from hdsp.terrain.random_arenas import random_arena
 
+#: Time for a plan or a proof that a pair is infeasible, s.
+PROOF_SECONDS = 10.0
 #: The anchored search of the JSON keys.
 EQUAL_SHARES = "anchored W^1/2 x W^1/2"
 #: Names of ratios in rows and keys, and the effort behind each.
@@ -73,7 +75,9 @@ def main(argv: list[str] | None = None) -> dict:
         terrain = random_arena(seed, arguments.size)
         planners = [Planner(terrain, heuristic=guide).prepare() for guide in arguments.guides]
         for pair in draw_pairs(planners[0], arguments.per_arena, np.random.SeedSequence([seed, 1])):
-            tried = planners[0].plan(pair.start, pair.goal, 2.0, polish=0, expansions=arguments.expansions)
+            tried = planners[0].plan(
+                pair.start, pair.goal, 2.0, polish=0, expansions=arguments.expansions, time=PROOF_SECONDS
+            )
             if tried.status == Status.INFEASIBLE or tasks == arguments.tasks:
                 continue
             ends = (planners[0].grid.to_lattice(end[:3], end[3:]) for end in tried.ends)
