@@ -12,7 +12,7 @@ from hdsp.planning.heuristics import GeometricHeuristic
 START, GOAL = (0.9, 0.9, 0.0), (1.6, 1.1, 0.3)
 NO_NUMBER = None, "2", True, 1j, [2.0, 3.0], math.nan, {}
 WRONG = {
-    "weight": (*NO_NUMBER, 0.5, math.inf, -1.0),
+    "weight": (*NO_NUMBER[1:], 0.5, math.inf, -1.0),
     "anchor_weight": (*NO_NUMBER[1:], 0.5, math.inf),
     "cost": (*NO_NUMBER, -1.0, -math.inf),
     "expansions": (*NO_NUMBER, 1.5, -1, math.inf),
