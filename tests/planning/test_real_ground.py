@@ -93,16 +93,18 @@ def test_an_update_conditions_the_change_and_gives_the_plans_of_a_new_planner(ce
     rng = np.random.default_rng(5)
     count = round(SIDE / cell)
     heights = 0.01 * rng.standard_normal((count, count)).astype(np.float32)
-    planner = Planner(HeightMap(heights, resolution=cell), heuristic="manual")
-    before = planner.plan(START, GOAL, weight=1.25)
+    planner = Planner(HeightMap(heights, resolution=cell), heuristic="grid")
+    before = planner.plan(START, GOAL, weight=1.0)
     wall = slice(round(1.8 / cell), round(1.9 / cell)), slice(round(0.2 / cell), round(2.4 / cell))
     changed = heights.copy()
     changed[wall] += 0.8
     region = (wall[0].start, wall[1].start, wall[0].stop, wall[1].stop)
-    after = planner.update(HeightMap(changed, resolution=cell), region).plan(START, GOAL, weight=1.25)
-    fresh = Planner(HeightMap(changed, resolution=cell), heuristic="manual").plan(START, GOAL, weight=1.25)
-    assert after.solved and after.cost == pytest.approx(fresh.cost, rel=0.02) and after.cost > before.cost
-    again = planner.update(HeightMap(heights, resolution=cell)).plan(START, GOAL, weight=1.25)
+    after = planner.update(HeightMap(changed, resolution=cell), region).plan(START, GOAL, weight=1.0)
+    fresh = Planner(HeightMap(changed, resolution=cell), heuristic="grid").plan(START, GOAL, weight=1.0)
+    # Both plans are optimal. Their maps differ a little, since only the new planner estimates the noise with the wall.
+    assert after.bound == fresh.bound == 1 and after.cost == pytest.approx(fresh.cost, rel=0.03)
+    assert after.cost > before.cost
+    again = planner.update(HeightMap(heights, resolution=cell)).plan(START, GOAL, weight=1.0)
     np.testing.assert_array_equal(again.states, before.states)
 
 
