@@ -19,7 +19,9 @@ from hdsp.base.errors import InputError, RefinementError
 from hdsp.detailed.relaxed.heading_masks import missing_feet
 from hdsp.detailed.relaxed.proofs import why_unreachable
 from hdsp.detailed.search.leaving import leave
+from hdsp.detailed.search.life_cycle import FEW
 from hdsp.detailed.search.outcome import Limits
+from hdsp.detailed.search.windows import Windows
 from hdsp.detailed.world.world import build_world, cell_index
 from hdsp.planning.ends.arrival import arrival
 from hdsp.planning.ends.location import locate
@@ -137,6 +139,8 @@ def _try(robot: Robot, kind: QueryKind, learned: LearnedCosts | None) -> None:
         limits=Limits(),
     )
     why_unreachable(world, start, goal)
+    # The plans of the trial may be so good that a polish searches nothing.
+    Windows(world).path(start, goal, math.inf, FEW, math.inf)
     missing_feet(world, int(cell_index(world, start[0], start[1])), int(start[2]))
     if kind.anytime:
         stopped = replace(query, limits=Limits(expansions=1))
