@@ -84,6 +84,7 @@ def main(argv=None) -> dict:
     result = {
         "seed": arguments.seed,
         "largest_area": arguments.area if math.isfinite(arguments.area) else None,
+        "command": _command(arguments),
         **headline(results, compared_rows, earlier),
         **(arena_figures() if arguments.arena else {}),
         **counts(results, earlier),
@@ -100,6 +101,15 @@ def main(argv=None) -> dict:
     print(in_words(result))
     print(json.dumps(result))
     return result
+
+
+def _command(arguments: argparse.Namespace) -> str:
+    """The command for the same searches."""
+    area = f" --area {arguments.area:g}" if math.isfinite(arguments.area) else ""
+    return (
+        f"python -m benchmarks.planning --seed {arguments.seed} --maps {arguments.maps} --pairs {arguments.pairs}{area}"
+        f" --heuristics {' '.join(arguments.heuristics)} --weights {' '.join(f'{w:g}' for w in arguments.weights)}"
+    )
 
 
 def in_words(result: dict) -> str:

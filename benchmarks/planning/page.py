@@ -57,7 +57,7 @@ def pairs_in_words(result: dict) -> str:
         f"{result['maps']} maps, {result['pairs']} random pairs: {result['solvable']} solvable ({result['hard']} hard: "
         f"the manual heuristic needs {HARD:,} expansions or more at W = {HARD_WEIGHT:g}), "
         f"{result['unsolvable_proved']} proved unsolvable, {result['undecided']} undecided. Expansions are geometric "
-        "means."
+        f"means. `{result['command']}` makes these searches."
     )
 
 

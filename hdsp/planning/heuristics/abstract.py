@@ -17,11 +17,7 @@ from hdsp.planning.heuristics.goal_sources import Sources, goal_sources
 from hdsp.planning.heuristics.heuristic import Heuristic
 from hdsp.planning.heuristics.standing import standing_steps, uneven_cells
 from hdsp.planning.map_changes import changed_cells
-from hdsp.robot.lattice import (
-    ABSTRACT_HEADINGS,
-    CELLS_PER_ABSTRACT,
-    HEADINGS_PER_ABSTRACT,
-)
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT
 from hdsp.terrain.height_map import HeightMap
 
 #: Price of an action that the abstraction judges infeasible, relative to its cost on even ground.
@@ -29,15 +25,15 @@ DOUBT = 3.0
 
 
 class AbstractHeuristic(Heuristic):
-    """Costs-to-go in an abstraction: one backward Dijkstra search per goal, looked up at T_d->a of a state.
+    """Costs-to-go in an abstraction: one backward Dijkstra search per goal, interpolated between abstract states.
 
-    Three parts complete the lookup. The geometric heuristic counts where it is larger, e.g. within one abstract cell
-    around the goal. Each foot adds its remaining steps (``hdsp.detailed.relaxed.foothold_regions``): abstract states
-    contain no feet, so the lookup alone cannot tell a useful step from a useless one. A state without rest inside an
-    abstract action, e.g. on a step, counts the rest of this action (``PreparedGraph.bridged``).
+    The work of the feet completes them (``hdsp.detailed.search.interpolation``). The geometric heuristic, with the
+    least steps of each foot (``hdsp.detailed.relaxed.foothold_regions``), counts where it is larger. A state without
+    rest inside an abstract action, e.g. on a step, counts the rest of this action (``PreparedGraph.bridged``).
 
-    States that the abstraction cuts off from the goal come after all other states. An error in the abstraction
-    therefore costs time, but every solvable task stays solvable.
+    States that the abstraction cuts off from the goal are connected at high prices (``hdsp.abstract.cut_off``); states
+    far from any abstract state come after all others. An error in the abstraction therefore costs time, but every
+    solvable task stays solvable.
 
     Args:
         world: terrain and robot, compiled.
