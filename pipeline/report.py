@@ -18,16 +18,21 @@ def report(config: Config, folders: Folders) -> None:
     quality = read_json(folders.read("reports", "abstraction_quality.json"))
     planning = read_json(folders.read("reports", "planning.json"))
     training = read_json(folders.read("reports", "training.json"))
-    parts = [abstraction_quality_table(quality, training), heuristic_table(planning)]
-    if "random" in planning:
-        parts.append(random_task_table(planning["random"]))
-    tables = "\n\n".join(parts) + "\n"
+    tables = all_tables(quality, planning, training)
     with replacing(folders.write("reports", "tables.md")) as path:
         path.write_text(tables, encoding="utf-8")
     write_json(folders.write("reports", "summary.json"), summary(quality, planning))
     readme = folders.outputs / "README.md"
     if readme.is_file():
         put_between_markers(readme, tables)
+
+
+def all_tables(quality: dict[str, Any], planning: dict[str, Any], training: dict[str, Any]) -> str:
+    """Table I, Table II and, where the stage `plan` made them, the random tasks."""
+    parts = [abstraction_quality_table(quality, training), heuristic_table(planning)]
+    if "random" in planning:
+        parts.append(random_task_table(planning["random"]))
+    return "\n\n".join(parts) + "\n"
 
 
 def summary(quality: dict[str, Any], planning: dict[str, Any]) -> dict[str, Any]:
