@@ -102,7 +102,7 @@ def optimal_search(planner: Planner, start, goal, limit: int) -> dict:
     least: list[float] = []
 
     def at_end(search: Search) -> None:
-        found = float(kernel.least_f(search.store, estimate))
+        found = float(kernel.least_f(world, search.store, estimate))
         least.append(found * max(0.0, 1 - rounding(world) * found) if np.isfinite(found) else found)
 
     began = time.process_time()

@@ -166,7 +166,7 @@ def _check_values(
     contract.require("values", kind, f"{getattr(values, 'dtype', type(values).__name__)} {np.shape(values)}")
     wrong = np.flatnonzero(~(values >= 0))
     contract.require("values", not len(wrong), f"{values[wrong[:1]]} at state {states[wrong[:1]].tolist()}")
-    read = np.array([estimate(view, int(key)) for key in pack_states(states, world.tables.lowest)])
+    read = np.array([estimate(world, view, int(key)) for key in pack_states(states, world.tables.lowest)])
     contract.require_equal("kernel", values, read, "estimates")
     if heuristic.admissible:
         at_goal = float(values[(states == goal).all(axis=1)].max())

@@ -45,7 +45,7 @@ def grid(world, goals, memory=MEMORY):
 
 
 def asked(e, world, states):
-    return final_estimates(e, pack_states(states, world.tables.lowest))
+    return final_estimates(world, e, pack_states(states, world.tables.lowest))
 
 
 def scene(seed, cells=9):
@@ -84,7 +84,7 @@ def test_grid_heuristic_is_consistent_along_every_action_within_any_memory(seed,
     for state in states:
         keys, prices, _ = successor_arrays(world, state)
         here = asked(e, world, [state])[0]
-        there = final_estimates(e, keys)
+        there = final_estimates(world, e, keys)
         assert (here <= prices + there + 1e-5).all()
     assert e.back.counts[USED] <= len(e.back.where)
     assert memory > 1 or e.back.counts[FULL] or e.back.counts[USED] <= 2

@@ -55,7 +55,7 @@ def robots(draw):
 
 
 def estimates(parameters, world, states):
-    return np.array([estimate(parameters, key) for key in pack_states(states, world.tables.lowest)])
+    return np.array([estimate(world, parameters, key) for key in pack_states(states, world.tables.lowest)])
 
 
 def scene(robot, seed):

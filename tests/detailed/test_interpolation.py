@@ -31,14 +31,14 @@ def test_the_kernel_equals_its_twin(kind):
         feet[tuple(at)] = tuple(random.integers(lowest, highest + 1, 4).tolist())
         packed[tuple(at)] = pack(0, 0, 0, *(offset - lowest for offset in feet[tuple(at)]))
     uneven = np.ones(shape[1:], bool)
-    table = CostsToGo(values.ravel(), packed.ravel(), uneven.ravel(), *shape[1:], world)
+    table = CostsToGo(values.ravel(), packed.ravel(), uneven.ravel(), *shape[1:])
     standing = valid_states(twin, random, 60)
     feet_of_state = random.integers(lowest, highest + 1, (len(standing), 8, 4)).tolist()
     stretched = [(*state[:3], *each) for state, some in zip(standing, feet_of_state, strict=True) for each in some]
     states = np.array([*standing, *filter(twin.valid, stretched)])
     keys = pack_states(states, world.tables.lowest)
     expected = [to_go_between(twin, values, feet, tuple(state)) for state in states.tolist()]
-    np.testing.assert_allclose([interpolated(table, int(key)) for key in keys], expected, rtol=1e-5)
+    np.testing.assert_allclose([interpolated(world, table, int(key)) for key in keys], expected, rtol=1e-5)
     assert np.isfinite(expected).sum() > 100
     assert (states[:, 3:] != 0).any(axis=1).sum() > 50
 
@@ -52,7 +52,7 @@ def test_cells_without_edges_around_need_no_correction():
     table = heuristic.set_goal(np.array(states[0])).to_go
     checked = table._replace(uneven=np.ones_like(table.uneven))
     keys = pack_states(states, world.tables.lowest)
-    assert [interpolated(table, int(k)) for k in keys] == [interpolated(checked, int(k)) for k in keys]
+    assert [interpolated(world, table, int(k)) for k in keys] == [interpolated(world, checked, int(k)) for k in keys]
 
 
 def test_a_climb_keeps_g_plus_h_nearly_constant():

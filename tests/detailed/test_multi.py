@@ -81,7 +81,7 @@ def anchor_of(task):
 
 def python_heuristic(task, e):
     """The same estimates for the textbook search."""
-    return cache(lambda state: estimate(e, int(pack_states(np.array(state), task.world.tables.lowest)[0])))
+    return cache(lambda state: estimate(task.world, e, int(pack_states(np.array(state), task.world.tables.lowest)[0])))
 
 
 def found(task, guides, w1, w2, **options):

@@ -58,7 +58,7 @@ def test_calling_a_heuristic_gives_what_the_kernel_sees(scene):
         parameters = heuristic.set_goal(states[0])
         values = heuristic(states)
         assert values.shape == (len(states),)
-        expected = [estimate(parameters, key) for key in pack_states(states, world.tables.lowest)]
+        expected = [estimate(world, parameters, key) for key in pack_states(states, world.tables.lowest)]
         assert values.tolist() == expected
         assert (values >= 0).all()
         # An estimate is infinite only with a proof: no steps bring some foot to its goal.

@@ -138,7 +138,7 @@ class _Found:
             if better:
                 self.plan, self.cost, self.reached = plan, plan.cost, nearest
         if better or thorough:
-            least = kernel.least_f(store, self.admissible)
+            least = kernel.least_f(self.search.world, store, self.admissible)
             if store.counts[CUT]:
                 least = min(least, self.search.limits.cost)
             if np.isfinite(least):

@@ -46,7 +46,6 @@ class Backward(NamedTuple):
     A node is one pose in one layer: ``block * 4096 + (heading * 8 + ix % 8) * 8 + iy % 8``.
 
     Attributes:
-        world: terrain and robot.
         place: int32 [2 * blocks along x * blocks along y], block of a layer and its cells, 0 without one.
         where: int32 [blocks], index in ``place``.
         cost: float32 [nodes], least known cost to a goal; inf if unknown.
@@ -62,7 +61,6 @@ class Backward(NamedTuple):
         follow: cost per cell for a foot to follow a base shift.
     """
 
-    world: World
     place: np.ndarray
     where: np.ndarray
     cost: np.ndarray
@@ -86,10 +84,10 @@ class Backward(NamedTuple):
         return 12 * used + self.place.nbytes + self.where.nbytes + self.heads.nbytes
 
 
-def no_backward(world: World) -> Backward:
+def no_backward() -> Backward:
     """The empty search, for heuristics without one."""
     return Backward(
-        world, _NONE, _NONE, _NO_COST, _NONE, _NONE, _NONE, _NO_COUNT, _NO_SOURCE, _NO_INITIAL, _NO_COUNT,
+        _NONE, _NONE, _NO_COST, _NONE, _NONE, _NONE, _NO_COUNT, _NO_SOURCE, _NO_INITIAL, _NO_COUNT,
         0.0, 0.0, 0.0, 0.0,
     )  # fmt: skip
 
@@ -115,7 +113,6 @@ def new_backward(world: World, goals: np.ndarray, distance: float, turn: float, 
     order = np.lexsort((initial, goals[:, 2], goals[:, 1], goals[:, 0], layer))
     sources, first = np.unique(np.column_stack([layer, goals[:, :3]])[order], axis=0, return_index=True)
     return Backward(
-        world=world,
         place=np.zeros(places, np.int32),
         where=np.zeros(blocks, np.int32),
         cost=np.empty(blocks * _NODES, np.float32),
@@ -134,7 +131,7 @@ def new_backward(world: World, goals: np.ndarray, distance: float, turn: float, 
 
 
 @njit(allocates=False)
-def begin_toward(b, ix, iy, heading):
+def begin_toward(world, b, ix, iy, heading):
     """Begins the search at its goals, toward the pose of the forward search's start; a begun one stays as it is."""
     if b.counts[BEGUN]:
         return
@@ -145,13 +142,13 @@ def begin_toward(b, ix, iy, heading):
         least = min(least, b.initial[k] + _from_start(b, b.sources[k, 1], b.sources[k, 2], b.sources[k, 3]))
     b.counts[BUCKET] = np.int64(least / b.width)
     for k in range(len(b.initial)):
-        _offer(b, b.sources[k, 0], b.sources[k, 1], b.sources[k, 2], b.sources[k, 3], _sum(b.initial[k], 0.0))
+        _offer(world, b, b.sources[k, 0], b.sources[k, 1], b.sources[k, 2], b.sources[k, 3], _sum(b.initial[k], 0.0))
 
 
 @njit(allocates=False)
-def lower_bound(b, layer, ix, iy, heading):
+def lower_bound(world, b, layer, ix, iy, heading):
     """Lower bound on the cost from a pose in a layer; inf if no goal is in reach."""
-    cost = _known(b, layer, ix, iy, heading)
+    cost = _known(world, b, layer, ix, iy, heading)
     if b.counts[WAITING] == 0 and not b.counts[FULL]:
         return cost
     bucket = b.counts[BUCKET]
@@ -162,23 +159,25 @@ def lower_bound(b, layer, ix, iy, heading):
 
 
 @njit(allocates=False)
-def is_final(b, layer, ix, iy, heading):
+def is_final(world, b, layer, ix, iy, heading):
     """Whether more search leaves the lower bound of a pose in a layer as it is."""
     if b.counts[FULL] or b.counts[WAITING] == 0:
         return True
-    cost = _known(b, layer, ix, iy, heading)
+    cost = _known(world, b, layer, ix, iy, heading)
     return cost < np.inf and np.int64((cost + _from_start(b, ix, iy, heading)) / b.width) < b.counts[BUCKET]
 
 
 @njit(allocates=False)
-def advance(b, layer, ix, iy, heading):
+def advance(world, b, layer, ix, iy, heading):
     """Continues until the lower bound of a pose in a layer is final or clearly larger, or for ``_NODES`` nodes."""
     from_start = _from_start(b, ix, iy, heading)
     least = b.counts[BUCKET] * b.width - from_start
     f = from_start + least + 8 * b.width + abs(least) / 64
     until = b.counts[SETTLED] + _NODES
-    while not is_final(b, layer, ix, iy, heading) and b.counts[BUCKET] * b.width < f and b.counts[SETTLED] < until:
-        _empty_bucket(b)
+    while (
+        not is_final(world, b, layer, ix, iy, heading) and b.counts[BUCKET] * b.width < f and b.counts[SETTLED] < until
+    ):
+        _empty_bucket(world, b)
 
 
 @njit(inline="always")
@@ -190,8 +189,8 @@ def _from_start(b, ix, iy, heading):
 
 
 @njit(inline="always")
-def _place(b, layer, ix, iy):
-    across = (b.world.ny + _SIDE - 1) // _SIDE
+def _place(world, b, layer, ix, iy):
+    across = (world.ny + _SIDE - 1) // _SIDE
     return layer * (len(b.place) // 2) + (ix // _SIDE) * across + iy // _SIDE
 
 
@@ -201,8 +200,8 @@ def _node(block, ix, iy, heading):
 
 
 @njit(inline="always")
-def _known(b, layer, ix, iy, heading):
-    block = b.place[_place(b, layer, ix, iy)]
+def _known(world, b, layer, ix, iy, heading):
+    block = b.place[_place(world, b, layer, ix, iy)]
     return np.float64(b.cost[_node(block, ix, iy, heading)]) if block > 0 else np.inf
 
 
@@ -227,9 +226,9 @@ def _sum(so_far, edge):
 
 
 @njit(inline="always")
-def _offer(b, layer, ix, iy, heading, cost):
+def _offer(world, b, layer, ix, iy, heading, cost):
     """Queues a pose at a cost, float32, if this is cheaper."""
-    place = _place(b, layer, ix, iy)
+    place = _place(world, b, layer, ix, iy)
     block = np.int64(b.place[place])
     if block == 0:
         block = _new_block(b, place)
@@ -267,10 +266,10 @@ def _take(b, node):
 
 
 @njit(allocates=False)
-def _empty_bucket(b):
+def _empty_bucket(world, b):
     """Settles all nodes in the first bucket, and moves on to the next one; stops without memory."""
     slot = b.counts[BUCKET] % _BUCKETS
-    across = (b.world.ny + _SIDE - 1) // _SIDE
+    across = (world.ny + _SIDE - 1) // _SIDE
     heads = b.heads
     while heads[slot] >= 0:
         node = np.int64(heads[slot])
@@ -284,18 +283,16 @@ def _empty_bucket(b):
         heading = node % _NODES // (_SIDE * _SIDE)
         so_far = b.cost[node]
         if layer == 0:
-            _drive_back(b, ix, iy, heading, so_far)
-            if b.world.constants.on_the_spot:
-                _turn_back(b, ix, iy, heading, so_far)
+            _drive_back(world, b, ix, iy, heading, so_far)
+            if world.constants.on_the_spot:
+                _turn_back(world, b, ix, iy, heading, so_far)
             else:
-                _arcs_back(b, ix, iy, heading, so_far)
-            _offer(b, 1, ix, iy, heading, so_far)
+                _arcs_back(world, b, ix, iy, heading, so_far)
+            _offer(world, b, 1, ix, iy, heading, so_far)
         else:
-            _shift_back(b, ix, iy, heading, so_far)
-            if _stands(b.world, heading, cell_index(b.world, ix, iy)) and can_step_from_neutral(
-                b.world, ix, iy, heading
-            ):
-                _offer(b, 0, ix, iy, heading, so_far)
+            _shift_back(world, b, ix, iy, heading, so_far)
+            if _stands(world, heading, cell_index(world, ix, iy)) and can_step_from_neutral(world, ix, iy, heading):
+                _offer(world, b, 0, ix, iy, heading, so_far)
         if b.counts[FULL]:
             return
     b.counts[BUCKET] += 1
@@ -327,8 +324,7 @@ def _is_level(world, heading, p):
 
 
 @njit(inline="always")
-def _drive_back(b, ix, iy, heading, so_far):
-    world = b.world
+def _drive_back(world, b, ix, iy, heading, so_far):
     t = world.tables
     uneven, contacts, k = world.uneven, t.contacts, world.constants.unevenness
     q = cell_index(world, ix, iy)
@@ -343,7 +339,7 @@ def _drive_back(b, ix, iy, heading, so_far):
         if price == np.inf or not (0 <= u < world.nx and 0 <= v < world.ny):
             continue
         share = k / (t.move_count[m] + 1)
-        if _sum(so_far, price * (1.0 + share * at_end)) >= _known(b, 0, u, v, heading):
+        if _sum(so_far, price * (1.0 + share * at_end)) >= _known(world, b, 0, u, v, heading):
             continue
         p = q - t.move_flat[m]
         if not _stands(world, heading, p):
@@ -366,22 +362,21 @@ def _drive_back(b, ix, iy, heading, so_far):
             price = t.drive_price[1, heading, m]
             if price == np.inf:
                 continue
-        _offer(b, 0, u, v, heading, _sum(so_far, price * (1.0 + share * total)))
+        _offer(world, b, 0, u, v, heading, _sum(so_far, price * (1.0 + share * total)))
 
 
 @njit(inline="always")
-def _turn_back(b, ix, iy, heading, so_far):
-    world = b.world
+def _turn_back(world, b, ix, iy, heading, so_far):
     c, p = world.constants, cell_index(world, ix, iy)
     there = _summed(world, p, heading)
     for action in (TURN_LEFT, TURN_RIGHT):
         old = (heading - (1 if action == TURN_LEFT else HEADINGS - 1)) % HEADINGS
-        if _sum(so_far, c.turn) >= _known(b, 0, ix, iy, old):
+        if _sum(so_far, c.turn) >= _known(world, b, 0, ix, iy, old):
             continue
         if not _stands(world, old, p) or not _is_level(world, old, p):
             continue
         here = _summed(world, p, old)
-        _offer(b, 0, ix, iy, old, _sum(so_far, c.turn * (1.0 + c.turn_unevenness * 0.5 * (here + there))))
+        _offer(world, b, 0, ix, iy, old, _sum(so_far, c.turn * (1.0 + c.turn_unevenness * 0.5 * (here + there))))
 
 
 @njit(inline="always")
@@ -393,8 +388,7 @@ def _summed(world, p, heading):
 
 
 @njit(allocates=False)
-def _arcs_back(b, ix, iy, heading, so_far):
-    world = b.world
+def _arcs_back(world, b, ix, iy, heading, so_far):
     for arc in range(ARCS):
         old = (heading - arc_turn(arc)) % HEADINGS
         u, v = ix - world.tables.arcs[old, arc, 0], iy - world.tables.arcs[old, arc, 1]
@@ -405,12 +399,11 @@ def _arcs_back(b, ix, iy, heading, so_far):
             continue
         edge = arc_cost(world, p, old, arc, _summed(world, p, old))
         if edge < np.inf:
-            _offer(b, 0, u, v, old, _sum(so_far, edge))
+            _offer(world, b, 0, u, v, old, _sum(so_far, edge))
 
 
 @njit(allocates=False)
-def _shift_back(b, ix, iy, heading, so_far):
-    world = b.world
+def _shift_back(world, b, ix, iy, heading, so_far):
     c, shifts = world.constants, world.tables.shifts
     there = -1.0
     for sign in (1, -1):
@@ -421,11 +414,11 @@ def _shift_back(b, ix, iy, heading, so_far):
             continue
         price = c.base_shift * np.sqrt(np.float64(shifts[heading, 0] ** 2 + shifts[heading, 1] ** 2))
         follow = 4 * b.follow * shifts[heading, 2]
-        if _sum(so_far, price + follow) >= _known(b, 1, u, v, heading):
+        if _sum(so_far, price + follow) >= _known(world, b, 1, u, v, heading):
             continue
         here = least_pose_cost(world, u, v, heading)
         if here == np.inf:
             continue
         if there < 0:
             there = least_pose_cost(world, ix, iy, heading)
-        _offer(b, 1, u, v, heading, _sum(so_far, price * 0.5 * (here + there) + follow))
+        _offer(world, b, 1, u, v, heading, _sum(so_far, price * 0.5 * (here + there) + follow))

@@ -109,7 +109,7 @@ def _way(e, ix, iy, heading):
 
 
 @njit(inline="always")
-def estimate(e, key):
+def estimate(world, e, key):
     """Estimated cost from a packed state to the goal, float64."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     way = _way(e, ix, iy, heading)
@@ -130,14 +130,15 @@ def estimate(e, key):
     if e.foot > 0:
         h += e.foot * _feet(e.goal_feet, o0, o1, o2, o3)
     if len(e.back.place) > 0:
-        relaxed = _bound(e.back, _layer(e, o0, o1, o2, o3), ix, iy, heading) - e.back.follow * (o0 + o1 + o2 + o3)
+        relaxed = _bound(world, e.back, _layer(e, o0, o1, o2, o3), ix, iy, heading)
+        relaxed -= e.back.follow * (o0 + o1 + o2 + o3)
         if e.back.follow == 0:
             relaxed += e.foot * _feet(e.goal_feet, o0, o1, o2, o3)
         h = max(h, relaxed)
     if len(e.effort) > 0:
         h += _steps(e, ix, iy, heading, o0, o1, o2, o3)
     if len(e.to_go.values) > 0:
-        between = interpolated(e.to_go, key)
+        between = interpolated(world, e.to_go, key)
         # Interpolation rounds off the tip at the goal; the value falls to 0 over the last abstract cell.
         between *= min(1.0, way / (CELLS_PER_ABSTRACT * e.distance))
         h = h + e.outside if between == np.inf else max(h, between)
@@ -151,42 +152,42 @@ def _layer(e, o0, o1, o2, o3):
 
 
 # Functions that are not inlined take the backward search alone. With the whole estimate as an argument, hundreds of
-# numbers, all searches took three times as long.
+# numbers, all searches took three times as long. For the same reason, no part of an estimate contains the world.
 @njit(allocates=False)
-def _bound(back, layer, ix, iy, heading):
+def _bound(world, back, layer, ix, iy, heading):
     """The backward search's lower bound, as far as it is known."""
-    begin_toward(back, ix, iy, heading)
-    return lower_bound(back, layer, ix, iy, heading)
+    begin_toward(world, back, ix, iy, heading)
+    return lower_bound(world, back, layer, ix, iy, heading)
 
 
 @njit(allocates=False)
-def _advanced(back, layer, ix, iy, heading):
+def _advanced(world, back, layer, ix, iy, heading):
     """Continues the backward search a little for a pose; returns whether its lower bound is final."""
-    begin_toward(back, ix, iy, heading)
-    if not is_final(back, layer, ix, iy, heading):
-        advance(back, layer, ix, iy, heading)
-    return is_final(back, layer, ix, iy, heading)
+    begin_toward(world, back, ix, iy, heading)
+    if not is_final(world, back, layer, ix, iy, heading):
+        advance(world, back, layer, ix, iy, heading)
+    return is_final(world, back, layer, ix, iy, heading)
 
 
 @njit(inline="always")
-def resume(e, key):
+def resume(world, e, key):
     """Continues the backward search a little for a state; returns whether ``estimate`` is final.
 
     Several calls lead to a final estimate. Final estimates depend on the first state asked, and on no other.
     """
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
-    return _advanced(e.back, _layer(e, o0, o1, o2, o3), ix, iy, heading)
+    return _advanced(world, e.back, _layer(e, o0, o1, o2, o3), ix, iy, heading)
 
 
 @njit()
-def final_estimates(e, keys):
+def final_estimates(world, e, keys):
     """Final estimates, float64 [n], for packed states int64 [n]."""
     result = np.empty(len(keys))
     for i in range(len(keys)):
         if len(e.back.place) > 0:
-            while not resume(e, keys[i]):
+            while not resume(world, e, keys[i]):
                 pass
-        result[i] = estimate(e, keys[i])
+        result[i] = estimate(world, e, keys[i])
     return result
 
 
@@ -240,7 +241,7 @@ def geometric_estimate(world, goals, groups=None) -> Estimate:
         cells=1,
         heading_steps=1,
         outside=0.0,
-        to_go=no_costs_to_go(world),
+        to_go=no_costs_to_go(),
         region=NO_REGION,
         effort=NO_TABLE,
         feet=world.tables.feet,
@@ -248,7 +249,7 @@ def geometric_estimate(world, goals, groups=None) -> Estimate:
         n_samples=world.tables.n_samples,
         pad=world.pad,
         stride=world.stride,
-        back=no_backward(world),
+        back=no_backward(),
     )
 
 

@@ -70,9 +70,9 @@ def relax(store, k, g, cost_limit):
 
 
 @njit(inline="always")
-def offer(open_list, store, heuristic, weight, key, node):
+def offer(world, open_list, store, heuristic, weight, key, node):
     """Adds a node to an open list with ``f = g + W h``; returns False if h is infinite, then the node stays out."""
-    h = estimate(heuristic, key)
+    h = estimate(world, heuristic, key)
     if h == np.inf:
         return False
     push(open_list, np.float32(np.float64(store.g[node]) + weight * h), node)
@@ -80,7 +80,7 @@ def offer(open_list, store, heuristic, weight, key, node):
 
 
 @njit(inline="always")
-def rises(open_list, store, heuristic, weight, key, node, f):
+def rises(world, open_list, store, heuristic, weight, key, node, f):
     """Whether a node came out of an open list too early: its heuristic rises, or may rise, with more backward search.
 
     The node then goes back into the list with its new f, unless h is infinite. A node that may be expanded has its
@@ -93,8 +93,8 @@ def rises(open_list, store, heuristic, weight, key, node, f):
     if len(heuristic.back.place) == 0:
         return 0
     before = heuristic.back.counts[SETTLED]
-    final = resume(heuristic, key)
-    h = estimate(heuristic, key)
+    final = resume(world, heuristic, key)
+    h = estimate(world, heuristic, key)
     new = np.float32(np.float64(store.g[node]) + weight * h)
     if final and new <= f:
         return 0

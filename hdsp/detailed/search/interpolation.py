@@ -26,7 +26,7 @@ import numpy as np
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import foot_row, merged_cost
 from hdsp.detailed.states import FEET_MASK, foot_offset, foot_shift, neutral_feet, unpack
-from hdsp.detailed.world.world import World, cell_index, step_effort
+from hdsp.detailed.world.world import cell_index, step_effort
 from hdsp.robot.lattice import ABSTRACT_ANCHOR, ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT
 
 _NEAR = 2  # cells; a reference within an edge's clearance belongs to a foothold that is no farther away
@@ -43,7 +43,6 @@ class CostsToGo(NamedTuple):
         feet: int32 [16 * nx * ny], reference feet as packed bits (``hdsp.detailed.states``), -1 for neutral feet.
         uneven: bool [nx * ny], whether an edge may lie between a foot and its reference.
         nx, ny: size in abstract cells.
-        world: terrain and robot.
     """
 
     values: np.ndarray
@@ -51,20 +50,18 @@ class CostsToGo(NamedTuple):
     uneven: np.ndarray
     nx: int
     ny: int
-    world: World
 
 
-def no_costs_to_go(world: World) -> CostsToGo:
+def no_costs_to_go() -> CostsToGo:
     """Returns an empty table."""
     nothing = np.empty(0, np.float32), np.empty(0, np.int32), np.empty(0, np.bool_)
-    return CostsToGo(*nothing, 0, 0, world)
+    return CostsToGo(*nothing, 0, 0)
 
 
 @njit(allocates=False)
-def interpolated(table, key):
+def interpolated(world, table, key):
     """Cost-to-go of a packed state, float64; inf without a known abstract state around it."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
-    world = table.world
     t, c = world.tables, world.constants
     x, y = ix - ABSTRACT_ANCHOR, iy - ABSTRACT_ANCHOR
     a0, b0, k0 = x // CELLS_PER_ABSTRACT, y // CELLS_PER_ABSTRACT, heading // HEADINGS_PER_ABSTRACT
@@ -104,7 +101,7 @@ def interpolated(table, key):
                 if correct:
                     moved_x, moved_y = CELLS_PER_ABSTRACT * i - far_x, CELLS_PER_ABSTRACT * j - far_y
                     along = moved_x * t.ahead[heading, 0] + moved_y * t.ahead[heading, 1]
-                    value += _correction(table, key, place, np.int64(np.rint(along)), prices)
+                    value += _correction(world, table, key, place, np.int64(np.rint(along)), prices)
                 weight = np.float64(in_x * in_y * in_k)
                 total += weight * value
                 weights += weight
@@ -115,17 +112,17 @@ def interpolated(table, key):
 
 
 @njit(allocates=False)
-def _correction(table, key, place, along, prices):
+def _correction(world, table, key, place, along, prices):
     """Cost of the work by which the feet of a state are behind their reference at an anchor; negative if ahead.
 
     Args:
+        world: terrain and robot.
         table: the table.
         key: packed state.
         place: index of the anchor's abstract state.
         along: distance of the anchor ahead of the base, cells.
         prices: of a step, relative to its effort, and of rolling each foot by one cell.
     """
-    world = table.world
     t = world.tables
     ix, iy, heading, _, _, _, _ = unpack(key)
     p = cell_index(world, ix, iy)
@@ -141,7 +138,7 @@ def _correction(table, key, place, along, prices):
         if at >= offset:
             steps += work
             rolling += roll * (reference - offset)
-        elif work > 0 and _falls(table, ix, iy, heading, min(offset - reference, _AHEAD)):
+        elif work > 0 and _falls(world, table, ix, iy, heading, min(offset - reference, _AHEAD)):
             steps -= work
             rolling -= roll * (offset - reference)
         else:
@@ -167,9 +164,9 @@ def _put_off(world, key):
 
 
 @njit(inline="always")
-def _falls(table, ix, iy, heading, cells):
+def _falls(world, table, ix, iy, heading, cells):
     """Whether the cost-to-go falls from a base pose to the pose ``cells`` ahead."""
-    t = table.world.tables
+    t = world.tables
     here = _nearest_value(table, ix, iy, heading)
     x, y = np.int64(np.rint(cells * t.ahead[heading, 0])), np.int64(np.rint(cells * t.ahead[heading, 1]))
     return _nearest_value(table, ix + x, iy + y, heading) < here

@@ -59,23 +59,22 @@ def cheapest_goal(store, goals):
 
 
 @njit(allocates=False)
-def insert_start(store, open_list, heuristic, weight, start):
-    """Begins a search at a packed state."""
-    node = begin_at(store, start)
-    push(open_list, np.float32(weight * estimate(heuristic, start)), node)
+def insert_start(store, open_list, f, start):
+    """Begins a search at a packed state with a value f, float32."""
+    push(open_list, f, begin_at(store, start))
 
 
 @njit(allocates=False)
-def push_waiting(store, open_list, heuristic, weight):
+def push_waiting(world, store, open_list, heuristic, weight):
     """Begins a round: fills an empty open list with all waiting states."""
     for node in range(BLOCK, BLOCK * store.counts[BLOCKS]):
         store.flags[node] &= ~np.uint8(VISITED)
         if waits(store, node):
-            offer(open_list, store, heuristic, weight, key_of(store, node), node)
+            offer(world, open_list, store, heuristic, weight, key_of(store, node), node)
 
 
 @njit(allocates=False)
-def least_f(store, heuristic):
+def least_f(world, store, heuristic):
     """Least ``g + h`` over all waiting states; inf if no state waits.
 
     With an admissible heuristic, no plan costs less: every optimal plan contains a waiting state to which the search
@@ -84,7 +83,7 @@ def least_f(store, heuristic):
     least = np.inf
     for node in range(BLOCK, BLOCK * store.counts[BLOCKS]):
         if waits(store, node):
-            least = min(least, np.float64(store.g[node]) + estimate(heuristic, key_of(store, node)))
+            least = min(least, np.float64(store.g[node]) + estimate(world, heuristic, key_of(store, node)))
     return least
 
 
@@ -127,7 +126,7 @@ def run(world, rules, heuristic, store, open_list, weight, goals, goal_cost, cos
         if flags[node] & CLOSED:
             continue
         key = key_of(store, node)
-        work = rises(open_list, store, heuristic, weight, key, node, f)
+        work = rises(world, open_list, store, heuristic, weight, key, node, f)
         if work > 0:
             until -= work
             continue
@@ -144,5 +143,5 @@ def run(world, rules, heuristic, store, open_list, weight, goals, goal_cost, cos
         for k in range(expand(world, rules, store, key)):
             reached = relax(store, k, g, cost_limit)
             if reached >= 0 and (reopen or not flags[reached] & VISITED):
-                offer(open_list, store, heuristic, weight, store.out_key[k], reached)
+                offer(world, open_list, store, heuristic, weight, store.out_key[k], reached)
     return RUNNING

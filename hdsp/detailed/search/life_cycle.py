@@ -17,7 +17,7 @@ from hdsp.base.gradual import now
 from hdsp.detailed.actions.state_costs import state_cost, state_costs
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, successors
 from hdsp.detailed.search import kernel, open_list
-from hdsp.detailed.search.estimate import Estimate
+from hdsp.detailed.search.estimate import Estimate, estimate
 from hdsp.detailed.search.open_list import OpenList
 from hdsp.detailed.search.outcome import Limits, Path, SearchResult, Status
 from hdsp.detailed.search.store import (
@@ -121,8 +121,12 @@ class Search:
         """
         self._set_up(lists=1)
         self._set_order(heuristic, weight, admissible, reopen)
-        kernel.insert_start(self.store, self.lists[0], heuristic, self._weight, self.start)
+        kernel.insert_start(self.store, self.lists[0], self._first_f(heuristic), self.start)
         return self._memory_limit()
+
+    def _first_f(self, heuristic: Estimate) -> np.float32:
+        """The start's ``W h``."""
+        return np.float32(self._weight * estimate(self.world, heuristic, self.start))
 
     def begin_round(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool) -> Status | None:
         """Fills the open list again with all waiting states, in another order; arguments and result as in ``begin``."""
@@ -132,7 +136,7 @@ class Search:
         open_list.clear(self.lists[0])
         if not self._grow(count_waiting(self.store)):
             return Status.MEMORY_LIMIT
-        kernel.push_waiting(self.store, self.lists[0], heuristic, self._weight)
+        kernel.push_waiting(self.world, self.store, self.lists[0], heuristic, self._weight)
         return None
 
     def _set_up(self, lists: int) -> None:

@@ -104,9 +104,8 @@ class _MultiSearch(Search):
         valid = self.goals[self.invalid.index(None)]
         self._goal = np.array([find(self.store, self.start if self.start in self.goals else valid)])
         anchor_list, *guide_lists = self.lists
-        multi_kernel.insert_start(
-            self.store, anchor_list, tuple(guide_lists), anchor, self._guides, self._weight, self.start, self._once
-        )
+        first = np.array([self._first_f(heuristic) for heuristic in (anchor, *guides)])
+        multi_kernel.insert_start(self.store, anchor_list, tuple(guide_lists), first, self.start)
         return self._memory_limit()
 
     def _run(self, expansions: int) -> int:
@@ -126,7 +125,7 @@ class _MultiSearch(Search):
             return np.inf
         if status == Status.COST_LIMIT:
             return float(self.limits.cost)
-        least = kernel.least_f(self.store, self._anchor)
+        least = kernel.least_f(self.world, self.store, self._anchor)
         first = float(first_f(self.lists[0], self.store.flags, self._once)) / self._weight
         # Keys are rounded to single precision; the plan's cost and its lower bound are not.
         least = max(least, first * (1 - 2.0**-23))

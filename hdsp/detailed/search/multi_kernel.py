@@ -5,7 +5,7 @@ import numpy as np
 from hdsp.base.jit import njit
 from hdsp.detailed.search.expansion import begin_at, expand, offer, relax, rises
 from hdsp.detailed.search.kernel import EXHAUSTED, FULL, OVER_COST_LIMIT, RUNNING, SOLVED
-from hdsp.detailed.search.open_list import first_f, list_has_room, pop
+from hdsp.detailed.search.open_list import first_f, list_has_room, pop, push
 from hdsp.detailed.search.store import CLOSED, CUT, EXPANDED, GOAL, has_room, key_of
 
 #: More bits of ``Store.flags``: expanded for the anchor, expanded for the guides.
@@ -13,24 +13,36 @@ ANCHORED, GUIDED = 8, 16
 
 
 @njit(allocates=False)
-def insert_start(store, anchor_list, guide_lists, anchor, guides, weight, start, once):
-    """Begins a search at a packed state."""
+def insert_start(store, anchor_list, guide_lists, f, start):
+    """Begins a search at a packed state.
+
+    Args:
+        store: an empty store; changed in place.
+        anchor_list, guide_lists: empty lists; changed in place.
+        f: float32 [1 + guides], the start's value for the anchor and for each guide; inf keeps the start out of a list,
+            for the anchor out of all lists.
+        start: the state.
+    """
     node = begin_at(store, start)
-    _offer_all(store, anchor_list, guide_lists, anchor, guides, weight, start, node, once)
+    if f[0] < np.inf:
+        push(anchor_list, f[0], node)
+        for i in range(len(guide_lists)):
+            if f[1 + i] < np.inf:
+                push(guide_lists[i], f[1 + i], node)
 
 
 @njit(inline="always")
-def _offer_all(store, anchor_list, guide_lists, anchor, guides, weight, key, node, once):
+def _offer_all(world, store, anchor_list, guide_lists, anchor, guides, weight, key, node, once):
     """Puts a state whose cost fell into all lists that may still expand it."""
     flags = store.flags[node]
     if flags & once:
         return
-    if not offer(anchor_list, store, anchor, weight, key, node):
+    if not offer(world, anchor_list, store, anchor, weight, key, node):
         return
     if flags & (ANCHORED | GUIDED):
         return
     for i in range(len(guide_lists)):
-        offer(guide_lists[i], store, guides[i], weight, key, node)
+        offer(world, guide_lists[i], store, guides[i], weight, key, node)
 
 
 @njit(inline="always")
@@ -93,7 +105,7 @@ def run(
             if costs[goal] <= anchor_weight * least:
                 return SOLVED
             node = pop(anchor_list)
-            work = rises(anchor_list, store, anchor, weight, key_of(store, node), node, np.float32(least))
+            work = rises(world, anchor_list, store, anchor, weight, key_of(store, node), node, np.float32(least))
             if work > 0:
                 until -= work
                 continue
@@ -106,5 +118,5 @@ def run(
                 if flags[reached] & GOAL and costs[reached] < costs[goal]:
                     cheapest[0] = goal = reached
                 key = store.out_key[k]
-                _offer_all(store, anchor_list, guide_lists, anchor, guides, weight, key, reached, once)
+                _offer_all(world, store, anchor_list, guide_lists, anchor, guides, weight, key, reached, once)
     return RUNNING

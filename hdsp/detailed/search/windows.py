@@ -58,7 +58,7 @@ class Windows:
 
     def least(self, start: np.ndarray, goal: np.ndarray) -> float:
         """Returns a lower bound on the cost between two states, int64 [7]."""
-        return float(estimate(self._estimate_to(goal), self._packed(start)))
+        return float(estimate(self._world, self._estimate_to(goal), self._packed(start)))
 
     def path(self, start: np.ndarray, goal: np.ndarray, limit: float, expansions: int, ends: float) -> Path | None:
         """Returns the cheapest path between two states.
@@ -72,7 +72,7 @@ class Windows:
         first, last, to_goal = self._packed(start), self._packed(goal), self._estimate_to(goal)
         emptied(self._store)
         open_list.clear(self._list)
-        push(self._list, np.float32(estimate(to_goal, first)), begin_at(self._store, first))
+        push(self._list, np.float32(estimate(self._world, to_goal, first)), begin_at(self._store, first))
         code, done = RUNNING, 0
         while code == FULL or (code == RUNNING and done < expansions and now() < ends):
             until = min(done + _SLICE, expansions)
@@ -130,7 +130,7 @@ def _run(world, rules, heuristic, store, entries, goal, limit, expansions):
         count[EXPANDED] += 1
         for k in range(expand(world, rules, store, key)):
             cost = np.float32(g + store.out_cost[k])
-            f = np.float64(cost) + estimate(heuristic, store.out_key[k])
+            f = np.float64(cost) + estimate(world, heuristic, store.out_key[k])
             if f >= limit:
                 continue
             reached = node_of(store, store.out_key[k])

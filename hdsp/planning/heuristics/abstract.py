@@ -118,7 +118,6 @@ class AbstractHeuristic(Heuristic):
             uneven=self._uneven.ravel(),
             nx=to_go.shape[1],
             ny=to_go.shape[2],
-            world=self.world,
         )
         view = with_step_efforts(geometric, self.foothold_regions.region, efforts)
         return view._replace(to_go=table, outside=float(finite.max()) if len(finite) else 0.0)

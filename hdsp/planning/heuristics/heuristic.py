@@ -88,7 +88,7 @@ class Heuristic(ABC):
         """
         if self._estimate is None:
             raise InputError(f"{self.name} heuristic: call set_goal first")
-        return final_estimates(self._estimate, pack_states(states, self.world.tables.lowest))
+        return final_estimates(self.world, self._estimate, pack_states(states, self.world.tables.lowest))
 
     def clear(self) -> None:
         """Forgets the last goal; results for the whole map stay."""
