@@ -99,7 +99,7 @@ def _code(costs: AbstractCosts) -> str:
     if cls.__name__ != "LearnedCosts":
         return code_fingerprint(cls.__module__)
     # Not the whole class: factors, kinds of costs and progress change no cost of the network.
-    own = (inspect.getsource(getattr(cls, name)) for name in ("_by_tiles", "_by_patches", "_costs"))
+    own = (inspect.getsource(getattr(cls, name)) for name in ("_by_windows", "_by_tiles", "_by_patches", "_costs"))
     return "".join(own) + code_fingerprint("hdsp.learning.abstraction", "hdsp.learning.rotated_maps")
 
 

@@ -5,6 +5,7 @@
 - `encoding`: heights as network input; `task_data`, `task_stream`: batches from memory, from shards
 - `training`, `module`, `callbacks`, `history`, `metrics`: a training with Lightning, weights of its losses, its record
 - `abstraction`, `saved_abstraction`, `calibration`: a trained network that judges tasks, its folder, its corrections
+- `inference`, `torch_evaluation`: evaluation without torch, with torch; `footprint_geometry`: values for both
 - `learned_costs`, `rotated_maps`: abstract costs of a whole map
 - `loading`, `shipped`: the abstractions that come with the package
 

@@ -6,24 +6,17 @@ import math
 from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from safetensors import SafetensorError
-from safetensors.torch import load as load_tensors
-from safetensors.torch import save as tensor_bytes
 from scipy.special import expit
 
 from hdsp.base.errors import InputError
-from hdsp.learning.calibration import Calibration, calibration_figures, fit_calibration
-from hdsp.learning.encoding import encode
-from hdsp.learning.hardware import autocast, channels_last
+from hdsp.learning.calibration import MINIMUM_COST, Calibration, calibration_figures, fit_calibration
+from hdsp.learning.inference.footprint_engine import FootprintEngine, engine_options
 from hdsp.learning.learning_settings import HardwareSettings, ModelSettings
-from hdsp.learning.metrics import MINIMUM_COST
-from hdsp.learning.networks import TaskNetwork, build_network
-from hdsp.learning.networks.dense import DenseEvaluation
 from hdsp.learning.saved_abstraction import (
     CONFIG,
     FORMAT_VERSION,
@@ -39,20 +32,21 @@ from hdsp.robot.robot import Robot
 
 if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
+    from hdsp.learning.networks import TaskNetwork
+    from hdsp.learning.networks.dense import DenseEvaluation
+    from hdsp.learning.torch_evaluation import TorchEvaluation
 
 #: Logit of a goal that is infeasible even on flat ground.
 NEVER = -1e4
 #: Largest difference, in abstract steps, between a goal and one that is infeasible on flat ground.
 TOLERANCE = 1e-3
 
-WINDOWS = 24  # patches per goal evaluation in ``predict_windows``
-
 
 class LearnedAbstraction:
     """Trained network with its configuration: maps patches and goals to feasibility and cost.
 
     Attributes:
-        network: in evaluation mode, on the ``hardware`` device.
+        engine: evaluation without torch, for a footprint network from a folder; None = torch evaluates the network.
         model: settings that built the network.
         provenance: origin of the labels.
         metrics: flat metrics at the end of training.
@@ -62,7 +56,7 @@ class LearnedAbstraction:
 
     def __init__(
         self,
-        network: TaskNetwork,
+        network: "TaskNetwork | FootprintEngine",
         model: ModelSettings,
         provenance: Provenance | None = None,
         metrics: Mapping[str, float] | None = None,
@@ -74,8 +68,31 @@ class LearnedAbstraction:
         self.quantile: float | None = None
         self._flat: dict[bytes, np.ndarray] = {}
         self.hardware = hardware or HardwareSettings()
-        self.device = self.hardware.device()
-        self.network = channels_last(network.to(self.device)).eval()
+        self.engine = network if isinstance(network, FootprintEngine) else None
+        self._weights = b""
+        self._torch: TorchEvaluation | None = None
+        if not isinstance(network, FootprintEngine):
+            from hdsp.learning import torch_evaluation
+
+            self._torch = torch_evaluation.TorchEvaluation(network, self.hardware)
+
+    @property
+    def torch_evaluation(self) -> "TorchEvaluation":
+        """The network in torch; loads torch at the first use if the engine evaluates the network."""
+        if self._torch is None:
+            from hdsp.learning.torch_evaluation import TorchEvaluation
+
+            self._torch = TorchEvaluation.of(self.model, self._weights, self.hardware)
+        return self._torch
+
+    @property
+    def network(self) -> "TaskNetwork":
+        """The network in torch, in evaluation mode. Where ``engine`` evaluates, a change has no effect on results."""
+        return self.torch_evaluation.network
+
+    def is_dense(self) -> bool:
+        """Returns whether all patches of a heading share the features of a rotated map."""
+        return self.engine is not None or self.network.is_dense()
 
     def predict(self, patches: np.ndarray, goals: np.ndarray, batch: int = 128) -> tuple[np.ndarray, np.ndarray]:
         """Predicts feasibility and cost of tasks.
@@ -154,7 +171,6 @@ class LearnedAbstraction:
         flat = np.broadcast_to(self._flat[key], cost.shape)
         return np.maximum(self.calibration.at_level(self.quantile, cost, flat), np.float32(MINIMUM_COST))
 
-    @torch.inference_mode()
     def _predict(self, patches: np.ndarray, goals: np.ndarray, batch: int = 128) -> tuple[np.ndarray, np.ndarray]:
         """Feasibility logits and the network's own costs, float32 [n, G] each."""
         patches, goals = np.asarray(patches, np.float32), np.asarray(goals, np.float32)
@@ -166,47 +182,37 @@ class LearnedAbstraction:
         if goals.ndim != 3 or len(goals) != len(patches) or goals.shape[2] != 3:
             raise InputError(f"goals: shape {goals.shape} is not [{len(patches)}, goals, 3]")
         logits, cost = np.empty((2, *goals.shape[:2]), np.float32)
+        evaluation: TorchEvaluation | FootprintEngine = self.engine or self.torch_evaluation
         for start in range(0, len(patches), batch):
             part = slice(start, start + batch)
-            predicted, of_feasible = self._evaluate(patches[part], goals[part])
-            logits[part] = np.where(self._never(goals[part]), NEVER, of_feasible.float().cpu().numpy())
-            cost[part] = predicted.clamp_min(MINIMUM_COST).cpu().numpy()
+            predicted, of_feasible = evaluation.patches(patches[part], goals[part])
+            logits[part] = np.where(self._never(goals[part]), NEVER, of_feasible)
+            cost[part] = np.maximum(predicted, np.float32(MINIMUM_COST))
         return logits, cost
 
-    @torch.inference_mode()
     def predict_windows(
-        self, trunk: DenseEvaluation, heights: np.ndarray, corners: np.ndarray, wanted: np.ndarray, goals: np.ndarray
+        self, trunk: "DenseEvaluation", heights: np.ndarray, corners: np.ndarray, wanted: np.ndarray, goals: np.ndarray
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray] | None]:
-        """Like ``predict`` with shared goals, for patches that are windows into one array; some patches at a time.
+        """Like ``predict`` with shared goals, for windows into one array, with torch.
 
-        Args:
-            trunk: the network's dense trunk.
-            heights: float32 [nx, ny], metres, NaN = unknown; with ``trunk.margin`` cells around the patches.
-            corners: int64 [n, 2], lower patch corners, relative to cell (margin, margin) of ``heights``.
-            wanted: bool [n], patches to evaluate. A patch's result does not depend on the other entries, to the last
-                bit.
-            goals: float32 [G, 3] in abstract steps in the robot frame.
-
-        Yields:
-            None after the trunk. Then, for each group with a wanted patch, its slice of ``corners``, feasibility and
-            costs, [m, G] each.
+        Arguments are as for ``TorchEvaluation.windows``, which yields costs and logits instead of feasibility and
+        costs.
         """
-        network = self.network
-        with autocast(self.device, self.hardware.uses_bfloat16()):
-            encoded = encode(network.encoding, torch.from_numpy(heights)[None, None].to(self.device))
-            # Channels innermost, as the weights are.
-            dense = trunk(encoded.contiguous(memory_format=torch.channels_last))
-        yield None
-        shared_goals, never = torch.from_numpy(goals)[None].to(self.device), self._never(goals)
-        # Small groups, because the values for all goals and patches together exceed the processor's cache. The groups
-        # are always the same, because sums over another number of rows may round differently.
-        for start in range(0, len(corners), WINDOWS):
-            part = slice(start, start + WINDOWS)
-            if wanted[part].any():
-                features = trunk.windows(dense, torch.from_numpy(corners[part]).to(self.device)).float()
-                cost, logits = network.goal_part(features, shared_goals)
-                feasible = (logits > 0).cpu().numpy() & ~never
-                yield part, feasible, self._at_level(cost.clamp_min(MINIMUM_COST).cpu().numpy(), goals)
+        for group in self.torch_evaluation.windows(trunk, heights, corners, wanted, goals):
+            yield None if group is None else (group[0], *self._judged(*group[1:], goals))
+
+    def predict_bases(
+        self, heights: np.ndarray, bases: np.ndarray, goals: np.ndarray
+    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray] | None]:
+        """Like ``predict_windows``, with the engine; arguments are as for ``FootprintEngine.evaluate``."""
+        assert self.engine is not None
+        for group in self.engine.evaluate(heights, bases, goals):
+            yield None if group is None else (group[0], *self._judged(*group[1:], goals))
+
+    def _judged(self, cost: np.ndarray, logits: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Feasibility and costs at the requested level, [n, G] each, for shared goals."""
+        feasible = (logits > 0) & ~self._never(goals)
+        return feasible, self._at_level(np.maximum(cost, np.float32(MINIMUM_COST)), goals)
 
     def _never(self, goals: np.ndarray) -> np.ndarray:
         """Whether goals [..., 3] are infeasible even on flat ground; bool [...]."""
@@ -215,11 +221,6 @@ class LearnedAbstraction:
         never = np.array(self.provenance.never_feasible, np.float32)
         near = np.abs(goals[..., None, :] - never) < TOLERANCE
         return np.asarray(near.all(axis=-1).any(axis=-1))
-
-    def _evaluate(self, patches: np.ndarray, goals: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        heights = torch.tensor(patches)[:, None].to(self.device, memory_format=torch.channels_last)
-        with autocast(self.device, self.hardware.uses_bfloat16()):
-            return self.network(heights, torch.tensor(goals).to(self.device))
 
     def save_pretrained(
         self, folder: str | Path, precision: Precision = "float32", beside: Mapping[str, str] | None = None
@@ -234,7 +235,9 @@ class LearnedAbstraction:
         Raises:
             InputError: the folder cannot be written, or holds something other than an abstraction.
         """
-        weights = tensor_bytes(self._tensors(precision))
+        if precision not in ("float32", "float16"):
+            raise InputError(f"precision {precision!r}: allowed are float32, float16")
+        weights = self.torch_evaluation.weights(half=precision == "float16")
         config = {
             "format_version": FORMAT_VERSION,
             "model": self.model.to_dict(),
@@ -250,16 +253,6 @@ class LearnedAbstraction:
         others = {name: content.encode() for name, content in (beside or {}).items()}
         return replace_folder(Path(folder), {WEIGHTS: weights, CONFIG: text.encode(), **others})
 
-    def _tensors(self, precision: Precision) -> dict[str, torch.Tensor]:
-        if precision not in ("float32", "float16"):
-            raise InputError(f"precision {precision!r}: allowed are float32, float16")
-        # Buffers (running means in normalisation) are small, and may exceed the half float range.
-        halved = {key for key, _ in self.network.named_parameters()} if precision == "float16" else set()
-        return {
-            key: (value.detach().half() if key in halved else value.detach()).cpu().contiguous()
-            for key, value in self.network.state_dict().items()
-        }
-
     @classmethod
     def from_pretrained(
         cls, folder: str | Path, robot: Robot | None = None, hardware: HardwareSettings | None = None
@@ -272,18 +265,35 @@ class LearnedAbstraction:
             hardware: device and precision for inference.
 
         Raises:
-            InputError: a file is missing or damaged; or the lattice, actions, cost model or robot differ from training.
+            InputError: a file is missing or damaged; the lattice, actions, cost model or robot differ from training; or
+                a package is not installed.
         """
-        folder = Path(folder)
+        folder, hardware = Path(folder), hardware or HardwareSettings()
         saved, weights = read_saved(folder, robot)
         try:
-            network = build_network(saved.model)
-        except (ValueError, RuntimeError, MemoryError) as error:  # options too large for memory
-            raise InputError(f"{folder / CONFIG}: {' '.join(str(error).split())}") from None
-        try:
-            network.load_state_dict(load_tensors(weights))
-        except (RuntimeError, SafetensorError) as error:
+            network: TaskNetwork | FootprintEngine
+            if _uses_engine(saved.model, hardware):
+                from safetensors.numpy import load
+
+                network = FootprintEngine(saved.model, load(weights))
+            else:
+                from hdsp.learning.torch_evaluation import TorchEvaluation
+
+                network = TorchEvaluation.of(saved.model, weights, hardware).network
+        except ModuleNotFoundError as error:
+            extra = "learning" if engine_options(saved.model) is None else "learned"
             raise InputError(
-                f"{folder / WEIGHTS}: does not fit {saved.model.architecture}: {str(error).splitlines()[0]}"
+                f"{folder}: a network of architecture {saved.model.architecture} needs {error.name}: "
+                f"pip install 'hdsp[{extra}]'"
             ) from None
-        return cls(network, saved.model, saved.provenance, saved.metrics, hardware, saved.calibration)
+        except InputError as error:
+            raise InputError(f"{folder}/{error}") from None
+        abstraction = cls(network, saved.model, saved.provenance, saved.metrics, hardware, saved.calibration)
+        abstraction._weights = weights
+        return abstraction
+
+
+def _uses_engine(model: ModelSettings, hardware: HardwareSettings) -> bool:
+    """Whether a network is evaluated without torch; this depends on settings and installed packages alone."""
+    wants_torch = hardware.accelerator == "gpu" or hardware.precision == "bf16"
+    return not wants_torch and engine_options(model) is not None and find_spec("onnxruntime") is not None

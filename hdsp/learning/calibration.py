@@ -26,6 +26,9 @@ from scipy.optimize import minimize_scalar
 from hdsp.base.errors import InputError
 from hdsp.base.settings import Natural, Positive, checked, fault, load_settings
 
+#: Lower bound on predicted costs, in use and in metrics. A network may predict zero or less, but a search needs
+#: positive edge costs.
+MINIMUM_COST = 1e-3
 BINS = 15
 #: Quantile levels kept with a model.
 LEVELS = (0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)

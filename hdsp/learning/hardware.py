@@ -17,11 +17,3 @@ Network = TypeVar("Network", bound=torch.nn.Module)
 def channels_last(network: Network) -> Network:
     """Orders the network's weights in memory as convolutions read them fastest; returns the network."""
     return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # missing in torch's types
-
-
-def computes_in_bfloat16(device: torch.device) -> bool:
-    """Returns whether a device computes in bfloat16, rather than imitating it."""
-    if device.type == "cuda":
-        return torch.cuda.is_bf16_supported()
-    capabilities = torch.cpu.get_capabilities() if hasattr(torch.cpu, "get_capabilities") else {}
-    return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))

@@ -12,7 +12,8 @@ from hdsp.abstract.oracle import CostKind, checked_kind
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps, finished
 from hdsp.learning.abstraction import LearnedAbstraction
-from hdsp.learning.rotated_maps import RotatedMap
+from hdsp.learning.inference.footprint_engine import MARGIN
+from hdsp.learning.rotated_maps import RotatedMap, rotated_cells, rotated_window
 from hdsp.learning.saved_abstraction import Provenance
 from hdsp.robot import lattice
 from hdsp.robot.robot import Robot
@@ -21,6 +22,8 @@ from hdsp.terrain.patches import crop_patches
 
 #: Patches cropped at once; 10 MB, evaluated in less than a second.
 CHUNK = 512
+#: Side in cells of the squares whose states the engine evaluates together. Larger ones share more features.
+WINDOW = 192
 #: Side in cells of a tile in dense evaluation. Larger tiles share more between patches; a map change affects less with
 #: smaller ones. A tile takes some tens of megabytes, independent of the map size.
 TILE = 96
@@ -31,8 +34,9 @@ class LearnedCosts:
 
     Two methods compute a map's costs. *Patches*: each abstract state's patch passes the trunk once for its 22 actions,
     and equal patches (flat ground) once for all their states. *Dense*: the trunk runs once for each cell in 16 rotated
-    maps, tile by tile. A tile always holds the same cells and states, so a region's costs equal the whole map's costs
-    to the last bit.
+    maps. With torch, it runs tile by tile, and a tile always holds the same cells and states; without
+    (``hdsp.learning.inference``), it runs at the cells alone that some wanted state needs. A region's costs equal the
+    whole map's costs to the last bit in both cases.
 
     Convention: with both methods, patches for a network that declares itself dense are windows into the rotated map
     (``hdsp.learning.rotated_maps``). Patches for all other networks are cut at their state's anchor.
@@ -72,10 +76,12 @@ class LearnedCosts:
         if checked_kind(kind) == CostKind.PLANNING:
             known = _trained_for(abstraction.provenance) if robot is None else Robot.load(robot)
             self.factors = None if known is None else planning_factors(known)
-        network = abstraction.network
-        self._on_rotated_map = network.is_dense()
-        self._trunk = network.dense_trunk() if method == "dense" or (method == "auto" and network.is_dense()) else None
-        if method == "dense" and (self._trunk is None or not (network.is_dense() or network.encoding.is_local())):
+        self._on_rotated_map = abstraction.is_dense()
+        dense = method == "dense" or (method == "auto" and self._on_rotated_map)
+        self._by_engine = dense and abstraction.engine is not None
+        self._trunk = abstraction.network.dense_trunk() if dense and not self._by_engine else None
+        exact = self._on_rotated_map or abstraction.model.encoding.is_local()
+        if method == "dense" and not self._by_engine and (self._trunk is None or not exact):
             raise InputError(
                 f"method dense: {abstraction.model.architecture} needs a trunk of convolutions without stride, and "
                 "heights as they are (encoding.reference none, encoding.channels [height])"
@@ -124,7 +130,7 @@ class LearnedCosts:
         wanted = np.ones(shape, bool) if mask is None else checked_mask(mask, shape)
         edges = np.full((*shape, lattice.N_ABSTRACT_ACTIONS), np.inf, np.float32)
         done, total = 0, int(wanted.sum())
-        evaluate = self._by_patches if self._trunk is None else self._by_tiles
+        evaluate = self._by_windows if self._by_engine else self._by_patches if self._trunk is None else self._by_tiles
         for heading in range(lattice.ABSTRACT_HEADINGS):
             if not wanted[heading].any():
                 continue
@@ -179,6 +185,25 @@ class LearnedCosts:
             else:
                 patches = rotated.patches(bases)
             yield part, self._costs(patches, goals)
+
+    def _by_windows(
+        self, height_map: HeightMap, heading: int, wanted: np.ndarray, first: tuple[int, int]
+    ) -> Iterator[tuple[np.ndarray, np.ndarray] | None]:
+        """Like ``_by_patches``, with the engine in windows around the wanted states; None between its steps."""
+        goals = lattice.robot_frame_goals(heading)
+        heights = np.ascontiguousarray(height_map.heights, np.float32)
+        states = np.argwhere(wanted)
+        cells = rotated_cells(_anchors(states + first, heading), heading)
+        for _, members in _grouped(cells // WINDOW):
+            low = cells[members].min(axis=0) - MARGIN
+            end = cells[members].max(axis=0) + MARGIN + 1
+            window = rotated_window(heights, heading, low, tuple(end - low))
+            for group in self.abstraction.predict_bases(window, cells[members] - low, goals):
+                if group is None:
+                    yield None
+                    continue
+                part, feasible, cost = group
+                yield states[members[part]], np.where(feasible, cost, np.float32(np.inf))
 
     def _by_tiles(
         self, height_map: HeightMap, heading: int, wanted: np.ndarray, first: tuple[int, int]

@@ -243,9 +243,10 @@ class HardwareSettings:
     """Device, precision and threads. They change results by rounding only.
 
     Attributes:
-        accelerator: ``auto`` takes a GPU if there is one.
-        precision: ``bf16`` runs the network's trunk in bfloat16, ``32`` runs the whole network in float32; ``auto``
-            takes bf16 if the hardware computes in it.
+        accelerator: ``auto`` takes a GPU if there is one, in torch. Footprint networks from a folder are evaluated
+            without torch, on the CPU, unless this is ``gpu``.
+        precision: ``32`` computes in float32; ``auto`` does the same on any hardware. ``bf16`` runs the network's trunk
+            in bfloat16, in torch.
         threads: torch CPU threads; None = torch's choice.
     """
 
@@ -264,12 +265,6 @@ class HardwareSettings:
         if self.accelerator == "gpu" and not torch.cuda.is_available():
             raise InputError("hardware.accelerator is 'gpu', but torch sees none; allowed are auto, cpu")
         return torch.device("cuda" if self.accelerator != "cpu" and torch.cuda.is_available() else "cpu")
-
-    def uses_bfloat16(self) -> bool:
-        """Returns whether trunks run in bfloat16 on this machine."""
-        from hdsp.learning.hardware import computes_in_bfloat16
-
-        return self.precision == "bf16" or (self.precision == "auto" and computes_in_bfloat16(self.device()))
 
     def apply_threads(self) -> None:
         """Sets this process's torch threads."""

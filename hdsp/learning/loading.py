@@ -57,10 +57,8 @@ def load_abstraction(
         raise InputError(
             f"abstraction {str(source)!r}: no folder, and not one of those that come with the package ({known})"
         )
-    try:
-        from hdsp.learning.abstraction import LearnedAbstraction
-    except ModuleNotFoundError as error:
-        raise InputError(f"learned abstractions need {error.name}: pip install 'hdsp[learning]'") from None
+    from hdsp.learning.abstraction import LearnedAbstraction
+
     folder = Path(str(shipped().joinpath(str(source)))) if is_preset else Path(source)
     if robot is None and is_preset:
         robot = robot_of(str(source))

@@ -3,9 +3,7 @@
 import torch
 from torch import Tensor
 
-#: Lower bound on predicted costs, in use and in metrics. A network may predict zero or less, but a search needs
-#: positive edge costs.
-MINIMUM_COST = 1e-3
+from hdsp.learning.calibration import MINIMUM_COST as MINIMUM_COST
 
 
 class TaskMetrics:

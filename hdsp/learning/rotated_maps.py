@@ -26,7 +26,7 @@ class RotatedMap:
     """
 
     def __init__(self, heights: np.ndarray, heading: int):
-        self.rotation = lattice.rotation(float(lattice.heading_angle(heading, ABSTRACT_HEADINGS)))
+        self.rotation = _rotation(heading)
         nx, ny = heights.shape
         corners = self.cells(np.array([(0, 0), (nx - 1, 0), (0, ny - 1), (nx - 1, ny - 1)]))
         self.first = corners.min(axis=0) - 1
@@ -36,7 +36,7 @@ class RotatedMap:
 
     def cells(self, bases: np.ndarray) -> np.ndarray:
         """Returns the grid cells, int64 [..., 2], that hold the centres of map cells ``bases`` [..., 2]."""
-        return np.rint(np.asarray(bases) @ self.rotation).astype(np.int64)
+        return _cells(bases, self.rotation)
 
     def window(self, first: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
         """Returns heights, float32 [shape], from grid cell ``first`` = (u, v) on; NaN outside the map."""
@@ -57,6 +57,27 @@ class RotatedMap:
         for patch, start in zip(patches, starts, strict=True):
             patch[:] = self.window(start, (cells, cells))
         return patches
+
+
+def rotated_cells(bases: np.ndarray, heading: int) -> np.ndarray:
+    """Returns the cells of ``RotatedMap.cells`` without the map."""
+    return _cells(bases, _rotation(heading))
+
+
+def rotated_window(heights: np.ndarray, heading: int, first: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Returns ``RotatedMap.window`` without the rest of the map; ``heights`` is C-contiguous float32."""
+    window = np.empty(shape, np.float32)
+    u, v = first
+    _rotate(heights, u, v, _rotation(heading), TIE, window)
+    return window
+
+
+def _rotation(heading: int) -> np.ndarray:
+    return lattice.rotation(float(lattice.heading_angle(heading, ABSTRACT_HEADINGS)))
+
+
+def _cells(bases: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    return np.rint(np.asarray(bases) @ rotation).astype(np.int64)
 
 
 @njit()

@@ -132,7 +132,7 @@ def train(
         trainer = pl.Trainer(
             accelerator=config.hardware.device().type,
             devices=1,
-            precision="bf16-mixed" if config.hardware.uses_bfloat16() else "32-true",
+            precision="bf16-mixed" if config.hardware.precision == "bf16" else "32-true",
             max_epochs=trainer_settings.epochs,
             gradient_clip_val=trainer_settings.gradient_clip,
             callbacks=[*own_callbacks, *callbacks],

@@ -8,8 +8,8 @@ from benchmarks.edges import random_abstraction, rough_map
 from hdsp.abstract import LocalCosts
 from hdsp.base.errors import InputError
 from hdsp.learning import HardwareSettings, LearnedCosts
-from hdsp.learning.abstraction import WINDOWS
 from hdsp.learning.rotated_maps import RotatedMap
+from hdsp.learning.torch_evaluation import WINDOWS
 from hdsp.robot.lattice import abstract_anchor
 from hdsp.terrain.patches import crop_patches
 

@@ -10,9 +10,8 @@ from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, Provenance
 from hdsp.learning.encoding import encode
+from hdsp.learning.footprint_geometry import FEET, POSES, REQUIREMENT_FEATURES
 from hdsp.learning.networks import ModelSettings, build_network
-from hdsp.learning.networks.footprint import POSES
-from hdsp.learning.networks.requirements import FEET, REQUIREMENT_FEATURES
 from hdsp.learning.task_data import mirror_goals, mirror_heights
 from hdsp.terrain.height_map import HeightMap
 from tests.learning.test_zoo import model_file, rough_patches

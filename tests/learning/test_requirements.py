@@ -8,9 +8,8 @@ import torch
 
 from hdsp.base.errors import InputError
 from hdsp.learning.encoding import encode
+from hdsp.learning.footprint_geometry import FEET, MOST, NEAR_RADIUS, POSE_FEATURES, POSES, REACH, SHARPNESS
 from hdsp.learning.networks import build_network
-from hdsp.learning.networks.footprint import NEAR_RADIUS, POSES, REACH
-from hdsp.learning.networks.requirements import FEET, MOST, POSE_FEATURES, SHARPNESS
 from hdsp.robot.lattice import PATCH_CENTER, RESOLUTION
 from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import cost_maps

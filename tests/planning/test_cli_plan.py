@@ -109,12 +109,15 @@ def test_faults_of_options_show_before_the_search(tmp_path, capsys, monkeypatch,
 
 @pytest.mark.parametrize(
     ("missing", "options", "extra"),
-    [("matplotlib", ["--picture", "p.png"], "hdsp[viz]"), ("torch", ["--heuristic", "learned"], "hdsp[learning]")],
+    [
+        (["matplotlib"], ["--picture", "p.png"], "hdsp[viz]"),
+        (["onnxruntime", "torch"], ["--heuristic", "learned"], "hdsp[learned]"),
+    ],
 )
 def test_m18_a_missing_extra_is_named_before_the_search(tmp_path, missing, options, extra):
     HeightMap.flat((100, 100)).save(tmp_path / "map.npz")
     script = (
-        f"import sys; sys.modules[{missing!r}] = None\n"
+        f"import sys; sys.modules.update(dict.fromkeys({missing}))\n"
         "from hdsp.planning import cli, query\n"
         "query.solve = None\n"
         "sys.exit(cli.main(sys.argv[1:]))\n"

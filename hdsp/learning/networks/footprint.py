@@ -3,91 +3,40 @@
 import math
 from collections.abc import Sequence
 from functools import reduce
-from typing import Annotated, Self
 
 import torch
-from pydantic import Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional
 
 from hdsp.base.errors import InputError
-from hdsp.base.settings import Count, checked, fault
-from hdsp.learning.learning_settings import HeightEncoding, Width
+from hdsp.learning.footprint_geometry import (
+    CONTEXT_STEP,
+    FEET,
+    GROUND_RADIUS,
+    LINE,
+    LINE_RADIUS,
+    NEAR_RADIUS,
+    POSE_FEATURES,
+    POSES,
+    PROFILE,
+    REACH,
+    RELATIVE,
+    REQUIREMENT_FEATURES,
+    SAMPLES,
+    FootprintOptions,
+    farthest_read,
+    footprint_taps,
+    requirement_reach,
+    turn_angles,
+)
+from hdsp.learning.learning_settings import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
-from hdsp.learning.networks.requirements import (
-    BARRED,
-    FEET,
-    HEIGHT,
-    HIGHEST,
-    LOWEST,
-    POSE_FEATURES,
-    REQUIREMENT_FEATURES,
-    PoseRequirementOptions,
-    PoseRequirements,
-    told,
-)
-from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER, cells
+from hdsp.learning.networks.requirements import BARRED, HEIGHT, HIGHEST, LOWEST, PoseRequirements, told
+from hdsp.robot.lattice import CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
 
-#: Largest base displacement along an axis, in cells: the longest action at any heading residue.
-REACH = 9
-#: Side of the square with all judged base positions.
-POSES = 2 * REACH + 1
-#: Poses on the way to a goal, including start and goal.
-SAMPLES = 5
-#: Foot positions at the start for a network without stance, in cells from the base. The network reads a wide strip
-#: around them, so the robot's feet may stand some cells away.
-FOOT = (13, 10)
-#: Offsets in cells, ahead of each foot and behind it, at which features (LINE) and heights (PROFILE) are read; they
-#: cover the foot reach and the way to a goal.
-LINE = tuple(range(-15, 16, 3))
-PROFILE = tuple(range(-18, 19, 3))
-LINE_RADIUS = 3
 #: Rows around the right line of feet and around the left line, within the strip that holds both lines.
 SIDES = (slice(2 * LINE_RADIUS + 1), slice(-2 * LINE_RADIUS - 1, None))
-#: Radius in cells of the first convolution.
-NEAR_RADIUS = 2
-#: Window radius in cells around each tap; its highest and lowest points are compared with the ground at the base.
-GROUND_RADIUS = 2
-
-
-@checked
-class FootprintOptions:
-    """Layer widths.
-
-    Attributes:
-        width: local feature channels.
-        dilations: dilations of the 3 x 3 convolutions after the 5 x 5 one. Their sum is at most 7, so features reach 9
-            cells far.
-        taps: footprint points (along x, along y) at which local features are read; odd numbers.
-        spacing: cells between taps. 9 x 7 taps with spacing 3 place one tap within 1 cell of each neutral foot.
-        hidden: width of the first layer that sees a whole footprint.
-        features: features kept per footprint.
-        context: width of the summary over all footprints around the start; detours need it.
-        feet: width of the ground summary ahead of and behind each foot at the start; steps need it.
-        head: width of the layers that judge a way.
-        stance: the robot's requirements on the ground at a pose, as input features. None: the network has to learn
-            them.
-    """
-
-    width: Width = 32
-    dilations: tuple[Count, ...] = (1, 2, 4)
-    taps: tuple[Count, Count] = (9, 7)
-    spacing: Count = 3
-    hidden: Width = 96
-    features: Width = 48
-    context: Width = 64
-    feet: Width = 128
-    head: Annotated[Width, Field(ge=2)] = 128
-    stance: PoseRequirementOptions | None = None
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if sum(self.dilations) > 7:
-            raise fault("dilations", self.dilations, "numbers that add up to at most 7")
-        if any(n % 2 == 0 for n in self.taps) or max(self.taps) * self.spacing > 27:
-            raise fault("taps", self.taps, f"odd numbers, and with spacing {self.spacing} within 27 cells")
-        return self
 
 
 class Footprint(TaskNetwork):
@@ -119,8 +68,7 @@ class Footprint(TaskNetwork):
         self.ground_channels = 3 if "unevenness" in names else 2
         self.tapped = slice(HIGHEST, HIGHEST + self.ground_channels)
         self.options = options
-        neutral = options.stance.neutral if options.stance else None
-        self.foot = (round(cells(neutral[0])), round(cells(neutral[1]))) if neutral else FOOT
+        self.foot = options.foot
         self.near = nn.Sequential(nn.Conv2d(len(self.trunk_channels), width, 2 * NEAR_RADIUS + 1), nn.ReLU())
         layers: list[nn.Module] = []
         for dilation in options.dilations:
@@ -134,7 +82,7 @@ class Footprint(TaskNetwork):
         self.footprint = nn.Linear(hidden, options.features)
         #: Features per pose: its footprint features and, with a stance, the unchanged stance features.
         self.pose_features = options.features + (POSE_FEATURES if options.stance else 0)
-        self.context = nn.Linear(7 * 7 * self.pose_features, options.context)
+        self.context = nn.Linear(len(range(0, POSES, CONTEXT_STEP)) ** 2 * self.pose_features, options.context)
         self.of_line = nn.Sequential(nn.Conv2d(width, width, 2 * LINE_RADIUS + 1), nn.ReLU())
         footholds = PROFILE[-1] - PROFILE[0] + 1 if options.stance else 0
         self.feet = nn.Linear(4 * (len(LINE) * width + len(PROFILE) * 2 + footholds), options.feet)
@@ -144,16 +92,16 @@ class Footprint(TaskNetwork):
         )
         self.heads = nn.Linear(options.head // 2, 2)
         self.goal_cost = nn.Sequential(nn.Linear(GOAL_FEATURES, 64), nn.ReLU(), nn.Linear(64, 1))
-        taps_x, taps_y = ((torch.arange(n) - n // 2) * options.spacing for n in options.taps)
-        self.register_buffer("taps", torch.cartesian_prod(taps_x, taps_y).float(), persistent=False)
-        share = torch.linspace(0, 1, SAMPLES)[1:] * (2 * math.pi / ABSTRACT_HEADINGS)
-        self.register_buffer("turns", torch.cat([share, -share]), persistent=False)
+        self.register_buffer("taps", torch.from_numpy(footprint_taps(options)), persistent=False)
+        self.register_buffer("turns", torch.from_numpy(turn_angles()), persistent=False)
         self.requirements = None
         if options.stance:
             if not {"unknown", "edge", "unevenness"} <= set(names):
                 raise InputError(f"model.encoding.channels: {list(names)}; stance needs unknown, edge and unevenness")
-            self.requirements = PoseRequirements(options.stance, GROUND_RADIUS, self.turns)
-            reach = max(*self.requirements.reach(REACH).values(), self.foot[0] + PROFILE[-1] + self.requirements.radius)
+            self.requirements = PoseRequirements(options.stance)
+            reach = max(
+                *requirement_reach(options.stance).values(), self.foot[0] + PROFILE[-1] + self.requirements.radius
+            )
             if reach >= PATCH_CENTER:
                 raise InputError(f"model.options.stance: looks {reach} cells far, but a patch has {PATCH_CENTER}")
 
@@ -180,16 +128,8 @@ class Footprint(TaskNetwork):
 
     def is_dense(self) -> bool:
         # Dense evaluation is exact if no value read in a patch depends on cells beyond its rim.
-        footprint = max(self.margins) + REACH
-        line = self.foot[0] + max(LINE[-1] + LINE_RADIUS + NEAR_RADIUS, PROFILE[-1] + GROUND_RADIUS)
-        within = dict.fromkeys(self.encoding.channels, max(footprint + self.radius + NEAR_RADIUS, line))
-        within |= {"height": max(footprint + GROUND_RADIUS, line), "unevenness": footprint}
-        if self.requirements:
-            for name, reach in self.requirements.reach(REACH).items():
-                within[name] = max(within[name], reach + (GROUND_RADIUS if name == "height" else 0))
-            within["edge"] = max(within["edge"], self.foot[0] + PROFILE[-1] + self.requirements.radius)
-        beyond = max(reach + self.encoding.radius(name) for name, reach in within.items())
-        return self.encoding.reference == "none" and beyond < PATCH_CELLS - PATCH_CENTER
+        far = farthest_read(self.encoding, self.options)
+        return self.encoding.reference == "none" and far < PATCH_CELLS - PATCH_CENTER
 
     def _first(self, encoded: Tensor) -> tuple[Tensor, Tensor]:
         """Common inputs, at all cells at least NEAR_RADIUS cells from the rim.
@@ -296,7 +236,7 @@ class Footprint(TaskNetwork):
         way = torch.where(turning[..., None, None], chosen, way)
         start = straight[:, None, REACH, REACH].expand(-1, goals.shape[1], -1)
         way = torch.cat([start[:, :, None], way], dim=2)
-        around = torch.relu(self.context(straight[:, ::3, ::3].flatten(1)))
+        around = torch.relu(self.context(straight[:, ::CONTEXT_STEP, ::CONTEXT_STEP].flatten(1)))
         around = torch.cat([around, feet], dim=1)[:, None].expand(-1, goals.shape[1], -1)
         known = goal_features(goals)
         seen = torch.cat([way.flatten(2), way.mean(2), way.amax(2), around, known], dim=-1)
@@ -353,12 +293,12 @@ def _cut(maps: Tensor, x: int, y: int) -> Tensor:
 
 
 def _relative(heights: Tensor, base: Tensor) -> Tensor:
-    """Heights relative to the ground at the base, clipped to [-0.5, 0.8] m; unknown heights become 0.
+    """Heights relative to the ground at the base, clipped to ``RELATIVE``; unknown heights become 0.
 
     Beyond this range the ground is higher than the body or deeper than a foot reaches, and differences no longer
     matter.
     """
-    return (heights - base).nan_to_num(nan=0.0, posinf=0.0, neginf=0.0).clamp(-0.5, 0.8)
+    return (heights - base).nan_to_num(nan=0.0, posinf=0.0, neginf=0.0).clamp(*RELATIVE)
 
 
 def _highest(values: Tensor, window: int) -> Tensor:

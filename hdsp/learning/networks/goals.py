@@ -3,8 +3,7 @@
 import torch
 from torch import Tensor
 
-#: Features per goal.
-GOAL_FEATURES = 7
+from hdsp.learning.footprint_geometry import GOAL_FEATURES as GOAL_FEATURES
 
 
 def goal_features(goals: Tensor) -> Tensor:

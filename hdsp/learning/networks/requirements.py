@@ -4,67 +4,25 @@ import math
 from collections.abc import Callable, Sequence
 from functools import reduce
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
-from hdsp.base.errors import InputError
-from hdsp.base.settings import NotNegative, Positive, checked
+from hdsp.learning.footprint_geometry import (
+    MOST,
+    RELATIVE,
+    SHARPNESS,
+    PoseRequirementOptions,
+    requirement_points,
+    rotated,
+    turn_angles,
+)
 from hdsp.robot.lattice import cells
-from hdsp.robot.robot import Box
 from hdsp.terrain.cost_maps import disc_mask
 
 #: Ground channels: height (NaN = unknown), highest and lowest height nearby, unevenness (see ``HeightEncoding``), and
 #: ``PoseRequirements.barred``.
 HEIGHT, HIGHEST, LOWEST, UNEVENNESS, BARRED = range(5)
-#: Signs (x, y) of the feet: front left, rear left, rear right, front right.
-FEET = ((1, 1), (-1, 1), (-1, -1), (1, -1))
-#: Widths, in shares, of the sigmoids that compare a share with 1.
-SHARPNESS = (0.02, 0.2)
-#: Shares are clipped at this value.
-MOST = 3.0
-#: Features per pose: three shares, each with its two sigmoids, and the drive cost.
-POSE_FEATURES = 3 * (1 + len(SHARPNESS)) + 1
-#: Additional features per foot: the height under it, and whether an edge is too close.
-REQUIREMENT_FEATURES = POSE_FEATURES + 2 * len(FEET)
-
-
-@checked
-class PoseRequirementOptions:
-    """Robot limits from ``hdsp.robot.robot.Robot``; all lengths in metres.
-
-    Attributes:
-        neutral: neutral foot position, along x and along y.
-        level: largest height difference among the feet for driving in all directions.
-        clearance: distance that feet keep from edges no wheel passes.
-        contact_inward: offset, from each foot toward the body, to the ground whose unevenness costs.
-        unevenness_cost: drive cost per metre of unevenness.
-        boxes: volumes that have to stay free.
-        edge: highest edge that a wheel passes; None = from the wheel.
-        wheel_radius, rolled_share: as in ``Drive``.
-    """
-
-    neutral: tuple[Positive, Positive]
-    level: Positive
-    clearance: Positive
-    contact_inward: NotNegative
-    unevenness_cost: NotNegative
-    boxes: tuple[Box, ...]
-    edge: Positive | None = None
-    wheel_radius: Positive | None = None
-    rolled_share: Positive | None = None
-
-    @property
-    def highest_edge(self) -> float:
-        """Highest edge that a wheel passes, m.
-
-        Raises:
-            InputError: neither the edge nor the wheel is given.
-        """
-        if self.edge is not None:
-            return self.edge
-        if self.wheel_radius is None or self.rolled_share is None:
-            raise InputError("model.options.stance.edge is None; need a number, or wheel_radius and rolled_share")
-        return self.wheel_radius * self.rolled_share
 
 
 class PoseRequirements(nn.Module):
@@ -78,40 +36,22 @@ class PoseRequirements(nn.Module):
 
     Args:
         options: robot limits.
-        radius: window radius, in cells, for the highest ground in ``ground``.
-        rotations: headings for ``turned``, radians, [turns].
     """
 
     cells: Tensor
     turned_cells: Tensor
 
-    def __init__(self, options: PoseRequirementOptions, radius: int, rotations: Tensor):
+    def __init__(self, options: PoseRequirementOptions):
         super().__init__()
         self.options, self.edge = options, options.highest_edge
-        self.radius = math.floor(cells(options.clearance) + 1e-9)
-        signs, neutral = torch.tensor(FEET), torch.tensor(options.neutral)
-        feet = cells(signs * neutral)
-        contacts = cells(signs * (neutral - options.contact_inward))
-        bodies = [_covering(box, radius) for box in options.boxes]
-        self.groups = [1, len(feet), len(contacts), *map(len, bodies)]
-        points = torch.cat([torch.zeros(1, 2), feet, contacts, *bodies])
-        cos, sin = rotations.cos()[:, None], rotations.sin()[:, None]
-        x, y = points.unbind(-1)
-        turned = torch.stack([cos * x - sin * y, sin * x + cos * y], dim=-1)
+        self.radius = options.clearance_cells
+        groups = requirement_points(options)
+        self.groups = [len(group) for group in groups]
+        points = np.concatenate(groups)
         # Floats, because weight averaging would average integers and truncate them.
-        self.register_buffer("cells", points.round(), persistent=False)
-        self.register_buffer("turned_cells", turned.round(), persistent=False)
-
-    def reach(self, travel: int) -> dict[str, int]:
-        """Returns, for each encoded channel, the distance in cells from a base within which it is read.
-
-        Args:
-            travel: distance in cells from the base to the farthest pose with the start heading.
-        """
-        straight, turned = (points.split(self.groups, dim=-2) for points in (self.cells, self.turned_cells))
-        far = [int(max(a.abs().max() + travel, b.abs().max())) for a, b in zip(straight, turned, strict=True)]
-        _, feet, contacts, *bodies = far
-        return {"height": max(feet, *bodies), "unevenness": contacts, "edge": feet + self.radius}
+        self.register_buffer("cells", torch.from_numpy(points.round()), persistent=False)
+        turned = rotated(points, turn_angles()).round()
+        self.register_buffer("turned_cells", torch.from_numpy(turned), persistent=False)
 
     def barred(self, edges: Tensor) -> Tensor:
         """Returns the greatest height difference within foot clearance, as a share of the wheels' limit.
@@ -165,7 +105,7 @@ class PoseRequirements(nn.Module):
             rise = (at(HIGHEST, covering).amax(dim, keepdim=True) - under).nan_to_num(nan=0.0, neginf=0.0)
             body = torch.maximum(body, rise / box.above)
         price = self.options.unevenness_cost * (contacts.amax(dim, keepdim=True) + contacts.sum(dim, keepdim=True))
-        above = (feet - base).nan_to_num(nan=0.0).clamp(-0.5, 0.8)
+        above = (feet - base).nan_to_num(nan=0.0).clamp(*RELATIVE)
         shares = (_told(share) for share in (spread, barred.amax(dim, keepdim=True), body))
         return [above, told(barred), *(part for share in shares for part in share), price.clamp_max(MOST)]
 
@@ -177,14 +117,3 @@ def told(share: Tensor, width: float = SHARPNESS[0]) -> Tensor:
 
 def _told(share: Tensor) -> list[Tensor]:
     return [share.clamp_max(MOST), *(told(share, width) for width in SHARPNESS)]
-
-
-def _covering(box: Box, radius: int) -> Tensor:
-    """Points [n, 2] in cells whose squares with this radius cover a box and little else."""
-    spans = ((box.x_min, box.x_max), (-box.half_width, box.half_width))
-    axes = []
-    for low, high in spans:
-        low, high = math.ceil(cells(low)), math.floor(cells(high))  # cells with their centre inside
-        low, high = min(low + radius, (low + high) // 2), max(high - radius, (low + high) // 2)
-        axes.append(torch.linspace(low, high, math.ceil((high - low) / (2 * radius + 1)) + 1))
-    return torch.cartesian_prod(*axes)

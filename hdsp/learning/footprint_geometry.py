@@ -1,0 +1,211 @@
+"""Geometry of the footprint network: its options, and the cells at which it reads the ground.
+
+The network (``hdsp.learning.networks.footprint``) and its evaluation without torch (``hdsp.learning.inference``) share
+these values. Importing this module imports no torch.
+"""
+
+import math
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from hdsp.base.errors import InputError
+from hdsp.base.settings import Count, NotNegative, Positive, checked, fault
+from hdsp.learning.learning_settings import HeightEncoding, Width
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, cells
+from hdsp.robot.robot import Box
+
+#: Largest base displacement along an axis, in cells: the longest action at any heading residue.
+REACH = 9
+#: Side of the square with all judged base positions.
+POSES = 2 * REACH + 1
+#: Poses on the way to a goal, including start and goal.
+SAMPLES = 5
+#: Foot positions at the start for a network without stance, in cells from the base. The network reads a wide strip
+#: around them, so the robot's feet may stand some cells away.
+FOOT = (13, 10)
+#: Signs (x, y) of the feet: front left, rear left, rear right, front right.
+FEET = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+#: Offsets in cells, ahead of each foot and behind it, at which features (LINE) and heights (PROFILE) are read; they
+#: cover the foot reach and the way to a goal.
+LINE = tuple(range(-15, 16, 3))
+PROFILE = tuple(range(-18, 19, 3))
+LINE_RADIUS = 3
+#: Radius in cells of the first convolution.
+NEAR_RADIUS = 2
+#: Window radius in cells around each tap; its highest and lowest points are compared with the ground at the base.
+GROUND_RADIUS = 2
+#: Step in cells between the footprints in the summary over all footprints around the start.
+CONTEXT_STEP = 3
+#: Features per goal, see ``hdsp.learning.networks.goals.goal_features``.
+GOAL_FEATURES = 7
+#: Range in metres of heights relative to the ground at the base.
+RELATIVE = (-0.5, 0.8)
+#: Widths, in shares, of the sigmoids that compare a share with 1.
+SHARPNESS = (0.02, 0.2)
+#: Shares are clipped at this value.
+MOST = 3.0
+#: Features per pose: three shares, each with its two sigmoids, and the drive cost.
+POSE_FEATURES = 3 * (1 + len(SHARPNESS)) + 1
+#: Additional features per foot: the height under it, and whether an edge is too close.
+REQUIREMENT_FEATURES = POSE_FEATURES + 2 * len(FEET)
+
+
+@checked
+class PoseRequirementOptions:
+    """Robot limits from ``hdsp.robot.robot.Robot``; all lengths in metres.
+
+    Attributes:
+        neutral: neutral foot position, along x and along y.
+        level: largest height difference among the feet for driving in all directions.
+        clearance: distance that feet keep from edges no wheel passes.
+        contact_inward: offset, from each foot toward the body, to the ground whose unevenness costs.
+        unevenness_cost: drive cost per metre of unevenness.
+        boxes: volumes that have to stay free.
+        edge: highest edge that a wheel passes; None = from the wheel.
+        wheel_radius, rolled_share: as in ``Drive``.
+    """
+
+    neutral: tuple[Positive, Positive]
+    level: Positive
+    clearance: Positive
+    contact_inward: NotNegative
+    unevenness_cost: NotNegative
+    boxes: tuple[Box, ...]
+    edge: Positive | None = None
+    wheel_radius: Positive | None = None
+    rolled_share: Positive | None = None
+
+    @property
+    def highest_edge(self) -> float:
+        """Highest edge that a wheel passes, m.
+
+        Raises:
+            InputError: neither the edge nor the wheel is given.
+        """
+        if self.edge is not None:
+            return self.edge
+        if self.wheel_radius is None or self.rolled_share is None:
+            raise InputError("model.options.stance.edge is None; need a number, or wheel_radius and rolled_share")
+        return self.wheel_radius * self.rolled_share
+
+    @property
+    def clearance_cells(self) -> int:
+        """Whole cells within the foot clearance."""
+        return math.floor(cells(self.clearance) + 1e-9)
+
+
+@checked
+class FootprintOptions:
+    """Layer widths.
+
+    Attributes:
+        width: local feature channels.
+        dilations: dilations of the 3 x 3 convolutions after the 5 x 5 one. Their sum is at most 7, so features reach 9
+            cells far.
+        taps: footprint points (along x, along y) at which local features are read; odd numbers.
+        spacing: cells between taps. 9 x 7 taps with spacing 3 place one tap within 1 cell of each neutral foot.
+        hidden: width of the first layer that sees a whole footprint.
+        features: features kept per footprint.
+        context: width of the summary over all footprints around the start; detours need it.
+        feet: width of the ground summary ahead of and behind each foot at the start; steps need it.
+        head: width of the layers that judge a way.
+        stance: the robot's requirements on the ground at a pose, as input features. None: the network has to learn
+            them.
+    """
+
+    width: Width = 32
+    dilations: tuple[Count, ...] = (1, 2, 4)
+    taps: tuple[Count, Count] = (9, 7)
+    spacing: Count = 3
+    hidden: Width = 96
+    features: Width = 48
+    context: Width = 64
+    feet: Width = 128
+    head: Annotated[Width, Field(ge=2)] = 128
+    stance: PoseRequirementOptions | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if sum(self.dilations) > 7:
+            raise fault("dilations", self.dilations, "numbers that add up to at most 7")
+        if any(n % 2 == 0 for n in self.taps) or max(self.taps) * self.spacing > 27:
+            raise fault("taps", self.taps, f"odd numbers, and with spacing {self.spacing} within 27 cells")
+        return self
+
+    @property
+    def foot(self) -> tuple[int, int]:
+        """Front left foot at the start, in cells from the base."""
+        if self.stance is None:
+            return FOOT
+        x, y = self.stance.neutral
+        return round(cells(x)), round(cells(y))
+
+
+def footprint_taps(options: FootprintOptions) -> np.ndarray:
+    """Returns the footprint points in cells from the base, float32 [taps, 2]; y changes fastest."""
+    x, y = ((np.arange(n) - n // 2) * options.spacing for n in options.taps)
+    return _product(x, y)
+
+
+def turn_angles() -> np.ndarray:
+    """Returns the headings of a turn's poses after the start, float32 [8] radians: four to the left, four right."""
+    shares = np.linspace(0, 1, SAMPLES, dtype=np.float32)[1:] * np.float32(2 * math.pi / ABSTRACT_HEADINGS)
+    return np.concatenate([shares, -shares])
+
+
+def rotated(points: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Rotates points [n, 2] by each angle; returns float32 [angles, n, 2]."""
+    x, y = np.asarray(points, np.float32).T
+    cos, sin = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+
+
+def requirement_points(options: PoseRequirementOptions) -> list[np.ndarray]:
+    """Returns the points that the requirements read, in cells from the base, groups of float32 [n, 2].
+
+    Groups are: the base, the four feet, their four contacts, and each box; squares around a box's points, with radius
+    ``GROUND_RADIUS``, cover the box.
+    """
+    signs, neutral = np.array(FEET), np.array(options.neutral)
+    feet, contacts = cells(signs * neutral), cells(signs * (neutral - options.contact_inward))
+    groups = [np.zeros((1, 2)), feet, contacts, *(_covering(box) for box in options.boxes)]
+    return [np.asarray(group, np.float32) for group in groups]
+
+
+def requirement_reach(options: PoseRequirementOptions) -> dict[str, int]:
+    """Returns, for each encoded channel, the distance in cells from the start within which requirements read it."""
+    points = requirement_points(options)
+    straight = [np.abs(group.round()).max() + REACH for group in points]
+    turned = [np.abs(rotated(group, turn_angles()).round()).max() for group in points]
+    _, feet, contacts, *bodies = (int(max(far)) for far in zip(straight, turned, strict=True))
+    return {"height": max(feet, *bodies), "unevenness": contacts, "edge": feet + options.clearance_cells}
+
+
+def farthest_read(encoding: HeightEncoding, options: FootprintOptions) -> int:
+    """Returns the distance in cells from the start, along x or y, beyond which the network reads no height."""
+    margins = [n // 2 * options.spacing for n in options.taps]
+    footprint, foot = max(margins) + REACH, options.foot[0]
+    line = foot + max(LINE[-1] + LINE_RADIUS + NEAR_RADIUS, PROFILE[-1] + GROUND_RADIUS)
+    within = dict.fromkeys(encoding.channels, max(footprint + sum(options.dilations) + NEAR_RADIUS, line))
+    within |= {"height": max(footprint + GROUND_RADIUS, line), "unevenness": footprint}
+    if options.stance:
+        for name, reach in requirement_reach(options.stance).items():
+            within[name] = max(within[name], reach + (GROUND_RADIUS if name == "height" else 0))
+        within["edge"] = max(within["edge"], foot + PROFILE[-1] + options.stance.clearance_cells)
+    return max(reach + encoding.radius(name) for name, reach in within.items())
+
+
+def _covering(box: Box) -> np.ndarray:
+    spans = ((box.x_min, box.x_max), (-box.half_width, box.half_width))
+    axes, radius = [], GROUND_RADIUS
+    for low, high in spans:
+        low, high = math.ceil(cells(low)), math.floor(cells(high))  # cells with their centre inside
+        low, high = min(low + radius, (low + high) // 2), max(high - radius, (low + high) // 2)
+        axes.append(np.linspace(low, high, math.ceil((high - low) / (2 * radius + 1)) + 1))
+    return _product(*axes)
+
+
+def _product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2).astype(np.float32)

@@ -1,0 +1,449 @@
+"""Evaluation of the footprint network without torch.
+
+The network is evaluated in windows of a map, for all robot poses that share a heading. Every feature is computed once
+for each cell, and only at cells that some pose needs: kernels gather the inputs of a layer, one row for each cell, and
+the layer is a product of matrices. A result depends on the cells around its pose alone, not on the window, to the last
+bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.base.settings import load_settings
+from hdsp.learning.footprint_geometry import (
+    CONTEXT_STEP,
+    FEET,
+    GOAL_FEATURES,
+    GROUND_RADIUS,
+    LINE,
+    LINE_RADIUS,
+    MOST,
+    NEAR_RADIUS,
+    POSE_FEATURES,
+    PROFILE,
+    REACH,
+    REQUIREMENT_FEATURES,
+    SAMPLES,
+    SHARPNESS,
+    FootprintOptions,
+    farthest_read,
+)
+from hdsp.learning.inference.dense_layers import Graph
+from hdsp.learning.inference.gather_kernels import (
+    GroundMaps,
+    PoseCells,
+    feet_rows,
+    gather,
+    mark,
+    spread,
+    store,
+    store_poses,
+    straight_rows,
+    turned_rows,
+    way_rows,
+)
+from hdsp.learning.inference.ground_kernels import (
+    barred_shares,
+    extreme,
+    greatest_difference,
+    told,
+    trunk_channels,
+    weighted_sum,
+)
+from hdsp.learning.inference.pose_table import CORNERS, PoseTable, Ways, numbers, square
+from hdsp.learning.learning_settings import ModelSettings
+from hdsp.learning.saved_abstraction import WEIGHTS
+from hdsp.robot.lattice import PATCH_CELLS, PATCH_CENTER, cells
+from hdsp.terrain.cost_maps import disc_mask
+
+#: Cells of a window around the bases, on each side.
+MARGIN = PATCH_CENTER
+#: Values in the rows of one product; they stay in the cache of a core.
+VALUES = 1 << 17
+#: Bases whose goals are judged together.
+STATES = 24
+#: Patches evaluated in one window.
+STACK = 16
+#: Channels of the first convolution, as ``trunk_channels`` numbers them.
+_KINDS = ("unknown", "edge", "slope_x", "slope_y")
+#: Pose features are stored in rows of a multiple of this.
+_ALIGNED = 16
+#: Sets of goals whose constants are kept; one for each heading, and as many mirrored.
+_KEPT = 32
+
+
+def engine_options(settings: ModelSettings) -> FootprintOptions | None:
+    """Returns the options of a network that the engine evaluates, None for any other network.
+
+    The engine evaluates footprint networks with a stance whose patches have all the cells that the network reads.
+    """
+    encoding = settings.encoding
+    if settings.architecture != "footprint" or encoding.reference != "none" or encoding.unknown is not None:
+        return None
+    options = load_settings(FootprintOptions, settings.options, "model.options")
+    if options.stance is None or not {"height", "unknown", "edge", "unevenness"} <= set(encoding.channels):
+        return None
+    return options if farthest_read(encoding, options) < PATCH_CELLS - PATCH_CENTER else None
+
+
+class FootprintEngine:
+    """Footprint network with its weights.
+
+    Args:
+        settings: model settings with ``engine_options``.
+        tensors: the weights, by their names in the network.
+
+    Raises:
+        InputError: a weight is missing, or has another shape.
+        ModuleNotFoundError: ONNX Runtime is not installed.
+    """
+
+    def __init__(self, settings: ModelSettings, tensors: Mapping[str, np.ndarray]):
+        options = engine_options(settings)
+        if options is None or options.stance is None:
+            raise InputError(f"model {settings.architecture}: the evaluation without torch knows no such network")
+        self.options, self.stance, self.encoding = options, options.stance, settings.encoding
+        self.table = PoseTable(options)
+        self._goals: dict[bytes, _Goals] = {}
+        self._kinds = np.array([_KINDS.index(c) for c in self.encoding.channels if c in _KINDS], np.int64)
+        self._cone = self._unevenness_cone()
+        self._clearance = np.argwhere(disc_mask(cells(self.stance.clearance))) - self.stance.clearance_cells
+        self._weights = _checked(tensors, _shapes(options, len(self._kinds)))
+        self._build(self._weights)
+
+    def _unevenness_cone(self) -> tuple[np.ndarray, np.ndarray]:
+        radius = self.encoding.unevenness_radius
+        offsets = square(radius - 1)
+        x, y = offsets.T.astype(np.float32)
+        weights = np.maximum(1 - np.hypot(x, y) / np.float32(radius), 0).astype(np.float32)
+        return offsets[weights > 0], weights[weights > 0]
+
+    def _build(self, weights: Mapping[str, np.ndarray]) -> None:
+        """Makes the sessions of all layers."""
+        options = self.options
+
+        def linear(name: str) -> tuple[np.ndarray, np.ndarray]:
+            return weights[f"{name}.weight"].T, weights[f"{name}.bias"]
+
+        def convolution(name: str) -> tuple[np.ndarray, np.ndarray]:
+            """Rows of the weights in the order in which the kernels gather: by x, by y, by channel."""
+            weight = weights[f"{name}.weight"]
+            return weight.transpose(2, 3, 1, 0).reshape(-1, len(weight)), weights[f"{name}.bias"]
+
+        def layer(weight: np.ndarray, bias: np.ndarray) -> Layer:
+            graph = Graph(["rows"], "result")
+            graph.linear("rows", "result", weight, bias)
+            return Layer(graph, len(weight))
+
+        self.near = layer(*convolution("near.0"))
+        self.local = [layer(*convolution(f"local.{2 * k}")) for k in range(len(options.dilations))]
+        self.line = layer(*convolution("of_line.0"))
+        graph = Graph(["rows"], "result")
+        of_local, bias = convolution("of_local")
+        of_pose = np.concatenate([of_local, weights["of_ground.weight"].T])
+        graph.linear(graph.linear("rows", "hidden", of_pose, bias), "result", *linear("footprint"))
+        self.pose = Layer(graph, len(of_pose))
+
+        # Pose features have trailing zeros, so their weights have too.
+        seen = options.features + POSE_FEATURES
+        self.features = -(-seen // _ALIGNED) * _ALIGNED
+        *ways, rest = np.split(weights["rest.0.weight"].T, [seen * k for k in range(1, SAMPLES + 3)])
+        mean, greatest = ways[SAMPLES] / np.float32(SAMPLES), ways[SAMPLES + 1]
+        of_start, *of_samples = (self._padded(way + mean) for way in ways[:SAMPLES])
+        around, self._of_goal = np.split(rest, [options.context + options.feet])
+
+        of_context, bias = linear("context")
+        of_context = self._padded(of_context.reshape(-1, seen, options.context)).reshape(-1, options.context)
+        graph = Graph(["context rows", "feet rows", "start"], "result")
+        context = graph.linear("context rows", "context", of_context, bias)
+        feet = graph.linear("feet rows", "feet", *linear("feet"))
+        known = graph.operation("Concat", ["start", context, feet], "known", axis=1)
+        of_known = np.concatenate([of_start, around])
+        graph.linear(known, "result", of_known, weights["rest.0.bias"], relu=False)
+        self.start = graph.session()
+
+        graph = Graph(["rows", "start", "goals"], "result")
+        of_ways = graph.constant("of ways", np.concatenate([*of_samples, self._padded(greatest)]))
+        shape = graph.operation("Shape", ["goals"], "goals shape")
+        shape = graph.operation("Concat", [graph.constant("bases", np.array([-1])), shape], "shape", axis=0)
+        way = graph.operation("Reshape", [graph.operation("Gemm", ["rows", of_ways], "ways"), shape], "ways by base")
+        start = graph.operation("Unsqueeze", ["start", graph.constant("axis", np.array([1]))], "start by base")
+        way = graph.operation("Add", [way, start], "ways with start")
+        way = graph.operation("Add", [way, "goals"], "ways with goals")
+        flat = graph.constant("flat", np.array([-1, options.head]))
+        first = graph.operation("Relu", [graph.operation("Reshape", [way, flat], "rows of ways")], "first")
+        graph.linear(graph.linear(first, "second", *linear("rest.2")), "result", *linear("heads"), relu=False)
+        self.judge = graph.session()
+
+    def _padded(self, weight: np.ndarray) -> np.ndarray:
+        """Adds zeros for the trailing zeros of pose features, along the axis before the last."""
+        missing = self.features - weight.shape[-2]
+        return np.pad(weight, [(0, 0)] * (weight.ndim - 2) + [(0, missing), (0, 0)])
+
+    def evaluate(
+        self, heights: np.ndarray, bases: np.ndarray, goals: np.ndarray
+    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray] | None]:
+        """Evaluates the goals of some bases in a window, in short steps.
+
+        Args:
+            heights: float32 [nx, ny], metres, NaN = unknown.
+            bases: int64 [n, 2], cells of ``heights`` under the bases, with ``MARGIN`` cells beyond, on each side.
+            goals: float32 [G, 3] in abstract steps in the robot frame.
+
+        Yields:
+            None after each layer of the whole window. Then, for each group of bases, its slice of ``bases``, costs and
+            feasibility logits, float32 [m, G] each.
+        """
+        to = self._known(goals)
+        across = heights.shape[1]
+        cells = numbers(bases, across)
+        needed = self._needed(heights.size, across, cells, to.ways)
+        maps, channels = self._ground(heights)
+
+        yield None
+        near_offsets = numbers(square(NEAR_RADIUS), across)[:: 2 * NEAR_RADIUS + 1]
+        local = near = _convolved(self.near, channels, needed.near, near_offsets, 2 * NEAR_RADIUS + 1)
+        for layer, dilation, at in zip(self.local, self.options.dilations, needed.local, strict=True):
+            yield None
+            local = _convolved(layer, local, at, numbers(square(dilation, dilation), across), 1)
+        yield None
+        line_offsets = numbers(square(LINE_RADIUS), across)[:: 2 * LINE_RADIUS + 1]
+        line = _convolved(self.line, near, needed.line, line_offsets, 2 * LINE_RADIUS + 1)
+        yield None
+        poses = self._poses(local, maps, needed.poses, self.table.straight(across), heights.size)
+        yield None
+        turned, turned_lower = self.table.turned(across), numbers(self.table.lower, across)
+        context = numbers(self.table.context, across)
+        along, profile, footholds = (
+            numbers(at, across) for at in (self.table.along, self.table.profile, self.table.footholds)
+        )
+        of_feet = len(along) * line.shape[1] + 2 * len(profile) + len(footholds)
+        corners = numbers(to.ways.lower[:, :, None] + CORNERS, across)
+        for start in range(0, len(cells), STATES):
+            part = cells[start : start + STATES]
+            of_turns = self._turned(local, across, maps, part, turned, turned_lower)
+            around = np.empty((len(part), len(context) * self.features), np.float32)
+            gather(poses.ravel(), self.features, part, context, self.features, around)
+            feet = np.empty((len(part), of_feet), np.float32)
+            feet_rows(part, line, maps, along, profile, footholds, feet)
+            (known,) = self.start.run(None, {"context rows": around, "feet rows": feet, "start": poses[part]})
+            rows = np.empty((len(part) * len(goals), SAMPLES * self.features), np.float32)
+            way_rows(part, poses, of_turns, corners, to.ways.weights, to.ways.turning, rows)
+            (judged,) = self.judge.run(None, {"rows": rows, "start": known, "goals": to.constant})
+            excess, logits = np.moveaxis(judged.reshape(len(part), len(goals), 2), 2, 0)
+            yield slice(start, start + STATES), to.cost * (1 + excess), logits
+
+    def patches(self, patches: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Returns costs and feasibility logits, float32 [n, G] each, for patches [n, 72, 72] and goals [n, G, 3]."""
+        cost, logits = np.empty((2, *goals.shape[:2]), np.float32)
+        distinct, which = np.unique(goals.reshape(len(goals), -1), axis=0, return_inverse=True)
+        for kind in range(len(distinct)):
+            members = np.flatnonzero(which.reshape(-1) == kind)
+            for start in range(0, len(members), STACK):
+                part = members[start : start + STACK]
+                # One below another: no value that a base needs depends on cells beyond its patch.
+                bases = np.full((len(part), 2), PATCH_CENTER)
+                bases[:, 0] += PATCH_CELLS * np.arange(len(part))
+                heights = patches[part].reshape(-1, PATCH_CELLS)
+                for group in self.evaluate(heights, bases, np.ascontiguousarray(goals[part[0]])):
+                    if group is not None:
+                        cost[part[group[0]]], logits[part[group[0]]] = group[1:]
+        return cost, logits
+
+    def _known(self, goals: np.ndarray) -> _Goals:
+        key = goals.tobytes()
+        if key not in self._goals:
+            if len(self._goals) >= _KEPT:
+                self._goals.clear()
+            features, weights = goal_features(goals), self._weights
+            hidden = features @ weights["goal_cost.0.weight"].T + weights["goal_cost.0.bias"]
+            cost = np.maximum(hidden, 0) @ weights["goal_cost.2.weight"][0] + weights["goal_cost.2.bias"]
+            self._goals[key] = _Goals(Ways.to(goals), cost, features @ self._of_goal)
+        return self._goals[key]
+
+    def _needed(self, size: int, across: int, cells: np.ndarray, ways: Ways) -> _Needed:
+        """Finds the cells at which some base needs a feature, layer by layer."""
+        poses, local, line = np.zeros((3, size), bool)
+        mark(poses, cells, numbers(np.concatenate([self.table.context, ways.cells()]), across))
+        _spread_square(poses, self.options.taps, self.options.spacing, across, local)
+        turned = (self.table.lower[:, :, None] + CORNERS).reshape(-1, 2)
+        mark(local, cells, np.unique(numbers(turned, across)))
+        mark(line, cells, numbers(self.table.along, across))
+        marks = [local]
+        for dilation in self.options.dilations[::-1]:
+            marks.append(np.zeros(size, bool))
+            _spread_square(marks[-2], (3, 3), dilation, across, marks[-1])
+        near, *local_marks = marks[::-1]
+        side = 2 * LINE_RADIUS + 1
+        _spread_square(line, (side, side), 1, across, near)
+        found_poses, found_line, found_near, *found_local = map(np.flatnonzero, (poses, line, near, *local_marks))
+        return _Needed(found_poses, found_line, found_near, found_local)
+
+    def _ground(self, heights: np.ndarray) -> tuple[GroundMaps, np.ndarray]:
+        """Encodes the ground; also returns the channels of the first convolution."""
+        encoding, stance, one = self.encoding, self.stance, np.float32(1)
+        scale = np.float32(encoding.edge_scale)
+        differences = greatest_difference(heights)
+        channels = trunk_channels(heights, differences, scale, self._kinds)
+        footholds = differences
+        if contact := encoding.unevenness_contact:
+            highest = extreme(heights, contact, one)
+            footholds = greatest_difference(np.where(np.isnan(heights), heights, highest))
+        rough = weighted_sum(footholds, *self._cone)
+        low, high = map(np.float32, encoding.clip)
+        height = np.clip(heights, low, high) * np.float32(encoding.scale)
+        nearby = [extreme(height, GROUND_RADIUS, one), extreme(height, GROUND_RADIUS, -one), np.log1p(rough)]
+        barred = barred_shares(
+            heights, differences, scale, self._clearance, np.float32(stance.highest_edge), np.float32(MOST)
+        )
+        is_barred = told(barred, np.float32(SHARPNESS[0]))
+        flat = (np.ascontiguousarray(values.ravel(), np.float32) for values in (rough, barred, is_barred))
+        return GroundMaps(height.ravel(), np.stack(nearby, axis=-1).reshape(-1, len(nearby)), *flat), channels
+
+    def _poses(self, local: np.ndarray, maps: GroundMaps, at: np.ndarray, cells: PoseCells, size: int) -> np.ndarray:
+        """Features of the poses with the start heading, float32 [size, features]."""
+        poses, taps, channels = np.empty((size, self.features), np.float32), cells.taps[0], local.shape[1]
+        rows = self.pose.rows(len(at))
+        for part in self.pose.parts(at):
+            inputs = rows[: len(part)]
+            gather(local.ravel(), channels, part, taps, channels, inputs)
+            straight_rows(part, maps, cells, inputs[:, len(taps) * channels :])
+            store_poses(self.pose(inputs), inputs, part, poses)
+        return poses
+
+    def _turned(
+        self,
+        local: np.ndarray,
+        across: int,
+        maps: GroundMaps,
+        bases: np.ndarray,
+        cells: PoseCells,
+        lower: np.ndarray,
+    ) -> np.ndarray:
+        """Features of the poses of turns, float32 [n, turns, features]."""
+        turns = len(lower)
+        poses = np.empty((len(bases) * turns, self.features), np.float32)
+        numbered = np.arange(len(poses))
+        size = max(self.pose.most // turns, 1)
+        rows = np.empty((min(size, len(bases)) * turns, self.pose.width), np.float32)
+        for start in range(0, len(bases), size):
+            part = bases[start : start + size]
+            inputs = rows[: len(part) * turns]
+            turned_rows(part, local, across, lower, self.table.weights, maps, cells, inputs)
+            store_poses(self.pose(inputs), inputs, numbered[start * turns : start * turns + len(inputs)], poses)
+        return poses.reshape(len(bases), turns, self.features)
+
+
+class Layer:
+    """Layers in ONNX Runtime that map rows [n, width] to rows.
+
+    Attributes:
+        width: values in a row.
+        most: rows of one product.
+    """
+
+    def __init__(self, graph: Graph, width: int):
+        self._session, self.width = graph.session(), width
+        self.most = max(VALUES // width, 1)
+
+    def __call__(self, rows: np.ndarray) -> np.ndarray:
+        """Returns the result, float32 [n, out]."""
+        return self._session.run(None, {"rows": rows})[0]
+
+    def rows(self, count: int) -> np.ndarray:
+        """Returns an empty array for the rows of a product, for ``count`` rows in all."""
+        return np.empty((min(count, self.most), self.width), np.float32)
+
+    def parts(self, cells: np.ndarray) -> Iterator[np.ndarray]:
+        """Yields the cells of one product after another."""
+        return (cells[start : start + self.most] for start in range(0, len(cells), self.most))
+
+
+class _Goals(NamedTuple):
+    """Constants of goals: ways, cost without excess [G], and their part in the first layer [G, head]."""
+
+    ways: Ways
+    cost: np.ndarray
+    constant: np.ndarray
+
+
+class _Needed(NamedTuple):
+    """Cells, int64 [n], at which poses, line features, first and further local features are needed."""
+
+    poses: np.ndarray
+    line: np.ndarray
+    near: np.ndarray
+    local: list[np.ndarray]
+
+
+def goal_features(goals: np.ndarray) -> np.ndarray:
+    """See ``hdsp.learning.networks.goals.goal_features``."""
+    position = goals[:, :2]
+    distance = np.hypot(*position.T)[:, None]
+    direction = position / np.maximum(distance, np.float32(1e-6))
+    return np.concatenate([goals, distance, direction, distance < 1e-3], axis=1).astype(np.float32)
+
+
+def _convolved(layer: Layer, values: np.ndarray, cells: np.ndarray, offsets: np.ndarray, run: int) -> np.ndarray:
+    """Convolution at some cells of a map; pieces of ``run`` neighbouring cells begin at each offset."""
+    result, rows = None, layer.rows(len(cells))
+    for part in layer.parts(cells):
+        inputs = rows[: len(part)]
+        gather(values.ravel(), values.shape[1], part, offsets, run * values.shape[1], inputs)
+        convolved = layer(inputs)
+        if result is None:
+            result = np.empty((len(values), convolved.shape[1]), np.float32)
+        store(convolved, part, result)
+    assert result is not None
+    return result
+
+
+def _spread_square(marks: np.ndarray, sides: tuple[int, int], step: int, across: int, result: np.ndarray) -> None:
+    """Marks a rectangle of cells, ``step`` apart, around each marked cell."""
+    along_x, along_y = ((np.arange(side) - side // 2) * step for side in sides)
+    row = np.zeros_like(marks)
+    spread(marks, along_y, row)
+    spread(row, along_x * across, result)
+
+
+def _shapes(options: FootprintOptions, channels: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of all weights and biases."""
+    width, hidden, features, head = options.width, options.hidden, options.features, options.head
+    taps = options.taps[0] * options.taps[1]
+    near, line = 2 * NEAR_RADIUS + 1, 2 * LINE_RADIUS + 1
+    seen = features + POSE_FEATURES
+    of_feet = len(FEET) * (len(LINE) * width + 2 * len(PROFILE) + PROFILE[-1] - PROFILE[0] + 1)
+    way = (SAMPLES + 2) * seen + options.context + options.feet + GOAL_FEATURES
+    weights = {
+        "near.0": (width, channels, near, near),
+        **{f"local.{2 * k}": (width, width, 3, 3) for k in range(len(options.dilations))},
+        "of_local": (hidden, width, *options.taps),
+        "of_ground": (hidden, 3 * taps + REQUIREMENT_FEATURES),
+        "footprint": (features, hidden),
+        "context": (options.context, len(square(REACH, CONTEXT_STEP)) * seen),
+        "of_line.0": (width, width, line, line),
+        "feet": (options.feet, of_feet),
+        "rest.0": (head, way),
+        "rest.2": (head // 2, head),
+        "heads": (2, head // 2),
+        "goal_cost.0": (64, GOAL_FEATURES),
+        "goal_cost.2": (1, 64),
+    }
+    shapes = {f"{name}.weight": shape for name, shape in weights.items()}
+    return shapes | {f"{name}.bias": shape[:1] for name, shape in weights.items() if name != "of_ground"}
+
+
+def _checked(tensors: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
+    if odd := sorted(set(tensors) ^ set(shapes)):
+        raise InputError(
+            f"{WEIGHTS}: does not fit footprint: {odd[0]} is {'unknown' if odd[0] in tensors else 'missing'}"
+        )
+    for name, shape in shapes.items():
+        if tensors[name].shape != shape:
+            raise InputError(f"{WEIGHTS}: does not fit footprint: {name} is {tensors[name].shape}, not {shape}")
+    return {name: np.ascontiguousarray(tensors[name], np.float32) for name in shapes}

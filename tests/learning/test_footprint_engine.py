@@ -1,0 +1,153 @@
+"""The evaluation of the footprint network without torch, against the network in torch."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from safetensors.numpy import load_file
+
+import hdsp
+from hdsp.base.errors import InputError
+from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts
+from hdsp.learning.inference.footprint_engine import FootprintEngine, engine_options
+from hdsp.learning.loading import shipped
+from hdsp.robot.lattice import robot_frame_goals
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.scenes import random_map
+from tests import ROOT
+from tests.learning.test_zoo import model_file, rough_patches
+
+#: Plans with the shipped abstraction in a process without torch.
+PROBE = """
+import sys
+sys.modules["torch"] = sys.modules["lightning"] = None
+import hdsp
+terrain = hdsp.HeightMap.flat((60, 60))
+plan = hdsp.Planner(terrain, heuristic="learned").plan((0.7, 0.7, 0.0), (0.9, 0.8, 0.0), weight=1.5)
+print(plan.solved, plan.stats["heuristic"])
+try:
+    hdsp.load_abstraction("momaro-klamt2019")
+except hdsp.InputError as error:
+    print(error)
+"""
+
+
+@pytest.fixture(scope="module")
+def abstraction():
+    return hdsp.load_abstraction("momaro")
+
+
+@pytest.fixture(scope="module")
+def in_torch(abstraction):
+    """The same network, evaluated by torch."""
+    other = LearnedAbstraction(
+        abstraction.network, abstraction.model, hardware=HardwareSettings("cpu"), calibration=abstraction.calibration
+    )
+    other.provenance = abstraction.provenance
+    return other
+
+
+def ground(category: str, seed: int) -> HeightMap:
+    """A random map of 2.5 x 2.25 m with steps, slopes and unknown cells."""
+    heights = random_map(seed, category, 0, cells=100).heights[:, :90].copy()
+    heights += np.linspace(0, 0.3, 100, dtype=np.float32)[:, None] * (seed % 2)
+    heights[np.random.default_rng(seed).random(heights.shape) < 0.0005] = np.nan
+    heights[:9, 70:] = np.nan
+    return HeightMap(heights)
+
+
+@pytest.mark.parametrize("category", ["staircase", "clutter", "ramp_mixed"])
+def test_edges_are_those_of_the_network_in_torch(abstraction, in_torch, category):
+    terrain = ground(category, 1000 + len(category))
+    mask = np.zeros((16, 25, 22), bool)
+    mask[[4, 9]] = np.random.default_rng(0).random((2, 25, 22)) < 0.5
+    found = LearnedCosts(abstraction).edges(terrain, mask=mask)
+    expected = LearnedCosts(in_torch).edges(terrain, mask=mask)
+    finite = np.isfinite(expected)
+    assert finite.sum() > 200
+    np.testing.assert_array_equal(np.isfinite(found), finite)
+    np.testing.assert_allclose(found[finite], expected[finite], atol=1e-4)
+
+
+def test_patches_are_judged_as_by_the_network_in_torch(abstraction, in_torch):
+    patches = rough_patches(5)
+    patches[1, 36, 36], patches[2, 40:44, 50:60] = np.nan, np.nan
+    goals = np.stack([robot_frame_goals(k) for k in (0, 3, 3, 9, 0)])
+    for found, expected in zip(
+        abstraction.predict_probability(patches, goals), in_torch.predict_probability(patches, goals), strict=True
+    ):
+        np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_a_state_has_the_same_costs_in_any_window_to_the_last_bit(abstraction):
+    terrain, costs = ground("clutter", 1001), LearnedCosts(abstraction)
+    mask = np.zeros((16, 25, 22), bool)
+    mask[[0, 1, 7]] = True
+    whole = costs.edges(terrain, mask=mask)
+    assert np.isfinite(whole[mask]).mean() > 0.05
+    few = mask & (np.random.default_rng(1).random(mask.shape) < 0.02)
+    np.testing.assert_array_equal(costs.edges(terrain, mask=few)[few], whole[few])
+    region = (4, 6, 13, 9)
+    np.testing.assert_array_equal(costs.edges(terrain, region, mask[:, 4:13, 6:9]), whole[:, 4:13, 6:9])
+    (one,) = np.argwhere(few)[:1]
+    alone = costs.edges(terrain, (one[1], one[2], one[1] + 1, one[2] + 1))
+    np.testing.assert_array_equal(alone[one[0], 0, 0], whole[tuple(one)])
+
+
+def test_windows_of_a_map_are_judged_as_patches(abstraction):
+    terrain = ground("staircase", 1002)
+    mask = np.random.default_rng(2).random((16, 25, 22)) < 0.01
+    found = LearnedCosts(abstraction).edges(terrain, mask=mask)[mask]
+    expected = LearnedCosts(abstraction, method="patches").edges(terrain, mask=mask)[mask]
+    assert np.isfinite(expected).any()
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_a_network_with_other_widths_and_channels(tmp_path):
+    settings = model_file("footprint")
+    settings["encoding"] |= {"channels": ["edge", "height", "unknown", "unevenness"], "unevenness_contact": 2}
+    settings["encoding"] |= {"scale": 0.9, "clip": [-0.2, 0.4]}
+    settings["options"] |= {"width": 8, "dilations": [2, 1], "hidden": 24, "features": 17, "head": 12}
+    torch.manual_seed(1)
+    in_torch = LearnedAbstraction(hdsp.learning.build_network(settings), _model(settings))
+    found = LearnedAbstraction.from_pretrained(in_torch.save_pretrained(tmp_path / "model"))
+    assert found.engine is not None and in_torch.engine is None
+    patches, goals = rough_patches(3), robot_frame_goals(5)
+    patches[0, 30:33, 20:50] = np.nan
+    for ours, theirs in zip(found._predict(patches, goals), in_torch._predict(patches, goals), strict=True):
+        assert np.std(theirs) > 1e-3
+        np.testing.assert_allclose(ours, theirs, atol=1e-4)
+
+
+def test_plans_need_no_torch_and_other_networks_say_that_they_do():
+    done = subprocess.run([sys.executable, "-c", PROBE], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    planned, refused = done.stdout.splitlines()
+    assert planned == "True learned"
+    assert "klamt2019 needs torch: pip install 'hdsp[learning]'" in refused
+
+
+def test_weights_of_another_network_are_refused(abstraction):
+    tensors = load_file(str(shipped() / "momaro" / "model.safetensors"))
+    with pytest.raises(InputError, match=r"does not fit footprint: heads\.bias is missing"):
+        FootprintEngine(abstraction.model, {key: value for key, value in tensors.items() if key != "heads.bias"})
+    with pytest.raises(InputError, match=r"does not fit footprint: feet\.bias is \(3,\)"):
+        FootprintEngine(abstraction.model, tensors | {"feet.bias": np.zeros(3, np.float32)})
+
+
+def test_torch_evaluates_where_settings_or_the_network_ask_for_it(abstraction):
+    place = str(shipped() / "momaro")
+    assert abstraction.engine is not None
+    assert LearnedAbstraction.from_pretrained(place, hardware=HardwareSettings("cpu", "bf16")).engine is None
+    assert engine_options(_model(model_file("compact"))) is None
+    near = model_file("footprint")
+    near["encoding"]["unevenness_radius"] = 30  # reads beyond the patch
+    assert engine_options(_model(near)) is None
+
+
+def _model(settings):
+    from hdsp.base.settings import load_settings
+
+    return load_settings(hdsp.learning.ModelSettings, settings, "model")
