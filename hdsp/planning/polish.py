@@ -6,7 +6,7 @@ than short ones and cost more, so sweeps with longer and longer windows follow e
 by half. A window whose cost equals its lower bound is skipped.
 
 No window sees another way round. A fast search with a large weight therefore gets a *second plan*, from a short search
-with a smaller weight. Both pass the first sweep, and the cheaper one goes on.
+with a smaller weight. The cheaper one of both is polished.
 
 The plan never gets more expensive, and it stays between start and goal. The work is counted in expansions: equal
 queries give equal plans, unless the time ends before the expansions.
@@ -30,17 +30,16 @@ from hdsp.robot.lattice import heading_index, offset_steps
 
 #: Budget of a query that names none, s.
 DEFAULT = 0.2
-#: Expansions for each second of a budget. Searches are about twice as fast, so that seldom the clock decides.
-PER_SECOND = 500_000
+#: Expansions for each second of a budget. Searches are about three times as fast, so that seldom the clock decides.
+PER_SECOND = 350_000
 #: Least costs of the windows, one for each sweep.
-WIDTHS = 1.0, 1.6, 2.4
+WIDTHS = 0.6, 1.0, 1.6, 2.4
 #: Expansions in one window, at most.
 MOST = 40_000
 #: Weight of a search that the polish makes good; docs/heuristics.md has the figures.
 FAST = 1.25
-#: Weight and most expansions of the search for a second plan.
-SECOND = 1.25
-MOST_SECOND = 30_000
+#: Weights and most expansions of the searches for a second plan; the first one that ends with a plan counts.
+SECOND = (1.03, 5_000), (1.1, 20_000), (1.25, 30_000)
 
 
 def polish_seconds(asked: object, default: float) -> float:
@@ -93,16 +92,10 @@ class Polish:
             return plan
         windows = Windows(query.world, query.limits.memory)
         ends = min(began + self.seconds, query.ends)
-        narrow, *wider = WIDTHS
-        course, goal_index = _Course.of(query, plan), plan.goal_index
-        if other := self._second(query, plan, min(expansions, MOST_SECOND), ends):
-            windows.expansions += other.stats.expansions
-        course = _swept(course, windows, narrow, expansions, ends)
-        if other and other.solved and not np.array_equal(other.states, plan.states):
-            rival = _swept(_Course.of(query, other), windows, narrow, expansions, ends)
-            if rival.costs.sum() < course.costs.sum():
-                course, goal_index = rival, other.goal_index
-        for width in wider:
+        second, windows.expansions = self._second(query, plan, expansions, ends)
+        better = plan if second is None or second.cost >= plan.cost else second
+        course = _Course.of(query, better)
+        for width in WIDTHS:
             course = _swept(course, windows, width, expansions, ends)
         spent = {"polish_expansions": windows.expansions, "polish_seconds": now() - began, "unpolished_cost": plan.cost}
         plan, cost = plan.renewed(spent), float(course.costs.sum())
@@ -114,16 +107,24 @@ class Polish:
             states=query.grid.to_world(course.states),
             actions=course.actions,
             action_costs=course.costs,
-            goal_index=goal_index,
+            goal_index=better.goal_index,
             bound=min(plan.bound, suboptimality(cost, plan.stats.lower_bound, rounding(query.world))),
         )
 
-    def _second(self, query: Query, plan: Plan, expansions: int, ends: float) -> Plan | None:
-        """A plan from a search with a smaller weight; None where the first search has none that is larger."""
-        if not self.second or query.admissible or plan.stats.anchor_weight or plan.stats.weight <= SECOND:
-            return None
-        limits = replace(query.limits, expansions=expansions)
-        return replace(query, limits=limits, ends=ends, progress=None).weighted(SECOND)
+    def _second(self, query: Query, plan: Plan, expansions: int, ends: float) -> tuple[Plan | None, int]:
+        """Returns a plan from a search with a smaller weight, None without one, and the expansions for it."""
+        spent = 0
+        if not self.second or query.admissible or plan.stats.anchor_weight:
+            return None, spent
+        for weight, most in SECOND:
+            limits = replace(query.limits, expansions=min(most, expansions - spent))
+            if weight >= plan.stats.weight or limits.expansions <= 0:
+                break
+            other = replace(query, limits=limits, ends=ends, progress=None).weighted(weight)
+            spent += other.stats.expansions
+            if other.solved:
+                return other, spent
+        return None, spent
 
 
 class _Course(NamedTuple):

@@ -14,6 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hdsp.base.gradual import now
+from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import state_cost, state_costs
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, successors
 from hdsp.detailed.search import kernel, open_list
@@ -261,9 +262,8 @@ class Search:
     def path(self, goal: int) -> Path:
         """Returns the path from the start to a seen state (packed)."""
         keys, actions = trace(self.world, self.store, goal)
-        edges = zip(keys, keys[1:], actions, strict=False)
-        costs = [edge_cost(self.world, self.rules, int(a), int(b), int(action)) for a, b, action in edges]
-        return Path(unpack_states(keys, self.world.tables.lowest), actions, np.array(costs, dtype=float))
+        costs = edge_costs(self.world, self.rules, keys, actions)
+        return Path(unpack_states(keys, self.world.tables.lowest), actions, costs)
 
     def result(self, ended: Status, paths: bool = True) -> SearchResult:
         """Returns the result, given the final status; ``paths`` adds states and actions."""
@@ -299,12 +299,22 @@ class Search:
         result.seconds = now() - self.began - self.paused
 
 
-def edge_cost(world: World, rules: Rules, key: int, reached: int, action: int) -> float:
-    """Cost of one action between two packed states; inf if the action is not legal."""
-    keys, costs = np.empty(MAX_SUCCESSORS, np.int64), np.empty(MAX_SUCCESSORS)
-    actions = np.empty(MAX_SUCCESSORS, np.uint8)
-    n = successors(world, rules, key, keys, costs, actions)
-    for k in range(n):
-        if keys[k] == reached and actions[k] == action:
-            return float(costs[k])
-    return float("inf")
+@njit()
+def edge_costs(world, rules, keys, actions):
+    """Costs of the actions along a path, float64 [n - 1]; inf for an action that is not legal.
+
+    Args:
+        world: terrain and robot.
+        rules: restrictions of the search.
+        keys: int64 [n], packed states of the path.
+        actions: uint8 [n - 1].
+    """
+    reached, prices = np.empty(MAX_SUCCESSORS, np.int64), np.empty(MAX_SUCCESSORS)
+    taken = np.empty(MAX_SUCCESSORS, np.uint8)
+    costs = np.full(len(actions), np.inf)
+    for i in range(len(actions)):
+        for k in range(successors(world, rules, keys[i], reached, prices, taken)):
+            if reached[k] == keys[i + 1] and taken[k] == actions[i]:
+                costs[i] = prices[k]
+                break
+    return costs

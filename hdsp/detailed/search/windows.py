@@ -16,7 +16,7 @@ from hdsp.detailed.search import open_list
 from hdsp.detailed.search.estimate import Estimate, estimate, geometric_estimate
 from hdsp.detailed.search.expansion import begin_at, expand
 from hdsp.detailed.search.kernel import EXHAUSTED, FULL, RUNNING, SOLVED
-from hdsp.detailed.search.life_cycle import edge_cost
+from hdsp.detailed.search.life_cycle import edge_costs
 from hdsp.detailed.search.open_list import FAR, NEAR, list_has_room, pop, push, refill
 from hdsp.detailed.search.outcome import Limits, Path
 from hdsp.detailed.search.store import (
@@ -84,9 +84,8 @@ class Windows:
         if code != SOLVED:
             return None
         keys, actions = trace(self._world, self._store, last)
-        edges = zip(keys, keys[1:], actions, strict=False)
-        costs = [edge_cost(self._world, self._rules, int(a), int(b), int(action)) for a, b, action in edges]
-        return Path(unpack_states(keys, self._world.tables.lowest), actions, np.array(costs, dtype=float))
+        costs = edge_costs(self._world, self._rules, keys, actions)
+        return Path(unpack_states(keys, self._world.tables.lowest), actions, costs)
 
     def _packed(self, state: np.ndarray) -> int:
         return int(pack_states(state, self._world.tables.lowest)[0])

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
 from hdsp.detailed.actions.action import DRIVES
 from hdsp.detailed.actions.state_costs import state_costs
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.search.life_cycle import edge_cost
+from hdsp.detailed.search.life_cycle import edge_costs
 from hdsp.detailed.states import pack_states
 from hdsp.detailed.world.world import World, build_world
 from hdsp.detailed.world.world_update import influence
@@ -120,5 +119,5 @@ class _Near:
             return None
         states = states[: free[0] + 1]
         keys = pack_states(states - self._low, world.tables.lowest)
-        costs = [edge_cost(world, Rules(), int(a), int(b), action) for a, b in pairwise(keys)]
-        return (states, action, np.array(costs)) if np.isfinite(costs).all() else None
+        costs = edge_costs(world, Rules(), keys, np.full(len(keys) - 1, action, np.uint8))
+        return (states, action, costs) if np.isfinite(costs).all() else None
