@@ -275,7 +275,7 @@ class LearnedAbstraction:
             if _uses_engine(saved.model, hardware):
                 from safetensors.numpy import load
 
-                network = FootprintEngine(saved.model, load(weights))
+                network = FootprintEngine(saved.model, load(weights), codes=hardware.precision != "32")
             else:
                 from hdsp.learning.torch_evaluation import TorchEvaluation
 

@@ -245,8 +245,9 @@ class HardwareSettings:
     Attributes:
         accelerator: ``auto`` takes a GPU if there is one, in torch. Footprint networks from a folder are evaluated
             without torch, on the CPU, unless this is ``gpu``.
-        precision: ``32`` computes in float32; ``auto`` does the same on any hardware. ``bf16`` runs the network's trunk
-            in bfloat16, in torch.
+        precision: ``32`` computes in float32. ``auto`` does so, too, but for the largest layer of networks that are
+            evaluated without torch (``hdsp.learning.inference``): codes of 8 bits, on any processor. ``bf16`` runs the
+            network's trunk in bfloat16, in torch.
         threads: torch CPU threads; None = torch's choice.
     """
 

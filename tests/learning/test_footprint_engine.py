@@ -36,6 +36,13 @@ except hdsp.InputError as error:
 
 @pytest.fixture(scope="module")
 def abstraction():
+    """In float32."""
+    return hdsp.load_abstraction("momaro", hardware=HardwareSettings(precision="32"))
+
+
+@pytest.fixture(scope="module")
+def with_codes():
+    """The default: the largest layer computes with codes of 8 bits."""
     return hdsp.load_abstraction("momaro")
 
 
@@ -58,11 +65,16 @@ def ground(category: str, seed: int) -> HeightMap:
     return HeightMap(heights)
 
 
+def some_states(headings: list[int], share: float) -> np.ndarray:
+    mask = np.zeros((16, 25, 22), bool)
+    mask[headings] = np.random.default_rng(0).random((len(headings), 25, 22)) < share
+    return mask
+
+
 @pytest.mark.parametrize("category", ["staircase", "clutter", "ramp_mixed"])
 def test_edges_are_those_of_the_network_in_torch(abstraction, in_torch, category):
     terrain = ground(category, 1000 + len(category))
-    mask = np.zeros((16, 25, 22), bool)
-    mask[[4, 9]] = np.random.default_rng(0).random((2, 25, 22)) < 0.5
+    mask = some_states([4, 9], 0.5)
     found = LearnedCosts(abstraction).edges(terrain, mask=mask)
     expected = LearnedCosts(in_torch).edges(terrain, mask=mask)
     finite = np.isfinite(expected)
@@ -81,10 +93,26 @@ def test_patches_are_judged_as_by_the_network_in_torch(abstraction, in_torch):
         np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
-def test_a_state_has_the_same_costs_in_any_window_to_the_last_bit(abstraction):
-    terrain, costs = ground("clutter", 1001), LearnedCosts(abstraction)
-    mask = np.zeros((16, 25, 22), bool)
-    mask[[0, 1, 7]] = True
+def test_codes_change_few_decisions_and_costs_little(abstraction, with_codes):
+    different, errors = [], []
+    for seed, category in enumerate(("staircase", "clutter", "ramp_mixed", "tiles_mixed", "wall_2"), 1000):
+        terrain = ground(category, seed)
+        found, expected = (
+            LearnedCosts(which).edges(terrain, mask=some_states([2, 8, 11], 1.0))[[2, 8, 11]]
+            for which in (with_codes, abstraction)
+        )
+        both = np.isfinite(found) & np.isfinite(expected)
+        different.append(np.isfinite(found) != np.isfinite(expected))
+        errors.append(abs(found[both] / expected[both] - 1))
+    assert len(np.concatenate(errors)) > 10_000
+    assert np.mean(different) < 1e-3
+    assert 0 < np.concatenate(errors).mean() < 2e-3
+
+
+@pytest.mark.parametrize("which", ["abstraction", "with_codes"])
+def test_a_state_has_the_same_costs_in_any_window_to_the_last_bit(which, request):
+    terrain, costs = ground("clutter", 1001), LearnedCosts(request.getfixturevalue(which))
+    mask = some_states([0, 1, 7], 1.0)
     whole = costs.edges(terrain, mask=mask)
     assert np.isfinite(whole[mask]).mean() > 0.05
     few = mask & (np.random.default_rng(1).random(mask.shape) < 0.02)
@@ -96,11 +124,10 @@ def test_a_state_has_the_same_costs_in_any_window_to_the_last_bit(abstraction):
     np.testing.assert_array_equal(alone[one[0], 0, 0], whole[tuple(one)])
 
 
-def test_windows_of_a_map_are_judged_as_patches(abstraction):
-    terrain = ground("staircase", 1002)
-    mask = np.random.default_rng(2).random((16, 25, 22)) < 0.01
-    found = LearnedCosts(abstraction).edges(terrain, mask=mask)[mask]
-    expected = LearnedCosts(abstraction, method="patches").edges(terrain, mask=mask)[mask]
+def test_windows_of_a_map_are_judged_as_patches(with_codes):
+    terrain, mask = ground("staircase", 1002), some_states(list(range(16)), 0.01)
+    found = LearnedCosts(with_codes).edges(terrain, mask=mask)[mask]
+    expected = LearnedCosts(with_codes, method="patches").edges(terrain, mask=mask)[mask]
     assert np.isfinite(expected).any()
     np.testing.assert_array_equal(found, expected)
 
@@ -109,16 +136,18 @@ def test_a_network_with_other_widths_and_channels(tmp_path):
     settings = model_file("footprint")
     settings["encoding"] |= {"channels": ["edge", "height", "unknown", "unevenness"], "unevenness_contact": 2}
     settings["encoding"] |= {"scale": 0.9, "clip": [-0.2, 0.4]}
-    settings["options"] |= {"width": 8, "dilations": [2, 1], "hidden": 24, "features": 17, "head": 12}
+    settings["options"] |= {"width": 12, "dilations": [2, 1], "hidden": 24, "features": 17, "head": 12}
     torch.manual_seed(1)
     in_torch = LearnedAbstraction(hdsp.learning.build_network(settings), _model(settings))
-    found = LearnedAbstraction.from_pretrained(in_torch.save_pretrained(tmp_path / "model"))
-    assert found.engine is not None and in_torch.engine is None
+    folder = in_torch.save_pretrained(tmp_path / "model")
     patches, goals = rough_patches(3), robot_frame_goals(5)
     patches[0, 30:33, 20:50] = np.nan
-    for ours, theirs in zip(found._predict(patches, goals), in_torch._predict(patches, goals), strict=True):
-        assert np.std(theirs) > 1e-3
-        np.testing.assert_allclose(ours, theirs, atol=1e-4)
+    for precision, tolerance in (("32", 1e-4), ("auto", 1e-2)):
+        found = LearnedAbstraction.from_pretrained(folder, hardware=HardwareSettings(precision=precision))
+        assert found.engine is not None and in_torch.engine is None
+        for ours, theirs in zip(found._predict(patches, goals), in_torch._predict(patches, goals), strict=True):
+            assert np.std(theirs) > 1e-3
+            np.testing.assert_allclose(ours, theirs, atol=tolerance)
 
 
 def test_plans_need_no_torch_and_other_networks_say_that_they_do():

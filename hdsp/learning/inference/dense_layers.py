@@ -15,8 +15,11 @@ if TYPE_CHECKING:
     import onnxruntime
 
 _IR_VERSION, _OPSET = 8, 13
-_FLOAT, _INT64 = 1, 7
-_ELEMENT = {np.dtype(np.float32): _FLOAT, np.dtype(np.int64): _INT64}
+_FLOAT, _CODES = 1, 2
+_ELEMENT = {np.dtype(np.float32): _FLOAT, np.dtype(np.int8): 3, np.dtype(np.int64): 7}
+#: Largest quantised weight. A sum of two products with codes stays within 16 bits, so processors with and without
+#: instructions for 8 bit products compute the same.
+LARGEST_WEIGHT = 63
 
 
 class Graph:
@@ -25,14 +28,16 @@ class Graph:
     Args:
         inputs: names of the float inputs.
         output: name of the float output.
+        codes: names of inputs with codes, uint8.
     """
 
-    def __init__(self, inputs: Sequence[str], output: str):
-        self._parts: list[bytes] = [_field(2, b"layers")]
-        self._parts += [_field(11, _value(name)) for name in inputs] + [_field(12, _value(output))]
+    def __init__(self, inputs: Sequence[str], output: str, codes: Sequence[str] = ()):
+        self._parts: list[bytes] = [_field(2, b"layers"), _field(12, _value(output, _FLOAT))]
+        self._parts += [_field(11, _value(name, _FLOAT)) for name in inputs]
+        self._parts += [_field(11, _value(name, _CODES)) for name in codes]
 
     def constant(self, name: str, values: np.ndarray) -> str:
-        """Adds a constant, float32 or int64; returns its name."""
+        """Adds a constant, float32, int8 or int64; returns its name."""
         tensor = b"".join(_field(1, size) for size in values.shape)
         tensor += _field(2, _ELEMENT[values.dtype]) + _field(8, name.encode())
         self._parts.append(_field(5, tensor + _field(9, np.ascontiguousarray(values).tobytes())))
@@ -52,6 +57,24 @@ class Graph:
         parts = [values, self.constant(f"{name}.weight", weight), self.constant(f"{name}.bias", bias)]
         output = self.operation("Gemm", parts, name if not relu else f"{name}.linear")
         return self.operation("Relu", [output], name) if relu else output
+
+    def product(self, values: str, name: str, weight: np.ndarray, code: float | None = None) -> str:
+        """Adds a product of rows ``values`` [n, in] with weight [in, out]; returns the name of its output.
+
+        Args:
+            values: name of float rows, or of rows with codes.
+            name: name of the output.
+            weight: float32 [in, out].
+            code: value of one code; None for float rows. The weights are then quantised, each column with its own
+                scale, and the sums are exact.
+        """
+        if code is None:
+            return self.operation("Gemm", [values, self.constant(f"{name}.weight", weight)], name)
+        scale = np.maximum(np.abs(weight).max(axis=0), np.float32(1e-30)) / LARGEST_WEIGHT
+        quantised = self.constant(f"{name}.weight", np.rint(weight / scale).astype(np.int8))
+        sums = self.operation("MatMulInteger", [values, quantised], f"{name}.sums")
+        sums = self.operation("Cast", [sums], f"{name}.floats", to=_FLOAT)
+        return self.operation("Mul", [sums, self.constant(f"{name}.scale", scale * np.float32(code))], name)
 
     def session(self) -> onnxruntime.InferenceSession:
         """Returns a session that computes the graph in the thread of its caller."""
@@ -79,6 +102,6 @@ def _integer(value: int) -> bytes:
     return bytes([group | 128 for group in groups[:-1]] + groups[-1:])
 
 
-def _value(name: str) -> bytes:
-    """Float input or output with a free shape."""
-    return _field(1, name.encode()) + _field(2, _field(1, _field(1, _FLOAT)))
+def _value(name: str, element: int) -> bytes:
+    """Input or output with a free shape."""
+    return _field(1, name.encode()) + _field(2, _field(1, _field(1, element)))

@@ -8,6 +8,7 @@ bit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
@@ -39,12 +40,14 @@ from hdsp.learning.inference.gather_kernels import (
     PoseCells,
     feet_rows,
     gather,
+    gather_words,
+    ground_rows,
+    interpolate,
     mark,
     spread,
     store,
+    store_codes,
     store_poses,
-    straight_rows,
-    turned_rows,
     way_rows,
 )
 from hdsp.learning.inference.ground_kernels import (
@@ -58,13 +61,18 @@ from hdsp.learning.inference.ground_kernels import (
 from hdsp.learning.inference.pose_table import CORNERS, PoseTable, Ways, numbers, square
 from hdsp.learning.learning_settings import ModelSettings
 from hdsp.learning.saved_abstraction import WEIGHTS
-from hdsp.robot.lattice import PATCH_CELLS, PATCH_CENTER, cells
+from hdsp.robot.lattice import PATCH_CELLS, PATCH_CENTER, cells, robot_frame_goals
 from hdsp.terrain.cost_maps import disc_mask
+from hdsp.terrain.scenes import CATEGORIES, random_map
 
 #: Cells of a window around the bases, on each side.
 MARGIN = PATCH_CENTER
 #: Values in the rows of one product; they stay in the cache of a core.
 VALUES = 1 << 17
+#: Poses judged at once.
+POSES_AT_ONCE = 192
+#: Largest feature with a code of its own, relative to the largest one on random ground of all published categories.
+CLIPPED = 1.25
 #: Bases whose goals are judged together.
 STATES = 24
 #: Patches evaluated in one window.
@@ -94,16 +102,24 @@ def engine_options(settings: ModelSettings) -> FootprintOptions | None:
 class FootprintEngine:
     """Footprint network with its weights.
 
+    With codes, the largest layer, which reads the local features under a whole footprint, multiplies features of 8 bits
+    with weights of 7 bits. The value of a code follows from the largest feature on some random ground (``CLIPPED``).
+    Everything else is float32 in any case.
+
     Args:
         settings: model settings with ``engine_options``.
         tensors: the weights, by their names in the network.
+        codes: whether the largest layer computes with codes.
+
+    Attributes:
+        code: value of one code; None without codes.
 
     Raises:
         InputError: a weight is missing, or has another shape.
         ModuleNotFoundError: ONNX Runtime is not installed.
     """
 
-    def __init__(self, settings: ModelSettings, tensors: Mapping[str, np.ndarray]):
+    def __init__(self, settings: ModelSettings, tensors: Mapping[str, np.ndarray], codes: bool = True):
         options = engine_options(settings)
         if options is None or options.stance is None:
             raise InputError(f"model {settings.architecture}: the evaluation without torch knows no such network")
@@ -114,7 +130,12 @@ class FootprintEngine:
         self._cone = self._unevenness_cone()
         self._clearance = np.argwhere(disc_mask(cells(self.stance.clearance))) - self.stance.clearance_cells
         self._weights = _checked(tensors, _shapes(options, len(self._kinds)))
-        self._build(self._weights)
+        self._build_local()
+        self.code: float | None = None
+        if codes:
+            self.code = self._calibrated()
+        self._build_pose()
+        self._build_judges()
 
     def _unevenness_cone(self) -> tuple[np.ndarray, np.ndarray]:
         radius = self.encoding.unevenness_radius
@@ -123,32 +144,48 @@ class FootprintEngine:
         weights = np.maximum(1 - np.hypot(x, y) / np.float32(radius), 0).astype(np.float32)
         return offsets[weights > 0], weights[weights > 0]
 
-    def _build(self, weights: Mapping[str, np.ndarray]) -> None:
-        """Makes the sessions of all layers."""
-        options = self.options
+    def _linear(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Weight [in, out] and bias of a linear layer."""
+        return self._weights[f"{name}.weight"].T, self._weights[f"{name}.bias"]
 
-        def linear(name: str) -> tuple[np.ndarray, np.ndarray]:
-            return weights[f"{name}.weight"].T, weights[f"{name}.bias"]
+    def _convolution(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Weight [in, out] and bias of a convolution; rows are in the order of ``gather``: by x, by y, by channel."""
+        weight = self._weights[f"{name}.weight"]
+        return weight.transpose(2, 3, 1, 0).reshape(-1, len(weight)), self._weights[f"{name}.bias"]
 
-        def convolution(name: str) -> tuple[np.ndarray, np.ndarray]:
-            """Rows of the weights in the order in which the kernels gather: by x, by y, by channel."""
-            weight = weights[f"{name}.weight"]
-            return weight.transpose(2, 3, 1, 0).reshape(-1, len(weight)), weights[f"{name}.bias"]
+    def _build_local(self) -> None:
+        """Makes the convolutions of local features and line features."""
+        names = [f"local.{2 * k}" for k in range(len(self.options.dilations))]
+        self.near, self.line, *self.local = (
+            Layer(*self._convolution(name)) for name in ("near.0", "of_line.0", *names)
+        )
 
-        def layer(weight: np.ndarray, bias: np.ndarray) -> Layer:
-            graph = Graph(["rows"], "result")
-            graph.linear("rows", "result", weight, bias)
-            return Layer(graph, len(weight))
+    def _calibrated(self) -> float:
+        """Returns the value of a code for the last local features, from the largest one on random ground."""
+        largest, side = 0.0, PATCH_CELLS + 2 * MARGIN
+        bases = numbers(np.argwhere(np.ones((PATCH_CELLS, PATCH_CELLS), bool)) + MARGIN, side)
+        needed = self._needed(side * side, side, bases, Ways.to(robot_frame_goals(0)))
+        for category in CATEGORIES:
+            channels = self._ground(random_map(1, category, 0, cells=side).heights)[1]
+            local = self._near_and_local(channels, needed, side)[1]
+            largest = max(largest, float(local[needed.local[-1]].max()))
+        # Rounded, because the last bits of the features depend on the processor.
+        return max(math.ceil(16 * CLIPPED * largest), 1) / 16 / 255
 
-        self.near = layer(*convolution("near.0"))
-        self.local = [layer(*convolution(f"local.{2 * k}")) for k in range(len(options.dilations))]
-        self.line = layer(*convolution("of_line.0"))
-        graph = Graph(["rows"], "result")
-        of_local, bias = convolution("of_local")
-        of_pose = np.concatenate([of_local, weights["of_ground.weight"].T])
-        graph.linear(graph.linear("rows", "hidden", of_pose, bias), "result", *linear("footprint"))
-        self.pose = Layer(graph, len(of_pose))
+    def _build_pose(self) -> None:
+        """Makes the layers that judge a pose."""
+        of_local, bias = self._convolution("of_local")
+        graph = Graph(
+            ["local", "ground"] if self.code is None else ["ground"], "result", ["local"][self.code is None :]
+        )
+        ground = graph.linear("ground", "of ground", self._weights["of_ground.weight"].T, bias, relu=False)
+        hidden = graph.operation("Add", [graph.product("local", "of local", of_local, self.code), ground], "sum")
+        graph.linear(graph.operation("Relu", [hidden], "hidden"), "result", *self._linear("footprint"))
+        self.pose = graph.session()
 
+    def _build_judges(self) -> None:
+        """Makes the layers for the start and for its goals."""
+        options, weights, linear = self.options, self._weights, self._linear
         # Pose features have trailing zeros, so their weights have too.
         seen = options.features + POSE_FEATURES
         self.features = -(-seen // _ALIGNED) * _ALIGNED
@@ -206,16 +243,12 @@ class FootprintEngine:
         maps, channels = self._ground(heights)
 
         yield None
-        near_offsets = numbers(square(NEAR_RADIUS), across)[:: 2 * NEAR_RADIUS + 1]
-        local = near = _convolved(self.near, channels, needed.near, near_offsets, 2 * NEAR_RADIUS + 1)
-        for layer, dilation, at in zip(self.local, self.options.dilations, needed.local, strict=True):
-            yield None
-            local = _convolved(layer, local, at, numbers(square(dilation, dilation), across), 1)
+        near, local = self._near_and_local(channels, needed, across)
         yield None
         line_offsets = numbers(square(LINE_RADIUS), across)[:: 2 * LINE_RADIUS + 1]
-        line = _convolved(self.line, near, needed.line, line_offsets, 2 * LINE_RADIUS + 1)
+        line = self.line.convolved(near, needed.line, line_offsets, 2 * LINE_RADIUS + 1)
         yield None
-        poses = self._poses(local, maps, needed.poses, self.table.straight(across), heights.size)
+        poses = self._poses(local, maps, needed.poses, self.table.straight(across))
         yield None
         turned, turned_lower = self.table.turned(across), numbers(self.table.lower, across)
         context = numbers(self.table.context, across)
@@ -305,15 +338,30 @@ class FootprintEngine:
         flat = (np.ascontiguousarray(values.ravel(), np.float32) for values in (rough, barred, is_barred))
         return GroundMaps(height.ravel(), np.stack(nearby, axis=-1).reshape(-1, len(nearby)), *flat), channels
 
-    def _poses(self, local: np.ndarray, maps: GroundMaps, at: np.ndarray, cells: PoseCells, size: int) -> np.ndarray:
-        """Features of the poses with the start heading, float32 [size, features]."""
-        poses, taps, channels = np.empty((size, self.features), np.float32), cells.taps[0], local.shape[1]
-        rows = self.pose.rows(len(at))
-        for part in self.pose.parts(at):
+    def _near_and_local(self, channels: np.ndarray, needed: _Needed, across: int) -> tuple[np.ndarray, np.ndarray]:
+        """The first convolution's features, float32 [cells, width], and the last local features or their codes."""
+        offsets = numbers(square(NEAR_RADIUS), across)[:: 2 * NEAR_RADIUS + 1]
+        local = near = self.near.convolved(channels, needed.near, offsets, 2 * NEAR_RADIUS + 1)
+        last = len(self.local) - 1
+        for k, (layer, dilation) in enumerate(zip(self.local, self.options.dilations, strict=True)):
+            code = self.code if k == last else None
+            local = layer.convolved(local, needed.local[k], numbers(square(dilation, dilation), across), 1, code)
+        return near, local
+
+    def _poses(self, local: np.ndarray, maps: GroundMaps, at: np.ndarray, cells: PoseCells) -> np.ndarray:
+        """Features of the poses with the start heading, float32 [cells, features]."""
+        poses, taps, channels = np.empty((len(local), self.features), np.float32), cells.taps[0], local.shape[1]
+        words = local.reshape(-1).view(np.uint64) if local.dtype == np.uint8 and channels % 8 == 0 else None
+        rows, ground = self._pose_rows(min(len(at), POSES_AT_ONCE), local.dtype)
+        for start in range(0, len(at), POSES_AT_ONCE):
+            part = at[start : start + POSES_AT_ONCE]
             inputs = rows[: len(part)]
-            gather(local.ravel(), channels, part, taps, channels, inputs)
-            straight_rows(part, maps, cells, inputs[:, len(taps) * channels :])
-            store_poses(self.pose(inputs), inputs, part, poses)
+            if words is None:
+                gather(local.reshape(-1), channels, part, taps, channels, inputs)
+            else:
+                gather_words(words, channels // 8, part, taps, inputs.view(np.uint64))
+            ground_rows(part, maps, cells, ground[: len(part)])
+            store_poses(self._judged_poses(inputs, ground[: len(part)]), ground, part, poses)
         return poses
 
     def _turned(
@@ -328,40 +376,62 @@ class FootprintEngine:
         """Features of the poses of turns, float32 [n, turns, features]."""
         turns = len(lower)
         poses = np.empty((len(bases) * turns, self.features), np.float32)
-        numbered = np.arange(len(poses))
-        size = max(self.pose.most // turns, 1)
-        rows = np.empty((min(size, len(bases)) * turns, self.pose.width), np.float32)
-        for start in range(0, len(bases), size):
-            part = bases[start : start + size]
-            inputs = rows[: len(part) * turns]
-            turned_rows(part, local, across, lower, self.table.weights, maps, cells, inputs)
-            store_poses(self.pose(inputs), inputs, numbered[start * turns : start * turns + len(inputs)], poses)
+        rows, ground = self._pose_rows(len(poses), local.dtype)
+        rounds = np.float32(0 if self.code is None else 0.5)
+        interpolate(local.reshape(-1), local.shape[1], across, bases, lower, self.table.weights, rounds, rows)
+        ground_rows(bases, maps, cells, ground)
+        store_poses(self._judged_poses(rows, ground), ground, np.arange(len(poses)), poses)
         return poses.reshape(len(bases), turns, self.features)
+
+    def _pose_rows(self, count: int, kind: np.dtype) -> tuple[np.ndarray, np.ndarray]:
+        """Empty rows for ``count`` poses: local features or codes, and ground."""
+        taps = self.options.taps[0] * self.options.taps[1]
+        ground = self._weights["of_ground.weight"].shape[1]
+        return np.empty((count, taps * self.options.width), kind), np.empty((count, ground), np.float32)
+
+    def _judged_poses(self, local: np.ndarray, ground: np.ndarray) -> np.ndarray:
+        return self.pose.run(None, {"local": local, "ground": ground})[0]
 
 
 class Layer:
-    """Layers in ONNX Runtime that map rows [n, width] to rows.
+    """Linear layer with a rectifier, for the cells of a map.
 
-    Attributes:
-        width: values in a row.
-        most: rows of one product.
+    Args:
+        weight: float32 [in, out].
+        bias: float32 [out].
     """
 
-    def __init__(self, graph: Graph, width: int):
-        self._session, self.width = graph.session(), width
-        self.most = max(VALUES // width, 1)
+    def __init__(self, weight: np.ndarray, bias: np.ndarray):
+        graph = Graph(["rows"], "result")
+        graph.linear("rows", "result", weight, bias)
+        self._session, (self._width, self._outputs) = graph.session(), weight.shape
 
-    def __call__(self, rows: np.ndarray) -> np.ndarray:
-        """Returns the result, float32 [n, out]."""
-        return self._session.run(None, {"rows": rows})[0]
+    def convolved(
+        self, values: np.ndarray, cells: np.ndarray, offsets: np.ndarray, run: int, code: float | None = None
+    ) -> np.ndarray:
+        """Returns features [cells of the map, out], valid at ``cells``.
 
-    def rows(self, count: int) -> np.ndarray:
-        """Returns an empty array for the rows of a product, for ``count`` rows in all."""
-        return np.empty((min(count, self.most), self.width), np.float32)
-
-    def parts(self, cells: np.ndarray) -> Iterator[np.ndarray]:
-        """Yields the cells of one product after another."""
-        return (cells[start : start + self.most] for start in range(0, len(cells), self.most))
+        Args:
+            values: float32 [cells of the map, channels].
+            cells: int64 [n].
+            offsets: int64, where the pieces of a row begin, relative to its cell.
+            run: neighbouring cells in a piece.
+            code: value of one code, for a result with codes, uint8; None = float32.
+        """
+        flat, channels = values.reshape(-1), values.shape[1]
+        result = np.empty((len(values), self._outputs), np.float32 if code is None else np.uint8)
+        most = max(VALUES // self._width, 1)
+        rows = np.empty((min(len(cells), most), self._width), np.float32)
+        for start in range(0, len(cells), most):
+            part = cells[start : start + most]
+            inputs = rows[: len(part)]
+            gather(flat, channels, part, offsets, run * channels, inputs)
+            (features,) = self._session.run(None, {"rows": inputs})
+            if code is None:
+                store(features, part, result)
+            else:
+                store_codes(features, part, np.float32(code), result)
+        return result
 
 
 class _Goals(NamedTuple):
@@ -387,20 +457,6 @@ def goal_features(goals: np.ndarray) -> np.ndarray:
     distance = np.hypot(*position.T)[:, None]
     direction = position / np.maximum(distance, np.float32(1e-6))
     return np.concatenate([goals, distance, direction, distance < 1e-3], axis=1).astype(np.float32)
-
-
-def _convolved(layer: Layer, values: np.ndarray, cells: np.ndarray, offsets: np.ndarray, run: int) -> np.ndarray:
-    """Convolution at some cells of a map; pieces of ``run`` neighbouring cells begin at each offset."""
-    result, rows = None, layer.rows(len(cells))
-    for part in layer.parts(cells):
-        inputs = rows[: len(part)]
-        gather(values.ravel(), values.shape[1], part, offsets, run * values.shape[1], inputs)
-        convolved = layer(inputs)
-        if result is None:
-            result = np.empty((len(values), convolved.shape[1]), np.float32)
-        store(convolved, part, result)
-    assert result is not None
-    return result
 
 
 def _spread_square(marks: np.ndarray, sides: tuple[int, int], step: int, across: int, result: np.ndarray) -> None:

@@ -16,6 +16,7 @@ _LOW, _HIGH = np.float32(RELATIVE[0]), np.float32(RELATIVE[1])
 _MOST = np.float32(MOST)
 _NARROW, _WIDE = np.float32(SHARPNESS[0]), np.float32(SHARPNESS[1])
 _ZERO = np.float32(0)
+_HALF, _LARGEST = np.float32(0.5), np.float32(255)
 _INFINITE = np.float32(np.inf)
 
 
@@ -72,15 +73,50 @@ def store(rows, cells, values):
 
 
 @njit(allocates=False, nogil=True)
-def store_poses(judged, rows, cells, poses):
-    """Writes the features of poses, the last features of their rows (``POSE_FEATURES``), and zeros, to ``poses``."""
+def store_codes(rows, cells, code, values):
+    """Writes rows [n, channels] to their cells in a map of codes, uint8; ``code`` is the value of one code."""
+    scale = np.float32(1) / code
+    for n in range(len(cells)):
+        target, row = values[cells[n]], rows[n]
+        for c in range(len(row)):
+            target[c] = np.uint8(np.int32(min(row[c] * scale + _HALF, _LARGEST)))
+
+
+@njit(allocates=False, nogil=True)
+def gather_words(words, count, cells, offsets, rows):
+    """Copies pieces of ``count`` words, one for each offset, side by side into a row for each cell.
+
+    Args:
+        words: uint64 [cells * count].
+        count: words of a cell.
+        cells, offsets: as for ``gather``.
+        rows: uint64 [n, offsets * count], result.
+    """
+    for n in range(len(cells)):
+        at = 0
+        for k in range(len(offsets)):
+            first = (cells[n] + offsets[k]) * count
+            if count == 4:  # the usual width; a loop of four takes three times as long
+                rows[n, at] = words[first]
+                rows[n, at + 1] = words[first + 1]
+                rows[n, at + 2] = words[first + 2]
+                rows[n, at + 3] = words[first + 3]
+            else:
+                for c in range(count):
+                    rows[n, at + c] = words[first + c]
+            at += count
+
+
+@njit(allocates=False, nogil=True)
+def store_poses(judged, ground, cells, poses):
+    """Writes the features of poses, the last values of their ground (``POSE_FEATURES``), and zeros, to ``poses``."""
     features = judged.shape[1]
     for n in range(len(cells)):
         target, row = poses[cells[n]], judged[n]
         for c in range(features):
             target[c] = row[c]
         for c in range(POSE_FEATURES):
-            target[features + c] = rows[n, rows.shape[1] - POSE_FEATURES + c]
+            target[features + c] = ground[n, ground.shape[1] - POSE_FEATURES + c]
         for c in range(features + POSE_FEATURES, len(target)):
             target[c] = _ZERO
 
@@ -203,53 +239,58 @@ def requirements(maps, base, poses, turn, row):
 
 
 @njit(allocates=False, nogil=True)
-def straight_rows(cells, maps, poses, rows):
-    """Ground and requirement features of poses with the start heading.
+def ground_rows(cells, maps, poses, rows):
+    """Ground and requirement features of the poses of some bases.
 
     Args:
         cells: int64 [n], under the bases.
         maps: ``GroundMaps``.
         poses: ``PoseCells``.
-        rows: float32 [n, ground features + requirement features], result.
+        rows: float32 [n * turns, ground features + requirement features], result.
     """
+    turns = len(poses.taps)
     seen = poses.taps.shape[1] * maps.nearby.shape[1]
     for n in range(len(cells)):
-        relative_ground(maps.nearby, maps.height, cells[n], poses.taps[0], rows[n, :seen])
-        requirements(maps, cells[n], poses, 0, rows[n, seen:])
+        for turn in range(turns):
+            row = rows[n * turns + turn]
+            relative_ground(maps.nearby, maps.height, cells[n], poses.taps[turn], row[:seen])
+            requirements(maps, cells[n], poses, turn, row[seen:])
 
 
 @njit(allocates=False, nogil=True)
-def turned_rows(cells, local, across, corners, weights, maps, poses, rows):
-    """Local features between cells, ground and requirement features of poses rotated on the spot.
+def interpolate(flat, channels, across, cells, corners, weights, rounds, rows):
+    """Features between the cells of a map, side by side, for the poses of turns.
 
     Args:
-        cells: int64 [n], under the bases.
-        local: float32 [cells, channels].
+        flat: float32 [cells * channels], or codes, uint8, with codes as result.
+        channels: values of a cell.
         across: cells along y in the window.
+        cells: int64 [n], under the bases.
         corners: int64 [turns, taps], offsets of the lower cell of each footprint point.
         weights: float32 [turns, taps, 4], of that cell, its neighbour along y, along x, along both.
-        maps: ``GroundMaps``.
-        poses: ``PoseCells``.
-        rows: float32 [n * turns, local + ground + requirement features], result.
+        rounds: float32, 0.5 for codes, else 0.
+        rows: [n * turns, taps * channels], of the same kind, result.
     """
     turns, points = corners.shape
-    channels = local.shape[1]
-    seen = channels * points
-    end = seen + points * maps.nearby.shape[1]
     for n in range(len(cells)):
         for turn in range(turns):
             row = rows[n * turns + turn]
             for k in range(points):
-                first = cells[n] + corners[turn, k]
-                low, aside = local[first], local[first + 1]
-                ahead, beyond = local[first + across], local[first + across + 1]
+                first = (cells[n] + corners[turn, k]) * channels
+                near, far = flat[first:], flat[first + across * channels :]
+                low, aside = near[:channels], near[channels : 2 * channels]
+                ahead, beyond = far[:channels], far[channels : 2 * channels]
                 a, b = weights[turn, k, 0], weights[turn, k, 1]
                 c, d = weights[turn, k, 2], weights[turn, k, 3]
                 target = row[k * channels : (k + 1) * channels]
                 for i in range(channels):
-                    target[i] = low[i] * a + aside[i] * b + ahead[i] * c + beyond[i] * d
-            relative_ground(maps.nearby, maps.height, cells[n], poses.taps[turn], row[seen:end])
-            requirements(maps, cells[n], poses, turn, row[end:])
+                    target[i] = (
+                        np.float32(low[i]) * a
+                        + np.float32(aside[i]) * b
+                        + np.float32(ahead[i]) * c
+                        + np.float32(beyond[i]) * d
+                        + rounds
+                    )
 
 
 @njit(allocates=False, nogil=True)
