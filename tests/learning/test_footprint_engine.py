@@ -1,5 +1,6 @@
 """The evaluation of the footprint network without torch, against the network in torch."""
 
+import pickle
 import subprocess
 import sys
 
@@ -156,6 +157,13 @@ def test_plans_need_no_torch_and_other_networks_say_that_they_do():
     planned, refused = done.stdout.splitlines()
     assert planned == "True learned"
     assert "klamt2019 needs torch: pip install 'hdsp[learning]'" in refused
+
+
+def test_a_copy_for_another_process(with_codes):
+    copied = pickle.loads(pickle.dumps(with_codes))
+    patches, goals = rough_patches(2), robot_frame_goals(6)
+    for found, expected in zip(copied._predict(patches, goals), with_codes._predict(patches, goals), strict=True):
+        np.testing.assert_array_equal(found, expected)
 
 
 def test_weights_of_another_network_are_refused(abstraction):

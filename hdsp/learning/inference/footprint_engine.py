@@ -123,6 +123,7 @@ class FootprintEngine:
         options = engine_options(settings)
         if options is None or options.stance is None:
             raise InputError(f"model {settings.architecture}: the evaluation without torch knows no such network")
+        self.settings = settings
         self.options, self.stance, self.encoding = options, options.stance, settings.encoding
         self.table = PoseTable(options)
         self._goals: dict[bytes, _Goals] = {}
@@ -143,6 +144,9 @@ class FootprintEngine:
         x, y = offsets.T.astype(np.float32)
         weights = np.maximum(1 - np.hypot(x, y) / np.float32(radius), 0).astype(np.float32)
         return offsets[weights > 0], weights[weights > 0]
+
+    def __reduce__(self) -> tuple:
+        return FootprintEngine, (self.settings, self._weights, self.code is not None)
 
     def _linear(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Weight [in, out] and bias of a linear layer."""
