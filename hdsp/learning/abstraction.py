@@ -66,6 +66,7 @@ class LearnedAbstraction:
         self.model, self.provenance, self.metrics = model, provenance or Provenance(), dict(metrics or {})
         self.calibration = calibration or Calibration()
         self.quantile: float | None = None
+        self.threshold = 0.5
         self._flat: dict[bytes, np.ndarray] = {}
         self.hardware = hardware or HardwareSettings()
         self.engine = network if isinstance(network, FootprintEngine) else None
@@ -103,7 +104,7 @@ class LearnedAbstraction:
             batch: patches evaluated at once.
 
         Returns:
-            feasible: bool [n, G], probability above one half.
+            feasible: bool [n, G], probability above one half, or above another threshold after ``at_threshold``.
             cost: float32 [n, G], at least ``MINIMUM_COST``; meaningful where feasible; a quantile after
                 ``at_quantile``.
 
@@ -114,7 +115,7 @@ class LearnedAbstraction:
         36).
         """
         logits, cost = self._predict(patches, goals, batch)
-        return logits > 0, self._at_level(cost, goals)
+        return logits > self._least_logit(), self._at_level(cost, goals)
 
     def predict_probability(
         self, patches: np.ndarray, goals: np.ndarray, batch: int = 128
@@ -134,6 +135,18 @@ class LearnedAbstraction:
         self.calibration.factors(level)
         other = copy(self)
         other.quantile = level
+        return other
+
+    def at_threshold(self, probability: float) -> "LearnedAbstraction":
+        """Returns an abstraction with the same network that judges actions feasible above another probability.
+
+        Raises:
+            InputError: the probability is not between 0 and 1.
+        """
+        if not 0 < probability < 1:
+            raise InputError(f"feasibility threshold {probability!r}: a probability between 0 and 1 is allowed")
+        other = copy(self)
+        other.threshold = float(probability)
         return other
 
     def calibrated(self, tasks: "TaskSet") -> "LearnedAbstraction":
@@ -211,8 +224,12 @@ class LearnedAbstraction:
 
     def _judged(self, cost: np.ndarray, logits: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Feasibility and costs at the requested level, [n, G] each, for shared goals."""
-        feasible = (logits > 0) & ~self._never(goals)
+        feasible = (logits > self._least_logit()) & ~self._never(goals)
         return feasible, self._at_level(np.maximum(cost, np.float32(MINIMUM_COST)), goals)
+
+    def _least_logit(self) -> float:
+        """Logit above which an action counts as feasible."""
+        return self.calibration.temperature * math.log(self.threshold / (1 - self.threshold))
 
     def _never(self, goals: np.ndarray) -> np.ndarray:
         """Whether goals [..., 3] are infeasible even on flat ground; bool [...]."""

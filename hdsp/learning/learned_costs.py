@@ -20,6 +20,9 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.patches import crop_patches
 
+#: Probability from which edges for planning count an action as feasible. A way that is wrongly closed makes plans
+#: dearer by a detour; a way that is wrongly open costs some expansions, because the detailed search checks each action.
+PLANNING_THRESHOLD = 0.1
 #: Patches cropped at once; 10 MB, evaluated in less than a second.
 CHUNK = 512
 #: Side in cells of the squares whose states the engine evaluates together. Larger ones share more features.
@@ -52,12 +55,14 @@ class LearnedCosts:
         kind: kind of costs of the edges. The network predicts label costs. For planning, each edge is multiplied by the
             ratio of both costs on flat ground (``hdsp.abstract.flat_table.planning_factors``). Predictions of single
             tasks are label costs in any case.
+        threshold: probability from which edges count an action as feasible; None = ``PLANNING_THRESHOLD`` for ``kind``
+            planning, one half for label costs. Predictions of single tasks keep one half.
         quantile: cost level, see ``LearnedAbstraction.at_quantile``. A low level makes overestimates rare, for better
             plans and longer searches. None = predicted costs.
 
     Raises:
-        InputError: the method or kind is unknown, the network does not allow dense evaluation, or the abstraction was
-            not calibrated for the quantile.
+        InputError: the method or kind is unknown, the network does not allow dense evaluation, the abstraction was not
+            calibrated for the quantile, or the threshold is not between 0 and 1.
     """
 
     def __init__(
@@ -68,8 +73,12 @@ class LearnedCosts:
         quantile: float | None = None,
         robot: Robot | str | None = None,
         kind: CostKind | str = CostKind.PLANNING,
+        threshold: float | None = None,
     ):
         self.abstraction = abstraction if quantile is None else abstraction.at_quantile(quantile)
+        if threshold is None:
+            threshold = PLANNING_THRESHOLD if checked_kind(kind) == CostKind.PLANNING else abstraction.threshold
+        self._of_edges = self.abstraction.at_threshold(threshold)
         self.batch = batch
         #: Float32 [16, 22], factors on predicted costs by heading and action; None = label costs.
         self.factors = None
@@ -198,7 +207,7 @@ class LearnedCosts:
             low = cells[members].min(axis=0) - MARGIN
             end = cells[members].max(axis=0) + MARGIN + 1
             window = rotated_window(heights, heading, low, tuple(end - low))
-            for group in self.abstraction.predict_bases(window, cells[members] - low, goals):
+            for group in self._of_edges.predict_bases(window, cells[members] - low, goals):
                 if group is None:
                     yield None
                     continue
@@ -225,7 +234,7 @@ class LearnedCosts:
                 continue
             window = rotated.window(tile * TILE - lattice.PATCH_CENTER - margin, (side, side))
             corners = cells[members] - tile * TILE
-            for group in self.abstraction.predict_windows(trunk, window, corners, asked, goals):
+            for group in self._of_edges.predict_windows(trunk, window, corners, asked, goals):
                 if group is None:
                     yield None
                     continue
@@ -236,7 +245,7 @@ class LearnedCosts:
     def _costs(self, patches: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """Costs [n, 22] for patches [n, 72, 72], inf = infeasible."""
         first, which = distinct_patches(patches)
-        feasible, cost = self.abstraction.predict(patches[first], goals, self.batch)
+        feasible, cost = self._of_edges.predict(patches[first], goals, self.batch)
         return np.where(feasible, cost, np.float32(np.inf))[which]
 
 

@@ -11,7 +11,7 @@ from hdsp.abstract.flat_table import planning_factors
 from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, ModelSettings, Provenance, build_network
-from hdsp.learning.learned_costs import distinct_patches
+from hdsp.learning.learned_costs import PLANNING_THRESHOLD, distinct_patches
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, robot_frame_goals
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -26,7 +26,7 @@ def costs():
     # A random network with constant predictions would leave half the code untested.
     with torch.no_grad():
         network.heads.weight[1] *= 20
-    return LearnedCosts(LearnedAbstraction(network, model, hardware=HardwareSettings("cpu", "32")))
+    return LearnedCosts(LearnedAbstraction(network, model, hardware=HardwareSettings("cpu", "32")), threshold=0.5)
 
 
 @pytest.fixture(scope="module")
@@ -48,12 +48,30 @@ def test_it_fulfils_both_contracts(costs):
     assert isinstance(costs, TaskPredictor)
 
 
+def test_edges_for_planning_open_actions_that_are_probably_infeasible(costs, terrain):
+    network = costs.abstraction
+    patches, goals = np.zeros((1, 72, 72), np.float32), robot_frame_goals(3)[None]
+    probability, cost = network.predict_probability(patches, goals)
+    for threshold in (0.1, 0.5, 0.9, float(np.median(probability))):
+        feasible, as_before = network.at_threshold(threshold).predict(patches, goals)
+        np.testing.assert_array_equal(feasible, probability > threshold)
+        np.testing.assert_array_equal(as_before, cost)
+    box = 2, 3, 5, 6
+    opened = [np.isfinite(LearnedCosts(network, threshold=at).edges(terrain, box)) for at in (0.01, 0.5, 0.99)]
+    assert (opened[0] >= opened[1]).all() and (opened[1] >= opened[2]).all() and opened[0].sum() > opened[2].sum()
+    for kind, threshold in (("planning", PLANNING_THRESHOLD), ("label", 0.5)):
+        found = LearnedCosts(network, kind=kind).edges(terrain, box)
+        np.testing.assert_array_equal(found, LearnedCosts(network, kind=kind, threshold=threshold).edges(terrain, box))
+    with pytest.raises(InputError, match=r"feasibility threshold 1: a probability between 0 and 1"):
+        LearnedCosts(network, threshold=1)
+
+
 def test_edges_for_planning_are_corrected_by_the_ratio_on_flat_ground(costs, terrain, edges):
     robot = Robot.load("momaro")
     factors = planning_factors(robot)
     assert factors.max() == 1 and 0.6 < factors.min() < 0.7
     box = slice(None), slice(2, 5), slice(3, 6)
-    planned = LearnedCosts(costs.abstraction, robot=robot)
+    planned = LearnedCosts(costs.abstraction, robot=robot, threshold=0.5)
     np.testing.assert_allclose(planned.edges(terrain, (2, 3, 5, 6)), edges[box] * factors[:, None, None], rtol=1e-4)
     # The network names a preset, which must be the robot of its training.
     for robot_hash, kind, corrected in (
