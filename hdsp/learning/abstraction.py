@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from hdsp.learning.networks.dense import DenseEvaluation
     from hdsp.learning.torch_evaluation import TorchEvaluation
 
+#: Package and extra of evaluations without torch.
+_LIGHT = "onnxruntime", "learned"
 #: Logit of a goal that is infeasible even on flat ground.
 NEVER = -1e4
 #: Largest difference, in abstract steps, between a goal and one that is infeasible on flat ground.
@@ -298,9 +300,9 @@ class LearnedAbstraction:
 
                 network = TorchEvaluation.of(saved.model, weights, hardware).network
         except ModuleNotFoundError as error:
-            extra = "learning" if engine_options(saved.model) is None else "learned"
+            package, extra = (error.name, "learning") if engine_options(saved.model) is None else _LIGHT
             raise InputError(
-                f"{folder}: a network of architecture {saved.model.architecture} needs {error.name}: "
+                f"{folder}: a network of architecture {saved.model.architecture} needs {package}: "
                 f"pip install 'hdsp[{extra}]'"
             ) from None
         except InputError as error:

@@ -61,7 +61,7 @@ from hdsp.learning.inference.ground_kernels import (
 from hdsp.learning.inference.pose_table import CORNERS, PoseTable, Ways, numbers, square
 from hdsp.learning.learning_settings import ModelSettings
 from hdsp.learning.saved_abstraction import WEIGHTS
-from hdsp.robot.lattice import PATCH_CELLS, PATCH_CENTER, cells, robot_frame_goals
+from hdsp.robot.lattice import PATCH_CELLS, PATCH_CENTER, cells
 from hdsp.terrain.cost_maps import disc_mask
 from hdsp.terrain.scenes import CATEGORIES, random_map
 
@@ -168,7 +168,7 @@ class FootprintEngine:
         """Returns the value of a code for the last local features, from the largest one on random ground."""
         largest, side = 0.0, PATCH_CELLS + 2 * MARGIN
         bases = numbers(np.argwhere(np.ones((PATCH_CELLS, PATCH_CELLS), bool)) + MARGIN, side)
-        needed = self._needed(side * side, side, bases, Ways.to(robot_frame_goals(0)))
+        needed = self._needed(side * side, side, bases, self.table.context)
         for category in CATEGORIES:
             channels = self._ground(random_map(1, category, 0, cells=side).heights)[1]
             local = self._near_and_local(channels, needed, side)[1]
@@ -243,7 +243,7 @@ class FootprintEngine:
         to = self._known(goals)
         across = heights.shape[1]
         cells = numbers(bases, across)
-        needed = self._needed(heights.size, across, cells, to.ways)
+        needed = self._needed(heights.size, across, cells, to.poses)
         maps, channels = self._ground(heights)
 
         yield None
@@ -300,16 +300,24 @@ class FootprintEngine:
             features, weights = goal_features(goals), self._weights
             hidden = features @ weights["goal_cost.0.weight"].T + weights["goal_cost.0.bias"]
             cost = np.maximum(hidden, 0) @ weights["goal_cost.2.weight"][0] + weights["goal_cost.2.bias"]
-            self._goals[key] = _Goals(Ways.to(goals), cost, features @ self._of_goal)
+            ways = Ways.to(goals)
+            poses = np.unique(np.concatenate([self.table.context, ways.cells()]), axis=0)
+            self._goals[key] = _Goals(ways, poses, cost, features @ self._of_goal)
         return self._goals[key]
 
-    def _needed(self, size: int, across: int, cells: np.ndarray, ways: Ways) -> _Needed:
-        """Finds the cells at which some base needs a feature, layer by layer."""
+    def _needed(self, size: int, across: int, cells: np.ndarray, read: np.ndarray) -> _Needed:
+        """Finds the cells at which some base needs a feature, layer by layer.
+
+        Args:
+            size: cells of the window.
+            across: cells along y.
+            cells: int64 [n], under the bases.
+            read: int64 [n, 2], poses with the start heading that a base reads, relative to it.
+        """
         poses, local, line = np.zeros((3, size), bool)
-        mark(poses, cells, numbers(np.concatenate([self.table.context, ways.cells()]), across))
+        mark(poses, cells, numbers(read, across))
         _spread_square(poses, self.options.taps, self.options.spacing, across, local)
-        turned = (self.table.lower[:, :, None] + CORNERS).reshape(-1, 2)
-        mark(local, cells, np.unique(numbers(turned, across)))
+        mark(local, cells, numbers(self.table.turned_local, across))
         mark(line, cells, numbers(self.table.along, across))
         marks = [local]
         for dilation in self.options.dilations[::-1]:
@@ -439,9 +447,17 @@ class Layer:
 
 
 class _Goals(NamedTuple):
-    """Constants of goals: ways, cost without excess [G], and their part in the first layer [G, head]."""
+    """Constants of goals.
+
+    Attributes:
+        ways: ways to the goals.
+        poses: int64 [n, 2], poses with the start heading that a base reads, relative to it.
+        cost: float32 [G], costs without excess.
+        constant: float32 [G, head], part of the goals in the first layer.
+    """
 
     ways: Ways
+    poses: np.ndarray
     cost: np.ndarray
     constant: np.ndarray
 

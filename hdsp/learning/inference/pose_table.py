@@ -60,6 +60,7 @@ class PoseTable:
         context: int64 [49, 2], footprints in the summary around the start.
         lower, weights: int64 [8, taps, 2], float32 [8, taps, 4], local features of the footprints of a turn, see
             ``corner_weights``.
+        turned_local: int64 [n, 2], all cells that they read.
         along, profile, footholds: int64 [n, 2], cells ahead of the feet and behind them.
     """
 
@@ -68,6 +69,7 @@ class PoseTable:
         self.context = square(REACH, CONTEXT_STEP)
         taps = footprint_taps(options)
         self.lower, self.weights = corner_weights(rotated(taps, turn_angles()))
+        self.turned_local = np.unique((self.lower[:, :, None] + CORNERS).reshape(-1, 2), axis=0)
         feet = np.multiply(FEET, options.foot)
         self.along, self.profile, self.footholds = (
             (feet[:, None] + np.stack([offsets, np.zeros_like(offsets)], axis=-1)).reshape(-1, 2)
