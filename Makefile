@@ -11,6 +11,7 @@ TEST_ARGS ?=
 # Tests of all kernels, without the slow ones that run no kernel of their own.
 KERNEL_TESTS := tests/detailed tests/abstract/test_prepared_graph.py tests/labels/test_rules.py \
 	tests/planning/test_heuristics.py tests/learning/test_dense_edges.py::test_patches_of_a_rotated_map \
+	tests/learning/test_footprint_engine.py::test_a_network_with_other_widths_and_channels \
 	tests/terrain/test_cost_maps.py tests/terrain/test_patches.py tests/terrain/test_sensor_model.py \
 	tests/terrain/simulation/test_lidar_mapping.py \
 	--ignore tests/detailed/test_staircases.py

@@ -12,6 +12,7 @@ from safetensors.numpy import load_file
 import hdsp
 from hdsp.base.errors import InputError
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts
+from hdsp.learning.inference.dense_layers import LARGEST_WEIGHT, Graph
 from hdsp.learning.inference.footprint_engine import FootprintEngine, engine_options
 from hdsp.learning.loading import shipped
 from hdsp.robot.lattice import robot_frame_goals
@@ -108,6 +109,20 @@ def test_codes_change_few_decisions_and_costs_little(abstraction, with_codes):
     assert len(np.concatenate(errors)) > 10_000
     assert np.mean(different) < 1e-3
     assert 0 < np.concatenate(errors).mean() < 2e-3
+
+
+def test_sums_of_products_with_codes_are_exact_at_their_extremes():
+    """Processors without instructions for products of 8 bits add pairs in 16 bits: larger weights would exceed them."""
+    random = np.random.default_rng(0)
+    weight = random.integers(-LARGEST_WEIGHT, LARGEST_WEIGHT + 1, (2016, 96)).astype(np.float32)
+    weight[:, :2] = LARGEST_WEIGHT, -LARGEST_WEIGHT
+    weight[0] = LARGEST_WEIGHT
+    rows = random.integers(0, 256, (7, 2016)).astype(np.uint8)
+    rows[:2] = 255
+    graph = Graph([], "result", ["rows"])
+    graph.product("rows", "result", weight, code=1.0)
+    (found,) = graph.session().run(None, {"rows": rows})
+    np.testing.assert_array_equal(found, rows.astype(np.int64) @ weight.astype(np.int64))
 
 
 @pytest.mark.parametrize("which", ["abstraction", "with_codes"])
