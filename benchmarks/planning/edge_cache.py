@@ -98,8 +98,10 @@ def _code(costs: AbstractCosts) -> str:
     cls = type(costs)
     if cls.__name__ != "LearnedCosts":
         return code_fingerprint(cls.__module__)
-    # Not the whole class: factors, kinds of costs and progress change no cost of the network.
-    own = (inspect.getsource(getattr(cls, name)) for name in ("_by_windows", "_by_tiles", "_by_patches", "_costs"))
+    # Not the whole class: factors, kinds of costs and progress change no cost of the network. An earlier commit may lack
+    # a method.
+    parts = (getattr(cls, name, None) for name in ("_by_windows", "_by_tiles", "_by_patches", "_costs"))
+    own = (inspect.getsource(part) for part in parts if part is not None)
     return "".join(own) + code_fingerprint("hdsp.learning.abstraction", "hdsp.learning.rotated_maps")
 
 
@@ -108,6 +110,7 @@ def _content(value) -> bytes:
         network = value.network
         weights = b"".join(tensor.cpu().numpy().tobytes() for tensor in network.state_dict().values())
         settings = f"{value.model} {value.calibration} {value.quantile} {code_fingerprint(type(network).__module__)}"
+        settings += f" {value.threshold}" if hasattr(value, "threshold") else ""
         return hashlib.sha256(settings.encode() + weights).digest()
     if hasattr(value, "edges"):  # an abstraction around another one
         return costs_key(value).encode()
