@@ -23,6 +23,7 @@ Pose = tuple[float, float, float]
 
 _TRIALS = 10_000  # poses
 _LEAST = 1.0  # m between start and goal
+_RISE = 0.1  # m between the ground under start and goal of every second task
 
 
 def random_task_report(config: Config, folders: Folders) -> dict[str, Any]:
@@ -53,20 +54,23 @@ def random_task_report(config: Config, folders: Folders) -> dict[str, Any]:
 
 
 def draw_tasks(planner: Planner, count: int, seed: int) -> list[tuple[Pose, Pose]]:
-    """Draws pairs of poses that the robot can leave, at least 1 m apart.
+    """Draws pairs of poses that the robot can leave, at least 1 m apart; in every second pair on different levels.
 
     Raises:
         InputError: the map has too few.
     """
     random = np.random.default_rng(seed)
     (x, y), (length, width) = planner.terrain.origin, planner.terrain.size
-    margin = planner.terrain.resolution
+    margin, height_at = planner.terrain.resolution, planner.terrain.height_at
     found: list[Pose] = []
     for _ in range(_TRIALS):
         low, high = (x + margin, y + margin, -math.pi), (x + length - margin, y + width - margin, math.pi)
         pose: Pose = tuple(random.uniform(low, high).tolist())
-        far = len(found) % 2 == 0 or math.dist(found[-1][:2], pose[:2]) >= _LEAST
-        if far and planner.can_leave(pose):
+        if len(found) % 2 == 1:
+            rise = abs(height_at(*found[-1][:2]) - height_at(*pose[:2]))
+            if (len(found) % 4 == 3 and not rise >= _RISE) or math.dist(found[-1][:2], pose[:2]) < _LEAST:
+                continue
+        if planner.can_leave(pose):
             found.append(pose)
         if len(found) == 2 * count:
             return list(zip(found[::2], found[1::2], strict=True))

@@ -98,8 +98,8 @@ def _code(costs: AbstractCosts) -> str:
     cls = type(costs)
     if cls.__name__ != "LearnedCosts":
         return code_fingerprint(cls.__module__)
-    # Not the whole class: factors, kinds of costs and progress change no cost of the network. An earlier commit may lack
-    # a method.
+    # Not the whole class: factors, kinds of costs and progress change no cost of the network. An earlier commit may be
+    # without a method.
     parts = (getattr(cls, name, None) for name in ("_by_windows", "_by_tiles", "_by_patches", "_costs"))
     own = (inspect.getsource(part) for part in parts if part is not None)
     return "".join(own) + code_fingerprint("hdsp.learning.abstraction", "hdsp.learning.rotated_maps")
