@@ -46,6 +46,7 @@ class QueryKind:
         abstract: the heuristic comes from an abstraction.
         learned: a network computes its costs.
         grid: the heuristic is the grid heuristic.
+        admissible: the heuristic is admissible.
         anchored: the search is multi-heuristic A*.
         anytime: the search is ARA*.
         refinable: plans are refined.
@@ -54,6 +55,7 @@ class QueryKind:
     abstract: bool = False
     learned: bool = False
     grid: bool = False
+    admissible: bool = True
     anchored: bool = False
     anytime: bool = False
     refinable: bool = False
@@ -81,6 +83,7 @@ def compile_for(
         abstract=abstract,
         learned=learned is not None,
         grid=isinstance(heuristic, GridHeuristic),
+        admissible=heuristic.admissible,
         anchored=anchored and not heuristic.admissible,
         anytime=anytime,
         refinable=refinable,
@@ -134,7 +137,7 @@ def _try(robot: Robot, kind: QueryKind, learned: LearnedCosts | None) -> None:
         start=start,
         goals=goal[None],
         goal_numbers=np.zeros(1, np.int64),
-        admissible=heuristic.admissible,
+        admissible=kind.admissible,
         consistent=heuristic.consistent,
         limits=Limits(),
     )

@@ -254,8 +254,9 @@ class Planner:
                 1.25 with a polish, for a heuristic that is not admissible and without an anchor; else 1.
             anchor_weight: W2 >= 1 in multi-heuristic A*. The heuristic guides, the grid heuristic is the anchor.
                 The cost is at most W * W2 times the optimum; ``bound`` states the proved factor, often a smaller one.
-                An admissible heuristic needs no anchor. None: weighted A*, without a proof if the heuristic is not
-                admissible. All proofs hold over all states in which the plan may end.
+                An admissible heuristic needs no anchor. None: weighted A*; if the heuristic is not admissible, W
+                bounds nothing, and ``bound`` comes from a lower bound on the cost of all plans. All proofs hold over
+                all states in which the plan may end.
             cost: largest cost of interest.
             expansions, memory, time: limits in expanded states, bytes for states, seconds.
             refinable: refine the plan; while a step cannot be carried out, report it in ``refused`` and search again

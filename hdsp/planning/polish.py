@@ -30,7 +30,7 @@ from hdsp.robot.lattice import heading_index, offset_steps
 
 #: Budget of a query that names none, s.
 DEFAULT = 0.2
-#: Expansions for each second of a budget. Searches are about three times as fast, so that seldom the clock decides.
+#: Expansions in windows for each second of a budget. Searches are about three times as fast: the clock seldom decides.
 PER_SECOND = 350_000
 #: Least costs of the windows, one for each sweep.
 WIDTHS = 0.6, 1.0, 1.6, 2.4
@@ -87,16 +87,17 @@ class Polish:
             plan: a plan without its way out.
         """
         began = now()
-        expansions = min(int(PER_SECOND * self.seconds), query.limits.expansions - plan.stats.expansions)
-        if not plan.solved or plan.bound == 1 or expansions <= 0 or not plan.actions:
+        most, left = int(PER_SECOND * self.seconds), query.limits.expansions - plan.stats.expansions
+        if not plan.solved or plan.bound == 1 or min(most, left) <= 0 or not plan.actions:
             return plan
         windows = Windows(query.world, query.limits.memory)
         ends = min(began + self.seconds, query.ends)
-        second, windows.expansions = self._second(query, plan, expansions, ends)
+        second, windows.expansions = self._second(query, plan, most, left, ends)
+        most = min(windows.expansions + most, left)
         better = plan if second is None or second.cost >= plan.cost else second
         course = _Course.of(query, better)
         for width in WIDTHS:
-            course = _swept(course, windows, width, expansions, ends)
+            course = _swept(course, windows, width, most, ends)
         spent = {"polish_expansions": windows.expansions, "polish_seconds": now() - began, "unpolished_cost": plan.cost}
         plan, cost = plan.renewed(spent), float(course.costs.sum())
         if cost >= plan.cost * (1 - LEAST_GAIN):
@@ -111,16 +112,22 @@ class Polish:
             bound=min(plan.bound, suboptimality(cost, plan.stats.lower_bound, rounding(query.world))),
         )
 
-    def _second(self, query: Query, plan: Plan, expansions: int, ends: float) -> tuple[Plan | None, int]:
-        """Returns a plan from a search with a smaller weight, None without one, and the expansions for it."""
+    def _second(self, query: Query, plan: Plan, most: int, left: int, ends: float) -> tuple[Plan | None, int]:
+        """Returns a plan from a search with a smaller weight, None without one, and the expansions for it.
+
+        Args:
+            query, plan: as in ``of``.
+            most, left: expansions of one search and of all, at most.
+            ends: moment on the clock ``now`` at which the searches end.
+        """
         spent = 0
         if not self.second or query.admissible or plan.stats.anchor_weight:
             return None, spent
-        for weight, most in SECOND:
-            limits = replace(query.limits, expansions=min(most, expansions - spent))
+        for weight, limit in SECOND:
+            limits = replace(query.limits, expansions=min(limit, most, left - spent))
             if weight >= plan.stats.weight or limits.expansions <= 0:
                 break
-            other = replace(query, limits=limits, ends=ends, progress=None).weighted(weight)
+            other = replace(query, limits=limits, ends=ends, progress=None).weighted(weight, bounded=False)
             spent += other.stats.expansions
             if other.solved:
                 return other, spent

@@ -15,8 +15,10 @@ import numpy as np
 
 from hdsp.base.gradual import Gradual, now
 from hdsp.detailed.actions.action import action_of
+from hdsp.detailed.actions.successors import Rules
+from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_foothold_regions
 from hdsp.detailed.relaxed.proofs import Unreachable, nearest_state, proof_steps
-from hdsp.detailed.search.estimate import Estimate
+from hdsp.detailed.search.estimate import Estimate, grid_estimate, least_foot_cost, with_step_efforts
 from hdsp.detailed.search.life_cycle import Hopeless, Progress, Search
 from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
@@ -27,11 +29,14 @@ from hdsp.planning.answers.findings import Inquiry
 from hdsp.planning.answers.plan_statistics import PlanStatistics
 from hdsp.planning.answers.plans import Plan
 from hdsp.planning.ends.way_out import WayOut
-from hdsp.planning.heuristics import GridHeuristic, Heuristic
+from hdsp.planning.heuristics import AbstractHeuristic, Heuristic
 from hdsp.planning.heuristics.grid import MEMORY
 from hdsp.robot.lattice import Grid
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
+
+#: Budget of a backward search that settles few nodes, bytes.
+LITTLE = 64 << 20
 
 
 class ReachedStates:
@@ -102,8 +107,14 @@ class Query:
         """Seconds until the time is over, at least 0."""
         return max(0.0, self.ends - now())
 
-    def weighted(self, weight: float, hopeless: Hopeless | None = None) -> Plan:
-        """Searches with weighted A*; ``hopeless`` as in ``solve``."""
+    def weighted(self, weight: float, hopeless: Hopeless | None = None, *, bounded: bool = True) -> Plan:
+        """Searches with weighted A*.
+
+        Args:
+            weight: W >= 1.
+            hopeless: as in ``solve``.
+            bounded: whether a plan from a heuristic that is not admissible gets a proved bound nevertheless.
+        """
         # No bound is lost without reopening: the heuristic proves none, or it is consistent. At W = 1, a consistent
         # heuristic leads to hardly any state twice, and reopening keeps the optimum up to rounding.
         once = not self.admissible or (self.consistent and weight > 1)
@@ -121,6 +132,7 @@ class Query:
             progress=self.progress,
             nearest=True,
             at_end=reached.take,
+            bounding=self.bounding() if bounded and not self.admissible else None,
         )
         return self.plan_of(result, PlanStatistics(self.heuristic.name, float(weight)), reached)
 
@@ -151,9 +163,24 @@ class Query:
 
     def grid_anchor(self) -> Estimate:
         """Returns the grid heuristic's estimate for the goals, the consistent heuristic for all proofs."""
-        groups = np.unique(self.goal_numbers, return_inverse=True)[1].ravel()
         # Half of the memory, since the search needs the rest.
-        return GridHeuristic(self.world, min(MEMORY, self.limits.memory // 2)).set_goals(self.goals, groups)
+        estimate = self.bounding(min(MEMORY, self.limits.memory // 2))
+        if len(estimate.effort) > 0:
+            return estimate
+        regions = find_foothold_regions(self.world, Rules(), least_foot_cost(self.world))
+        return with_step_efforts(estimate, regions.region, efforts_to(regions, self.world, self.goals))
+
+    def bounding(self, memory: int = LITTLE) -> Estimate:
+        """Returns the grid heuristic's estimate for the goals, with step efforts as far as they are known.
+
+        Args:
+            memory: budget of its backward search, bytes.
+        """
+        groups = np.unique(self.goal_numbers, return_inverse=True)[1].ravel()
+        estimate = grid_estimate(self.world, self.goals, groups, memory)
+        if not isinstance(self.heuristic, AbstractHeuristic):
+            return estimate
+        return with_step_efforts(estimate, self.estimate.region, self.estimate.effort)
 
     def plan_of(self, result: SearchResult, stats: PlanStatistics, reached: ReachedStates) -> Plan:
         """Returns the plan from a search in world coordinates; ``stats`` holds the search settings."""

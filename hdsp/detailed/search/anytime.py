@@ -17,7 +17,7 @@ from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
 from hdsp.detailed.search.estimate import Estimate
 from hdsp.detailed.search.life_cycle import AtEnd, Hopeless, Progress, Search
 from hdsp.detailed.search.outcome import Limits, Path, SearchResult, Status
-from hdsp.detailed.search.store import CUT, find
+from hdsp.detailed.search.store import find
 from hdsp.detailed.world.world import World
 
 _CAPS = Status.EXPANSION_LIMIT, Status.MEMORY_LIMIT, Status.TIME_LIMIT
@@ -138,12 +138,7 @@ class _Found:
             if better:
                 self.plan, self.cost, self.reached = plan, plan.cost, nearest
         if better or thorough:
-            least = kernel.least_f(self.search.world, store, self.admissible)
-            if store.counts[CUT]:
-                least = min(least, self.search.limits.cost)
-            if np.isfinite(least):
-                least *= max(0.0, 1 - self.rounding * least)
-            self.lower_bound = max(self.lower_bound, least)
+            self.lower_bound = max(self.lower_bound, self.search.least_cost(self.admissible))
         return better
 
     def bound(self) -> float:

@@ -180,6 +180,15 @@ def advance(world, b, layer, ix, iy, heading):
         _empty_bucket(world, b)
 
 
+@njit(allocates=False)
+def settle(world, b, layer, ix, iy, heading, nodes):
+    """Continues until the lower bound of a pose in a layer is final, or until at least ``nodes`` nodes are settled."""
+    begin_toward(world, b, ix, iy, heading)
+    until = b.counts[SETTLED] + nodes
+    while b.counts[SETTLED] < until and not is_final(world, b, layer, ix, iy, heading):
+        _empty_bucket(world, b)
+
+
 @njit(inline="always")
 def _from_start(b, ix, iy, heading):
     """Least cost from the forward search's start to a pose, by distance and turns."""

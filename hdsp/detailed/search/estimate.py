@@ -18,6 +18,7 @@ from hdsp.detailed.search.backward import (
     lower_bound,
     new_backward,
     no_backward,
+    settle,
 )
 from hdsp.detailed.search.interpolation import CostsToGo, interpolated, no_costs_to_go
 from hdsp.detailed.states import unpack
@@ -177,6 +178,13 @@ def resume(world, e, key):
     """
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     return _advanced(world, e.back, _layer(e, o0, o1, o2, o3), ix, iy, heading)
+
+
+@njit()
+def settle_for(world, e, key, nodes):
+    """Continues the backward search for a state by about so many nodes; ``estimate`` needs no end of it."""
+    ix, iy, heading, o0, o1, o2, o3 = unpack(key)
+    settle(world, e.back, _layer(e, o0, o1, o2, o3), ix, iy, heading, nodes)
 
 
 @njit()

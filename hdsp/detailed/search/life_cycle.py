@@ -18,10 +18,12 @@ from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import state_cost, state_costs
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, successors
 from hdsp.detailed.search import kernel, open_list
+from hdsp.detailed.search.bounds import rounding
 from hdsp.detailed.search.estimate import Estimate, estimate
 from hdsp.detailed.search.open_list import OpenList
 from hdsp.detailed.search.outcome import Limits, Path, SearchResult, Status
 from hdsp.detailed.search.store import (
+    CUT,
     EXPANDED,
     GOALS_LEFT,
     SEEN,
@@ -251,6 +253,17 @@ class Search:
                 return False
             self.lists[i] = open_list.with_room(self.lists[i], self.store.flags, entries)
         return True
+
+    def least_cost(self, admissible: Estimate) -> float:
+        """Returns a cost below which no plan exists: the least g + h of all states that wait, with its rounding.
+
+        Args:
+            admissible: heuristic that never exceeds the cost to the nearest goal.
+        """
+        least = kernel.least_f(self.world, self.store, admissible)
+        if self.store.counts[CUT]:
+            least = min(least, self.limits.cost)
+        return least * max(0.0, 1 - rounding(self.world) * least) if np.isfinite(least) else least
 
     def nbytes(self) -> int:
         """Total size of all arrays in bytes."""

@@ -3,11 +3,16 @@
 import numpy as np
 
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.search.bounds import rounding
-from hdsp.detailed.search.estimate import Estimate
+from hdsp.detailed.search.bounds import rounding, suboptimality
+from hdsp.detailed.search.estimate import Estimate, settle_for
 from hdsp.detailed.search.life_cycle import AtEnd, Hopeless, Progress, Search
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.world.world import World
+
+#: Nodes of the backward search behind a lower bound: at least so many, and one more for so many expansions. The bound
+#: then takes about a millisecond, or a small share of the search.
+LEAST_SETTLED = 500
+EXPANSIONS_PER_SETTLED = 5
 
 
 def solve(
@@ -26,6 +31,7 @@ def solve(
     progress: Progress | None = None,
     nearest: bool = False,
     at_end: AtEnd | None = None,
+    bounding: Estimate | None = None,
 ) -> SearchResult:
     """Searches with weighted A* from one detailed state to one or several goals.
 
@@ -57,6 +63,8 @@ def solve(
         nearest: whether the first settled goal ends the search. Its cost is then at most W times the least cost over
             all goals. Goals in which the robot cannot stand are left out.
         at_end: called with the search that ended without a plan, before its states are dropped.
+        bounding: admissible heuristic that bounds the cost of a plan from below where ``heuristic`` is not admissible.
+            Its backward search settles a few nodes in proportion to the expansions, so that it takes little time.
 
     Returns:
         A result with one status per goal, or with one status for ``nearest``, and the proven bounds if there is one
@@ -77,6 +85,11 @@ def solve(
         at_end(search)
     if len(result.status) == 1:
         _enter_bounds(result, world, weight if admissible else np.inf, limits)
+        if bounding is not None and ended == Status.SOLVED and not admissible:
+            nodes = LEAST_SETTLED + result.expansions // EXPANSIONS_PER_SETTLED
+            settle_for(world, bounding, search.start, nodes)
+            result.lower_bound = search.least_cost(bounding)
+            result.bound = suboptimality(float(result.cost[0]), result.lower_bound, rounding(world))
     return result
 
 

@@ -53,7 +53,7 @@ class Plan:
         problems: the causes for which the robot cannot stand at the start or at the goal, and further words about them.
         refused: steps in former plans that could not be carried out, in words; empty unless ``refinable`` was set.
         bound: proved: the plan costs at most so many times the optimum (among plans without the refused steps). 1 for
-            an optimal plan, inf without a proof.
+            an optimal plan, inf without a plan.
         goal_index: number of the goal at which the plan ends, from 0; None without a plan.
         assumed: changes to the map under the robot at the start, in words: unknown ground that was filled in, the
             robot's own body that was removed. ``terrain`` contains them.

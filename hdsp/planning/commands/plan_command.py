@@ -99,6 +99,7 @@ def _plan(chosen: argparse.Namespace) -> int:
             print(f"{chosen.picture}: picture of the causes")
         return NO_PLAN
     print(f"{plan.stats.expansions:,} states expanded in {plan.stats.seconds:.2f} s")
+    print(f"proved: at most {math.ceil(100 * plan.bound) / 100:.2f} times the least possible cost")
     if chosen.out:
         plan.write(chosen.out)
         print(f"{chosen.out}: {len(plan.states)} states{_frames(terrain)}")
