@@ -41,9 +41,37 @@ def standing_steps(world: World) -> Steps[np.ndarray]:
     rows = max(1, _STATES // max(ny, 1))
     for k in range(ABSTRACT_HEADINGS):
         for first in range(0, nx, rows):
-            _find_standing(world, result, k, first, min(first + rows, nx))
+            _find_standing(world, result, k, first, min(first + rows, nx), 0, ny)
             yield
     return result
+
+
+def updated_standing(before: World, world: World, feet: np.ndarray) -> np.ndarray:
+    """Returns feet as from ``standing_steps`` after a change in a map of the same size.
+
+    Args:
+        before: terrain and robot before the change.
+        world: the same after the change.
+        feet: result before the change.
+    """
+    changed = np.zeros(len(world.standable), bool)
+    for name in ("standable", "uneven", "height", "window_height", "steep"):
+        old, new = getattr(before, name), getattr(world, name)
+        if len(new) == len(changed):
+            changed |= old != new
+        elif not np.array_equal(old, new):
+            changed[:] = True
+    feet = feet.copy()
+    cells = np.argwhere(changed.reshape(-1, world.stride)) - world.pad
+    if len(cells) == 0:
+        return feet
+    # A robot reads no cell that is farther away from its base than the rim around the map is wide.
+    low = np.maximum((cells.min(axis=0) - world.pad) // CELLS_PER_ABSTRACT, 0)
+    high = np.minimum((cells.max(axis=0) + world.pad) // CELLS_PER_ABSTRACT + 1, feet.shape[1:])
+    for k in range(ABSTRACT_HEADINGS):
+        feet[k, low[0] : high[0], low[1] : high[1]] = -1
+        _find_standing(world, feet, k, low[0], high[0], low[1], high[1])
+    return feet
 
 
 def uneven_cells(world: World) -> np.ndarray:
@@ -62,14 +90,14 @@ def uneven_cells(world: World) -> np.ndarray:
 
 
 @njit()
-def _find_standing(world, result, k, first, end):
-    """Fills rows ``first`` to ``end`` of ``result`` at one abstract heading."""
+def _find_standing(world, result, k, first, end, left, right):
+    """Fills rows ``first`` to ``end`` and columns ``left`` to ``right`` of ``result`` at one abstract heading."""
     standable, feet, samples, n = world.standable, world.tables.feet, world.tables.n_samples, world.tables.n_offsets
     apart = 2 * world.constants.neutral_x - world.constants.min_separation
     heading = k * HEADINGS_PER_ABSTRACT
     left_front, left_rear, right_rear, right_front = [foot_row(world.tables, heading, i, 0) for i in range(4)]
     for a in range(first, end):
-        for b in range(result.shape[2]):
+        for b in range(left, right):
             ix, iy = CELLS_PER_ABSTRACT * a + ABSTRACT_ANCHOR, CELLS_PER_ABSTRACT * b + ABSTRACT_ANCHOR
             p = cell_index(world, ix, iy)
             if not _side_stands(standable, feet, samples, n, p, left_front, left_rear, apart):
