@@ -124,8 +124,7 @@ class ManualCosts:
         reach = self._reach()
         # The region is enlarged by the reach of its states.
         low_x, low_y = max(first_x - reach, 0), max(first_y - reach, 0)
-        features = coarse_features(height_map.heights)
-        features = Features(*(values[low_x : end_x + reach, low_y : end_y + reach] for values in features))
+        features = _features_in(height_map.heights, (low_x, low_y, end_x + reach, end_y + reach))
         poses = []
         for heading in range(ABSTRACT_HEADINGS):
             poses.append(self._poses(features, heading))
@@ -271,6 +270,18 @@ def coarse_features(heights: np.ndarray) -> Features:
     ground = blocks.mean(axis=(-2, -1))
     largest, least = np.fmax.reduce(windows, axis=(-2, -1)), np.fmin.reduce(windows, axis=(-2, -1))
     return Features(largest - least, ground, np.fmax.reduce(blocks, axis=(-2, -1)))
+
+
+def _features_in(heights: np.ndarray, region: Region) -> Features:
+    """Features of a map, cut to a region; the region may end beyond the map."""
+    # Height ranges take in a rim of one height map cell, which the cut adds as a coarse cell.
+    low = [max(at - 1, 0) for at in region[:2]]
+    part = tuple(
+        slice(first * CELLS_PER_ABSTRACT, (end + 1) * CELLS_PER_ABSTRACT)
+        for first, end in zip(low, region[2:], strict=True)
+    )
+    x, y = (slice(at - first, end - first) for at, first, end in zip(region[:2], low, region[2:], strict=True))
+    return Features(*(values[x, y] for values in coarse_features(heights[part])))
 
 
 def _is_wall(features: Features, robot: Robot) -> np.ndarray:

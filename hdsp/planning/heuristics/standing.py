@@ -57,10 +57,7 @@ def updated_standing(before: World, world: World, feet: np.ndarray) -> np.ndarra
     changed = np.zeros(len(world.standable), bool)
     for name in ("standable", "uneven", "height", "window_height", "steep"):
         old, new = getattr(before, name), getattr(world, name)
-        if len(new) == len(changed):
-            changed |= old != new
-        elif not np.array_equal(old, new):
-            changed[:] = True
+        changed |= (old != new).reshape(-1, len(changed)).any(axis=0)  # some have several layers
     feet = feet.copy()
     cells = np.argwhere(changed.reshape(-1, world.stride)) - world.pad
     if len(cells) == 0:
