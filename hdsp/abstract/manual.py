@@ -52,6 +52,8 @@ from hdsp.robot.lattice import (
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
+_LONGEST = int(np.abs(ABSTRACT_ACTIONS[:, :2]).max())  # move of an action, abstract cells
+
 
 @checked
 class ManualSettings:
@@ -131,11 +133,12 @@ class ManualCosts:
             yield
         edges = np.empty((ABSTRACT_HEADINGS, *features.ground.shape, len(ABSTRACT_ACTIONS)), np.float32)
         for heading in range(ABSTRACT_HEADINGS):
+            wrapped = _take(poses[heading], _wrapped)
             for action, goal in enumerate(robot_frame_goals(heading)):
                 dx, dy, turn = ABSTRACT_ACTIONS[action].tolist()
-                # Values rolled in from the other side belong to actions off the map, closed below, or to states outside
-                # the region.
-                met = [_take(poses[heading], np.roll, (-x, -y), (-2, -1)) for x, y in _cells_on_the_way(dx, dy)]
+                # Values from the other side belong to actions off the map, closed below, or to states outside the
+                # region.
+                met = [_take(wrapped, _moved, x, y) for x, y in _cells_on_the_way(dx, dy)]
                 if turn:
                     met.append(poses[(heading + turn) % ABSTRACT_HEADINGS])
                 edges[heading, :, :, action] = self._cost(self._flat.edge_table[heading, action], goal, met)
@@ -318,6 +321,17 @@ def _cell(position: np.ndarray) -> tuple[int, int]:
 
 def _one_cell(values: np.ndarray, x: int, y: int) -> np.ndarray:
     return values[..., x, y]
+
+
+def _wrapped(values: np.ndarray) -> np.ndarray:
+    """Values [..., nx, ny] with a border of values from the other side, as wide as the longest move."""
+    return np.pad(values, [(0, 0)] * (values.ndim - 2) + [(_LONGEST, _LONGEST)] * 2, mode="wrap")
+
+
+def _moved(wrapped: np.ndarray, x: int, y: int) -> np.ndarray:
+    """Values at an offset from each cell, a view, from ``_wrapped`` ones."""
+    nx, ny = wrapped.shape[-2] - 2 * _LONGEST, wrapped.shape[-1] - 2 * _LONGEST
+    return wrapped[..., _LONGEST + x : _LONGEST + x + nx, _LONGEST + y : _LONGEST + y + ny]
 
 
 def _in_cells(length: float) -> float:
