@@ -11,7 +11,8 @@ of the queue needs its edges; the search then stops and asks for them. Its costs
 edges become known: they are those with all edges.
 
 An action that the abstraction judges infeasible keeps a price, as the abstraction may be wrong. States that a robot may
-pass therefore have a way to the goal, wherever neighbouring states lead to it.
+pass therefore have a way to the goal, wherever neighbouring states lead to it. The price is high where ways are chosen,
+and lower in the cost of the chosen way.
 
 Convention: states are flat indices ``(heading * nx + ix) * ny + iy``.
 """
@@ -48,7 +49,8 @@ class Edges(NamedTuple):
         evaluated: bool [states], states whose edges are known.
         standing: bool [states], states that a robot may pass.
         least: float64 [16, 22], no edge is cheaper, by the heading of its start.
-        doubtful: float64 [16, 22], prices of actions judged infeasible, at least ``least``.
+        doubtful: float64 [16, 22], prices of actions judged infeasible, at least ``least``. They choose the ways.
+        spared: float64 [16, 22], part of ``doubtful`` that does not count in the cost-to-go of the chosen way.
         nx, ny: size in abstract cells.
     """
 
@@ -57,6 +59,7 @@ class Edges(NamedTuple):
     standing: np.ndarray
     least: np.ndarray
     doubtful: np.ndarray
+    spared: np.ndarray
     nx: int
     ny: int
 
@@ -71,8 +74,10 @@ class AskedDistances(NamedTuple):
         to_goal: float64 [states], lower bound on the cost to a goal, known without any edge.
         straight: float64 [states], cost from a state straight to a goal, inf for most states.
         cost: float64 [states], least known cost to a goal.
+        spared: float64 [states], part of ``cost`` that does not count; where ways cost the same, the most.
         exact: bool [states], whether ``cost`` is the cost of a known way, and not a lower bound.
-        values: float32 [states], final costs less ``excess``, at least 0; inf where unknown or without a way.
+        values: float32 [states], final costs less ``spared`` and ``excess``, at least 0; inf where unknown or without a
+            way.
         known: bool [states], whether ``values`` is final.
         after, ahead: int32 [states], a waiting state's neighbours in its bucket; ``ahead`` of a bucket's first state is
             -1 - slot, others stand for states in no bucket and states in ``asked``.
@@ -91,6 +96,7 @@ class AskedDistances(NamedTuple):
     to_goal: np.ndarray
     straight: np.ndarray
     cost: np.ndarray
+    spared: np.ndarray
     exact: np.ndarray
     values: np.ndarray
     known: np.ndarray
@@ -129,6 +135,7 @@ def distances_from(
         to_goal=to_goal,
         straight=straight,
         cost=cost,
+        spared=np.zeros(count),
         exact=exact,
         values=np.full(count, np.inf, np.float32),
         known=np.zeros(count, np.bool_),
@@ -262,15 +269,17 @@ def enter_edges(s):
             left += 1
             continue
         k, a, b = node // (nx * ny), node // ny % nx, node % ny
-        least = s.straight[node]
+        least, spared = s.straight[node], 0.0
         for m in range(len(ABSTRACT_ACTIONS)):
             x, y = a + ABSTRACT_ACTIONS[m, 0], b + ABSTRACT_ACTIONS[m, 1]
             if not (0 <= x < nx and 0 <= y < ny):
                 continue
             end = ((k + ABSTRACT_ACTIONS[m, 2]) % ABSTRACT_HEADINGS * nx + x) * ny + y
             if s.exact[end]:
-                least = min(least, s.cost[end] + _edge(edges, node, k, m))
-        s.cost[node], s.exact[node], s.ahead[node] = least, True, _OUT
+                further, more = s.cost[end] + _edge(edges, node, k, m), s.spared[end] + _spared(edges, node, k, m)
+                if further < least or (further == least and more > spared):
+                    least, spared = further, more
+        s.cost[node], s.spared[node], s.exact[node], s.ahead[node] = least, spared, True, _OUT
         if least < np.inf:
             _offer(s, node)
     s.counts[ASKED] = left
@@ -281,6 +290,12 @@ def _edge(edges, start, heading, action):
     """Cost of an action from an evaluated state, with its price where it is judged infeasible."""
     cost = np.float64(edges.costs[start, action])
     return cost if cost < np.inf else edges.doubtful[heading, action]
+
+
+@njit(inline="always")
+def _spared(edges, start, heading, action):
+    """Part of ``_edge`` that does not count in the cost-to-go."""
+    return 0.0 if edges.costs[start, action] < np.inf else edges.spared[heading, action]
 
 
 @njit(allocates=False)
@@ -318,11 +333,14 @@ def advance(s):
                 continue
             z = (k - ABSTRACT_ACTIONS[m, 2]) % ABSTRACT_HEADINGS
             start = (z * nx + x) * ny + y
-            if not standing[start] or s.known[start] or so_far + edges.least[z, m] >= cost[start]:
+            if not standing[start] or s.known[start] or so_far + edges.least[z, m] > cost[start]:
                 continue
-            further = so_far + (_edge(edges, start, z, m) if evaluated[start] else edges.least[z, m])
-            if further < cost[start]:
-                cost[start], exact[start] = further, evaluated[start]
+            further, spared = so_far + edges.least[z, m], 0.0
+            if evaluated[start]:
+                further, spared = so_far + _edge(edges, start, z, m), s.spared[node] + _spared(edges, start, z, m)
+            equal = further == cost[start] and further < np.inf and exact[start] and spared > s.spared[start]
+            if further < cost[start] or equal:
+                cost[start], s.spared[start], exact[start] = further, spared, evaluated[start]
                 if s.ahead[start] != _ASKED:
                     _offer(s, start)
     if s.counts[ASKED] > 0:
@@ -361,7 +379,7 @@ def _settle(s):
             _offer(s, node)  # rounding of a sum may still improve it
             continue
         s.known[node] = True
-        s.values[node] = np.float32(max(s.cost[node] - s.excess, 0.0))
+        s.values[node] = np.float32(max(s.cost[node] - s.spared[node] - s.excess, 0.0))
     s.front[0] = end
 
 
@@ -466,26 +484,29 @@ def _decide(s, node):
     feasible action over it plus the cost-to-go at the action's end. States whose edges matter are asked for.
     """
     best, open_ = np.inf, np.inf  # least cost of a known way, and least lower bound of others
+    spared = 0.0
     for n in range(len(PASSED)):
-        way, is_known, _ = _way_over(s, node, n)
-        if is_known:
-            best = min(best, way)
+        way, is_known, _, more = _way_over(s, node, n)
+        if is_known and (way < best or (way == best and more > spared)):
+            best, spared = way, more
+        elif is_known:
+            continue
         else:
             open_ = min(open_, way)
-    if open_ == np.inf or best <= open_:
+    if open_ == np.inf or best < open_:
         s.known[node] = True
-        s.values[node] = np.float32(max(best - s.excess, 0.0))
+        s.values[node] = np.float32(max(best - spared - s.excess, 0.0))
         return
     for n in range(len(PASSED)):
-        way, is_known, start = _way_over(s, node, n)
+        way, is_known, start, _ = _way_over(s, node, n)
         if not is_known and way < best and start >= 0:
             _ask(s, start)
 
 
 @njit(inline="always")
 def _way_over(s, node, n):
-    """Lower bound on the cost over a state by action ``n`` of those that pass it, whether it is the cost, and the state
-    whose edges it lacks, -1 for none."""
+    """Lower bound on the cost over a state by action ``n`` of those that pass it, whether it is the cost, the state
+    whose edges it lacks, -1 for none, and the part of the cost that does not count."""
     edges = s.edges
     nx, ny = edges.nx, edges.ny
     k, a, b = node // (nx * ny), node // ny % nx, node % ny
@@ -493,12 +514,12 @@ def _way_over(s, node, n):
     x, y = a + PASSED[n, 1], b + PASSED[n, 2]
     u, v = x - ABSTRACT_ACTIONS[m, 0], y - ABSTRACT_ACTIONS[m, 1]
     if not (0 <= x < nx and 0 <= y < ny and 0 <= u < nx and 0 <= v < ny):
-        return np.inf, True, np.int64(-1)
+        return np.inf, True, np.int64(-1), 0.0
     end, start = (k * nx + x) * ny + y, (k * nx + u) * ny + v
     if not edges.standing[start] or s.to_goal[end] == np.inf:
-        return np.inf, True, np.int64(-1)
+        return np.inf, True, np.int64(-1), 0.0
     at_end = s.cost[end] if s.known[end] else max(s.front[0] - s.behind[end], 0.0)
     if not edges.evaluated[start]:
-        return at_end + 0.5 * edges.least[k, m], False, (start if s.known[end] else np.int64(-1))
+        return at_end + 0.5 * edges.least[k, m], False, (start if s.known[end] else np.int64(-1)), 0.0
     edge = np.float64(edges.costs[start, m])
-    return at_end + 0.5 * edge, s.known[end] or edge == np.inf, np.int64(-1)
+    return at_end + 0.5 * edge, s.known[end] or edge == np.inf, np.int64(-1), s.spared[end]

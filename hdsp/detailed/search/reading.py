@@ -24,16 +24,12 @@ class Reading(NamedTuple):
 
     Attributes:
         known: bool [16 * nx * ny], whether a value is final.
-        behind: float64 [16 * nx * ny], an unknown value is at least ``front - behind``.
-        front: float64 [1]; inf when all states with a way to the goal are known.
         reach: int64 [n, 2], distances in cells and heading steps by which successors differ from a state.
         wanted: int64 [...], abstract states whose values are missing, flat indices.
         asked: int64 [1], packed state that cannot be expanded without them.
     """
 
     known: np.ndarray
-    behind: np.ndarray
-    front: np.ndarray
     reach: np.ndarray
     wanted: np.ndarray
     asked: np.ndarray
@@ -41,24 +37,21 @@ class Reading(NamedTuple):
 
 def all_known() -> Reading:
     """Returns the reading of a complete table."""
-    nothing = np.empty(0)
     return Reading(
         np.empty(0, np.bool_),
-        nothing,
-        nothing,
         np.empty((0, 2), np.int64),
         np.empty(0, np.int64),
         np.empty(0, np.int64),
     )
 
 
-def reading(world: World, known: np.ndarray, behind: np.ndarray, front: np.ndarray) -> Reading:
+def reading(world: World, known: np.ndarray) -> Reading:
     """Returns the reading of a table that is filled while a search goes on; arguments as in ``Reading``."""
     t = world.tables
     shift = max(abs(t.move_dx).max(), abs(t.move_dy).max(), abs(t.shifts[:, :2]).max())
     turn = 0 if world.constants.on_the_spot else abs(t.arcs[..., :2]).max()
     reach = np.array([[shift, 0], [turn, 1]], np.int64)
-    return Reading(known, behind, front, reach, np.empty(_MOST, np.int64), np.zeros(1, np.int64))
+    return Reading(known, reach, np.empty(_MOST, np.int64), np.zeros(1, np.int64))
 
 
 @njit(allocates=False)
@@ -77,7 +70,7 @@ def missing(r, values, uneven, ahead, nx, ny, key):
     ix, iy, heading, _, _, _, _ = unpack(key)
     r.asked[0] = key
     count = 0
-    largest, edges = 0.0, False
+    edges = False
     for n in range(len(r.reach)):
         cells, turn = r.reach[n, 0], r.reach[n, 1]
         first_a = (ix - cells - ABSTRACT_ANCHOR) // CELLS_PER_ABSTRACT
@@ -97,14 +90,6 @@ def missing(r, values, uneven, ahead, nx, ny, key):
     # A foot's step counts as done where costs-to-go fall from a successor to a place ahead.
     for n in range(len(r.reach)):
         cells, turn = r.reach[n, 0], r.reach[n, 1]
-        for k in range(_nearest(heading - turn), _nearest(heading + turn) + 1):
-            for a in range(max((ix - cells) // CELLS_PER_ABSTRACT, 0), min((ix + cells) // CELLS_PER_ABSTRACT + 1, nx)):
-                for b in range(
-                    max((iy - cells) // CELLS_PER_ABSTRACT, 0), min((iy + cells) // CELLS_PER_ABSTRACT + 1, ny)
-                ):
-                    largest = max(largest, np.float64(values[(k % ABSTRACT_HEADINGS * nx + a) * ny + b]))
-    for n in range(len(r.reach)):
-        cells, turn = r.reach[n, 0], r.reach[n, 1]
         for far in range(1, AHEAD + 1):
             x, y = ix + np.int64(np.rint(far * ahead[heading, 0])), iy + np.int64(np.rint(far * ahead[heading, 1]))
             first_a, end_a = (x - cells - turn) // CELLS_PER_ABSTRACT, (x + cells + turn) // CELLS_PER_ABSTRACT + 1
@@ -113,7 +98,7 @@ def missing(r, values, uneven, ahead, nx, ny, key):
                 for a in range(max(first_a, 0), min(end_a, nx)):
                     for b in range(max(first_b, 0), min(end_b, ny)):
                         place = (k % ABSTRACT_HEADINGS * nx + a) * ny + b
-                        if r.known[place] or r.front[0] - r.behind[place] >= largest:
+                        if r.known[place]:
                             continue
                         if count < len(r.wanted):
                             r.wanted[count] = place

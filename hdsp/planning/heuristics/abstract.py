@@ -91,7 +91,7 @@ class AbstractHeuristic(Heuristic):
         if not self.known.blockwise:
             yield from self.known.evaluate_all()
         search = self._search_to(goals)
-        read = reading(self.world, search.known, search.behind, search.front)
+        read = reading(self.world, search.known)
         estimate = self._view(goals, np.zeros(1, np.int64) if groups is None else groups, search, read)
         asked = AskedCosts(self.world, self.known, search, estimate.to_go)
         yield from asked.know(int(pack_states(start, self.world.tables.lowest)[0]))

@@ -20,6 +20,8 @@ from hdsp.terrain.height_map import HeightMap
 
 #: Price of an action that the abstraction judges infeasible, relative to its cost on even ground.
 DOUBT = 3.0
+#: The same, for the choice of ways: a way over such an action is chosen where a detour costs more, or there is none.
+ORDER = 16.0
 
 
 class KnownEdges:
@@ -54,8 +56,9 @@ class KnownEdges:
     def edges(self) -> Edges:
         """The edges for a search. It sees edges that are evaluated later, but no change of the map."""
         nx, ny = self.standing.shape[1:]
-        doubtful = np.maximum(self._prices, self._least)
-        return Edges(self._edges, self._known, self.standing.ravel(), self._least, doubtful, nx, ny)
+        order, spared = ORDER / DOUBT * self._prices, (ORDER / DOUBT - 1) * self._prices
+        spared[np.isinf(spared)] = 0.0
+        return Edges(self._edges, self._known, self.standing.ravel(), self._least, order, spared, nx, ny)
 
     @property
     def across(self) -> float:
