@@ -4,8 +4,7 @@
 
 The last line is JSON. `whole_map_cpu_s` are the processor seconds of the shipped network on an arena of this size, for
 all `standing_states`, as `heuristic="learned"` evaluates it. `before_over_now` compares processor seconds for one
-heading with dense evaluation in torch, in float32. From 10 m on, keys of `benchmarks.queries` follow: first queries and
-updates in the paper's arena.
+heading with dense evaluation in torch, in float32.
 
 For all other keys, the network is the paper's without zero padding, with random weights, because neither speed nor
 equality depends on training. All patches on the map differ, so each is evaluated.
@@ -28,10 +27,7 @@ import time
 
 import numpy as np
 
-from benchmarks import queries
-
 CELLS_PER_METRE = 40
-ARENA = 10.0  # m, side of the paper's arena
 
 
 def main(argv=None) -> dict:
@@ -97,8 +93,6 @@ def main(argv=None) -> dict:
         **approximation(hardware, before),
         **shipped(hardware, arguments.size, arguments.seed),
     }
-    if arguments.size >= ARENA:
-        result |= queries.measured()
     print(json.dumps({key: round(value, 7) if isinstance(value, float) else value for key, value in result.items()}))
     return result
 

@@ -58,38 +58,3 @@ def bridged(edges, distances):
                 if (x, y) not in ((0, 0), (dx, dy)) and not np.isfinite(distances[between]):
                     result[between] = min(result[between], distances[k, a + dx, b + dy] + 0.5 * float(cost))
     return result
-
-
-def ordered_costs(edges, standing, prices, factor, goals, costs):
-    """Costs-to-go where an infeasible action from a standing state has a price, and a higher one in the choice of ways.
-
-    Args:
-        edges: float32 [16, nx, ny, 22].
-        standing: bool [16, nx, ny].
-        prices: float64 [16, 22]; ``factor`` times as high for the choice.
-        goals, costs: int64 [n, 3] (ix, iy, heading) and the cost at each.
-
-    Returns:
-        Costs of the chosen ways with the higher prices, and with the lower ones; both float64 [16, nx, ny].
-    """
-    _, nx, ny, _ = edges.shape
-    found = {}
-    queue = [(float(cost), float(cost), tuple(goal)) for goal, cost in zip(goals.tolist(), costs, strict=True)]
-    heapq.heapify(queue)
-    while queue:
-        ordered, counted, state = heapq.heappop(queue)
-        if state in found:
-            continue
-        found[state] = ordered, counted
-        ix, iy, heading = state
-        for action, (dx, dy, dtheta) in enumerate(ABSTRACT_ACTIONS.tolist()):
-            a, b, k = ix - dx, iy - dy, (heading - dtheta) % ABSTRACT_HEADINGS
-            if 0 <= a < nx and 0 <= b < ny and standing[k, a, b] and (a, b, k) not in found:
-                cost = float(edges[k, a, b, action])
-                price = cost if np.isfinite(cost) else float(prices[k, action])
-                dearer = cost if np.isfinite(cost) else factor * price
-                heapq.heappush(queue, (ordered + dearer, counted + price, (a, b, k)))
-    result = np.full((2, ABSTRACT_HEADINGS, nx, ny), np.inf)
-    for (a, b, k), both in found.items():
-        result[:, k, a, b] = both
-    return result

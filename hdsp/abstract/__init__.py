@@ -5,20 +5,11 @@
 - `manual`: the manually tuned abstraction
 - `oracle`: costs of the detailed planner from one state; `oracle_costs`: on a map
 - `prepared_graph`: costs-to-go on a map (`dijkstra`: search, `repair`: after a change, `bridging`: between action ends)
-- `asked_distances`: the same as far as a search asks for them, with edges evaluated on the way
 - `transform`: detailed states of abstract ones
 """
 
 from hdsp.abstract.abstract_conformance import check_abstract_costs
-from hdsp.abstract.abstract_costs import (
-    AbstractCosts,
-    BlockwiseCosts,
-    FlatCosts,
-    GradualCosts,
-    LocalCosts,
-    Region,
-    TaskPredictor,
-)
+from hdsp.abstract.abstract_costs import AbstractCosts, FlatCosts, GradualCosts, LocalCosts, Region, TaskPredictor
 from hdsp.abstract.manual import ManualCosts, ManualSettings
 from hdsp.abstract.oracle import CostKind, LabelSettings, task_costs
 from hdsp.abstract.oracle_costs import OracleCosts
@@ -27,7 +18,6 @@ from hdsp.abstract.transform import feet_at, feet_at_all
 
 __all__ = [
     "AbstractCosts",
-    "BlockwiseCosts",
     "CostKind",
     "FlatCosts",
     "GradualCosts",

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from hdsp.abstract.abstract_costs import Region, checked_mask, checked_region, close_exits
-from hdsp.abstract.flat_table import flat_table, planning_factors
+from hdsp.abstract.flat_table import planning_factors
 from hdsp.abstract.oracle import CostKind, checked_kind
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps, finished
@@ -30,11 +30,6 @@ WINDOW = 192
 #: Side in cells of a tile in dense evaluation. Larger tiles share more between patches; a map change affects less with
 #: smaller ones. A tile takes some tens of megabytes, independent of the map size.
 TILE = 96
-#: Side in abstract cells of the squares whose states a query evaluates together. Larger ones share more features, of
-#: which the query needs fewer.
-BLOCK = 8
-#: Least cost of an action, relative to flat ground. 0.1 % of the edges on the paper's arena are below 0.993.
-LEAST = 0.99
 
 
 class LearnedCosts:
@@ -87,17 +82,13 @@ class LearnedCosts:
         self.batch = batch
         #: Float32 [16, 22], factors on predicted costs by heading and action; None = label costs.
         self.factors = None
-        kind, known = checked_kind(kind), _trained_for(abstraction.provenance) if robot is None else Robot.load(robot)
-        if kind == CostKind.PLANNING:
+        if checked_kind(kind) == CostKind.PLANNING:
+            known = _trained_for(abstraction.provenance) if robot is None else Robot.load(robot)
             self.factors = None if known is None else planning_factors(known)
-        #: See ``BlockwiseCosts``.
-        self.least = None if known is None else LEAST * flat_table(known, None, kind)
         self._on_rotated_map = abstraction.is_dense()
         dense = method == "dense" or (method == "auto" and self._on_rotated_map)
         self._by_engine = dense and abstraction.engine is not None
         self._trunk = abstraction.network.dense_trunk() if dense and not self._by_engine else None
-        #: See ``BlockwiseCosts``. A tile takes as long for one state as for all its states.
-        self.block = TILE // lattice.CELLS_PER_ABSTRACT if self._trunk is not None else BLOCK
         exact = self._on_rotated_map or abstraction.model.encoding.is_local()
         if method == "dense" and not self._by_engine and (self._trunk is None or not exact):
             raise InputError(

@@ -16,7 +16,6 @@ import numpy as np
 
 from hdsp.abstract.abstract_costs import checked_region, close_exits, close_states
 from hdsp.base.errors import InputError, RefinementError
-from hdsp.base.gradual import finished
 from hdsp.detailed.relaxed.heading_masks import missing_feet
 from hdsp.detailed.relaxed.proofs import why_unreachable
 from hdsp.detailed.search.leaving import leave
@@ -31,7 +30,7 @@ from hdsp.planning.improving import improving_plans
 from hdsp.planning.polish import DEFAULT, Polish
 from hdsp.planning.query import Query
 from hdsp.planning.refinable import refinable_plan
-from hdsp.robot.lattice import ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS, Grid, abstract_shape, cells, metres
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS, Grid, cells, metres
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
@@ -127,7 +126,6 @@ def _try(robot: Robot, kind: QueryKind, learned: LearnedCosts | None) -> None:
     ends = arrival(world, grid, robot, [(middle[0] + metres(8.0), middle[1], None)], metres(1.0))
     heuristic.set_goals(ends.states, np.zeros(len(ends.states), np.int64))
     goal, _ = locate(world, grid, robot, (middle[0] + metres(8.0), middle[1], 0.2), "goal")
-    estimate, answers = finished(heuristic.steps_from(start, goal[None]))
     query = Query(
         terrain=terrain,
         robot=robot,
@@ -135,8 +133,7 @@ def _try(robot: Robot, kind: QueryKind, learned: LearnedCosts | None) -> None:
         grid=grid,
         world=world,
         heuristic=heuristic,
-        estimate=estimate,
-        answers=answers,
+        estimate=heuristic.set_goal(goal),
         start=start,
         goals=goal[None],
         goal_numbers=np.zeros(1, np.int64),
@@ -171,9 +168,7 @@ def _ground(robot: Robot) -> HeightMap:
 
 
 class _EvenCosts:
-    """Abstract costs in which every action costs 1, evaluated where a query needs them."""
-
-    block, least = 4, np.ones((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS))
+    """Abstract costs in which every action costs 1."""
 
     def edges(self, height_map: HeightMap, region=None, mask=None) -> np.ndarray:
         first_x, first_y, end_x, end_y = checked_region(height_map, region)
@@ -181,6 +176,3 @@ class _EvenCosts:
         close_states(edges, mask)
         close_exits(edges, height_map, region)
         return edges
-
-    def affected(self, changed: np.ndarray) -> np.ndarray:
-        return np.ones((ABSTRACT_HEADINGS, *abstract_shape(changed.shape)), bool)

@@ -67,8 +67,8 @@ def improving_plans(
                 "search_seconds": searched,
                 "lower_bound": lower,
                 "ended": how,
-                "heuristic_seconds": prepared + query.answered,
-                "seconds": searched + plan.stats.proof_seconds + prepared + query.answered + polished["polish_seconds"],
+                "heuristic_seconds": prepared,
+                "seconds": searched + plan.stats.proof_seconds + prepared + polished["polish_seconds"],
             }
             shown, last = bound, (best or plan).renewed(stats, bound=bound, refused=tuple(refused.words))
             yield last
@@ -106,13 +106,12 @@ def _rounds(
             hopeless=None if refused.words else proof.succeeds_by,  # a refused step is part of a plan
             progress=query.progress,
             at_end=reached.take,
-            answers=query.answers,
         )
         for found in rounds:
             plan = query.plan_of(found.result, PlanStatistics(query.heuristic.name, float(found.weight)), reached)
             spent_now = {
                 "expansions": plan.stats.expansions + spent,
-                "search_seconds": now() - began - proof.seconds - query.answered,
+                "search_seconds": now() - began - proof.seconds,
                 "proof_seconds": proof.seconds,
             }
             plan = plan.renewed(spent_now)

@@ -295,9 +295,7 @@ class Planner:
             plan = refinable_plan(query, search, plan, Polish(polish, second=True))
         else:
             plan = Polish(polish, second=True).of(query, plan)
-        return query.from_start(
-            plan.renewed({"heuristic_seconds": prepared + query.answered, "seconds": now() - began})
-        )
+        return query.from_start(plan.renewed({"heuristic_seconds": prepared, "seconds": now() - began}))
 
     def plan_each(self, start, goals: Sequence, weight: float | None = None, **options) -> list[Plan]:
         """Plans from start to each of several goals; returns one plan for each goal.
@@ -403,16 +401,12 @@ class Planner:
             )
         exact = ends.exact and len(ends.states) == 1
         groups = None if exact else np.unique(ends.goal, return_inverse=True)[1].ravel()
-        preparation = Gradual(self.heuristic.steps_from(begin.state, ends.states, groups))
+        preparation = Gradual(self.heuristic.steps_to(ends.states, groups))
         if not preparation.run(began + limits.time):
             return self._no_plan(Status.TIME_LIMIT, weight, began, (start, goal))
         spent = 0.0 if begin.way is None else float(begin.way.costs.sum())
         same = begin.world is self.world
-        estimate, answers = preparation.result
-        if answers is not None:
-            answers.ends = began + limits.time
-        if not same:
-            estimate = _on_ground(begin.world, estimate, ends)
+        estimate = preparation.result if same else _on_ground(begin.world, preparation.result, ends)
         return Query(
             terrain=begin.terrain,
             robot=self.robot,
@@ -432,7 +426,6 @@ class Planner:
             progress=progress,
             assumed=begin.assumed,
             way=begin.way,
-            answers=answers,
             measured=self.terrain if self.conditioning is None else None,
         )
 

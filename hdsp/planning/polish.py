@@ -92,9 +92,7 @@ class Polish:
             return plan
         windows = Windows(query.world, query.limits.memory)
         ends = min(began + self.seconds, query.ends)
-        answered = query.answered
         second, windows.expansions = self._second(query, plan, most, left, ends)
-        ends = min(ends + query.answered - answered, query.ends)  # edges count for the query, not for the polish
         most = min(windows.expansions + most, left)
         better = plan if second is None or second.cost >= plan.cost else second
         course = _Course.of(query, better)
@@ -122,15 +120,14 @@ class Polish:
             most, left: expansions of one search and of all, at most.
             ends: moment on the clock ``now`` at which the searches end.
         """
-        spent, answered = 0, query.answered
+        spent = 0
         if not self.second or query.admissible or plan.stats.anchor_weight:
             return None, spent
         for weight, limit in SECOND:
             limits = replace(query.limits, expansions=min(limit, most, left - spent))
             if weight >= plan.stats.weight or limits.expansions <= 0:
                 break
-            later = min(ends + query.answered - answered, query.ends)
-            other = replace(query, limits=limits, ends=later, progress=None).weighted(weight, bounded=False)
+            other = replace(query, limits=limits, ends=ends, progress=None).weighted(weight, bounded=False)
             spent += other.stats.expansions
             if other.solved:
                 return other, spent

@@ -19,7 +19,7 @@ from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_foothold_regions
 from hdsp.detailed.relaxed.proofs import Unreachable, nearest_state, proof_steps
 from hdsp.detailed.search.estimate import Estimate, grid_estimate, least_foot_cost, with_step_efforts
-from hdsp.detailed.search.life_cycle import Answers, Hopeless, Progress, Search
+from hdsp.detailed.search.life_cycle import Hopeless, Progress, Search
 from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.search.reached import Reached, reached_by
@@ -73,7 +73,6 @@ class Query:
         admissible, consistent: whether ``estimate`` is, as in ``Heuristic``.
         assumed: changes in the map under the start, in words; see ``Plan``.
         way: way out of the clearance of obstacles, which comes before ``start``; None without one.
-        answers: costs-to-go for which ``estimate`` asks during a search; None if it asks for nothing.
         measured: the planner's map, without changes under the start; None if it is conditioned.
         limits: of the whole query; ``ends`` counts instead of the time.
         ends: moment on the clock ``now`` at which the time is over.
@@ -98,17 +97,11 @@ class Query:
     assumed: tuple[str, ...] = ()
     way: WayOut | None = None
     measured: HeightMap | None = None
-    answers: Answers | None = None
 
     @property
     def goal(self) -> np.ndarray:
         """The state, int64 [7], among the goals that is nearest to the start in a straight line."""
         return nearest_state(self.start, self.goals)
-
-    @property
-    def answered(self) -> float:
-        """Seconds spent so far on answers to questions of the search."""
-        return 0.0 if self.answers is None else self.answers.seconds
 
     def time_left(self) -> float:
         """Seconds until the time is over, at least 0."""
@@ -140,7 +133,6 @@ class Query:
             nearest=True,
             at_end=reached.take,
             bounding=self.bounding() if bounded and not self.admissible else None,
-            answers=self.answers,
         )
         return self.plan_of(result, PlanStatistics(self.heuristic.name, float(weight)), reached)
 
@@ -159,7 +151,6 @@ class Query:
             hopeless=hopeless,
             progress=self.progress,
             at_end=reached.take,
-            answers=self.answers,
         )
         anchored, guided = result.expansions_by or (0, 0)
         stats = PlanStatistics(

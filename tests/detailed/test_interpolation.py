@@ -3,7 +3,6 @@ import pytest
 
 from hdsp.abstract import FlatCosts, OracleCosts
 from hdsp.detailed.search.interpolation import CostsToGo, interpolated
-from hdsp.detailed.search.reading import all_known
 from hdsp.detailed.states import pack, pack_states
 from hdsp.detailed.world.world import build_world
 from hdsp.planning.heuristics import AbstractHeuristic
@@ -32,7 +31,7 @@ def test_the_kernel_equals_its_twin(kind):
         feet[tuple(at)] = tuple(random.integers(lowest, highest + 1, 4).tolist())
         packed[tuple(at)] = pack(0, 0, 0, *(offset - lowest for offset in feet[tuple(at)]))
     uneven = np.ones(shape[1:], bool)
-    table = CostsToGo(values.ravel(), packed.ravel(), uneven.ravel(), *shape[1:], all_known())
+    table = CostsToGo(values.ravel(), packed.ravel(), uneven.ravel(), *shape[1:])
     standing = valid_states(twin, random, 60)
     feet_of_state = random.integers(lowest, highest + 1, (len(standing), 8, 4)).tolist()
     stretched = [(*state[:3], *each) for state, some in zip(standing, feet_of_state, strict=True) for each in some]

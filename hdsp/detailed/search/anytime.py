@@ -15,7 +15,7 @@ import numpy as np
 from hdsp.detailed.search import kernel
 from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
 from hdsp.detailed.search.estimate import Estimate
-from hdsp.detailed.search.life_cycle import Answers, AtEnd, Hopeless, Progress, Search
+from hdsp.detailed.search.life_cycle import AtEnd, Hopeless, Progress, Search
 from hdsp.detailed.search.outcome import Limits, Path, SearchResult, Status
 from hdsp.detailed.search.store import find
 from hdsp.detailed.world.world import World
@@ -51,7 +51,6 @@ def improve(
     hopeless: Hopeless | None = None,
     progress: Progress | None = None,
     at_end: AtEnd | None = None,
-    answers: Answers | None = None,
 ) -> Iterator[Improvement]:
     """Searches in rounds and yields after each better plan and each round.
 
@@ -68,13 +67,13 @@ def improve(
             None = the admissible heuristic guides all rounds.
         limits: for all rounds together; time counts from the first ``next``.
         hopeless: proof that no plan exists; it takes turns with the search until there is a plan, see ``Search.ask``.
-        progress, at_end, answers: see ``solve``.
+        progress, at_end: see ``solve``.
 
     Yields:
         The best result so far, possibly without a plan. Costs never rise, lower bounds never fall. Only the last
         improvement has ``ended``.
     """
-    search = Search(world, start, goals, limits=limits, progress=progress, nearest=True, answers=answers)
+    search = Search(world, start, goals, limits=limits, progress=progress, nearest=True)
     if (invalid := search.impossible) is not None:
         yield Improvement(SearchResult.of([invalid], [None]), weights[0], invalid)
         return

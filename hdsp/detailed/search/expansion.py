@@ -12,24 +12,11 @@ from hdsp.detailed.actions.successors import other_successors, pose_successors
 from hdsp.detailed.search.backward import SETTLED
 from hdsp.detailed.search.estimate import estimate, resume
 from hdsp.detailed.search.open_list import push
-from hdsp.detailed.search.reading import missing
 from hdsp.detailed.search.store import CLOSED, CUT, SEEN, node_of
 from hdsp.detailed.states import FEET_MASK
 
 #: Nodes that the backward search settles in the time of an expansion, roughly.
 _SETTLED = 4
-
-
-@njit(inline="always")
-def asks(world, heuristic, key):
-    """Whether the expansion of a packed state needs costs-to-go that the heuristic does not know yet.
-
-    They are then named in ``wanted`` of the ``Reading``.
-    """
-    table = heuristic.to_go
-    if len(table.reading.known) == 0:
-        return False
-    return missing(table.reading, table.values, table.uneven, world.tables.ahead, table.nx, table.ny, key) > 0
 
 
 @njit(inline="always")

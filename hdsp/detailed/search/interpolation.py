@@ -25,12 +25,12 @@ import numpy as np
 
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import foot_row, merged_cost
-from hdsp.detailed.search.reading import AHEAD, Reading, all_known
 from hdsp.detailed.states import FEET_MASK, foot_offset, foot_shift, neutral_feet, unpack
 from hdsp.detailed.world.world import cell_index, step_effort
 from hdsp.robot.lattice import ABSTRACT_ANCHOR, ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT
 
 _NEAR = 2  # cells; a reference within an edge's clearance belongs to a foothold that is no farther away
+_AHEAD = 8  # cells; farthest look ahead for falling costs-to-go
 #: Price of rolling that a foot puts off, relative to its cost: so high that other states come first.
 PUT_OFF = 100.0
 
@@ -43,7 +43,6 @@ class CostsToGo(NamedTuple):
         feet: int32 [16 * nx * ny], reference feet as packed bits (``hdsp.detailed.states``), -1 for neutral feet.
         uneven: bool [nx * ny], whether an edge may lie between a foot and its reference.
         nx, ny: size in abstract cells.
-        reading: which values are known.
     """
 
     values: np.ndarray
@@ -51,13 +50,12 @@ class CostsToGo(NamedTuple):
     uneven: np.ndarray
     nx: int
     ny: int
-    reading: Reading
 
 
 def no_costs_to_go() -> CostsToGo:
     """Returns an empty table."""
     nothing = np.empty(0, np.float32), np.empty(0, np.int32), np.empty(0, np.bool_)
-    return CostsToGo(*nothing, 0, 0, all_known())
+    return CostsToGo(*nothing, 0, 0)
 
 
 @njit(allocates=False)
@@ -140,7 +138,7 @@ def _correction(world, table, key, place, along, prices):
         if at >= offset:
             steps += work
             rolling += roll * (reference - offset)
-        elif work > 0 and _falls(world, table, ix, iy, heading, min(offset - reference, AHEAD)):
+        elif work > 0 and _falls(world, table, ix, iy, heading, min(offset - reference, _AHEAD)):
             steps -= work
             rolling -= roll * (offset - reference)
         else:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hdsp.base.jit import njit
 from hdsp.detailed.search.estimate import estimate
-from hdsp.detailed.search.expansion import asks, begin_at, expand, offer, relax, rises
+from hdsp.detailed.search.expansion import begin_at, expand, offer, relax, rises
 from hdsp.detailed.search.open_list import FAR, NEAR, list_has_room, pop, push, refill
 from hdsp.detailed.search.store import (
     BLOCK,
@@ -29,7 +29,7 @@ from hdsp.detailed.search.store import (
     waits,
 )
 
-RUNNING, SOLVED, EXHAUSTED, OVER_COST_LIMIT, FULL, ASKS = range(6)
+RUNNING, SOLVED, EXHAUSTED, OVER_COST_LIMIT, FULL = range(5)
 
 
 @njit(allocates=False)
@@ -107,7 +107,7 @@ def run(world, rules, heuristic, store, open_list, weight, goals, goal_cost, cos
 
     Returns:
         RUNNING, SOLVED (enough goals settled, ``GOALS_LEFT`` is 0), EXHAUSTED (no state left to expand),
-        OVER_COST_LIMIT, FULL or ASKS (the heuristic lacks costs-to-go for the next state, see ``expansion.asks``).
+        OVER_COST_LIMIT or FULL.
     """
     flags, count = store.flags, store.counts
     until = count[EXPANDED] + expansions
@@ -122,9 +122,6 @@ def run(world, rules, heuristic, store, open_list, weight, goals, goal_cost, cos
         if open_list.f[0] > f_limit:
             return OVER_COST_LIMIT
         f = open_list.f[0]
-        # The state stays in its place in the list if costs-to-go are missing: states of equal f keep their order.
-        if not flags[open_list.node[0]] & CLOSED and asks(world, heuristic, key_of(store, open_list.node[0])):
-            return ASKS
         node = pop(open_list)
         if flags[node] & CLOSED:
             continue

@@ -10,7 +10,6 @@ between turns, so a proof takes at most 1 / PROOF_SHARE times its own time, or i
 """
 
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 
@@ -42,22 +41,6 @@ Progress = Callable[[int, float], object]
 #: Callback with a search that ended without a plan.
 AtEnd = Callable[["Search"], object]
 
-
-class Answers(Protocol):
-    """Costs-to-go that a heuristic computes when a search asks for them.
-
-    Attributes:
-        seconds: time spent so far. It does not count as time of the search.
-        ends: moment on the clock ``now`` at which the time is over, for answers and searches together.
-    """
-
-    seconds: float
-    ends: float
-
-    def answer(self) -> bool:
-        """Computes the costs-to-go for which a kernel asked; returns False at the end of time."""
-
-
 #: Proof that no plan exists, continued until a moment on the clock ``now``. Returns True after a success, False after a
 #: failure, None before its end.
 Hopeless = Callable[[float], bool | None]
@@ -88,7 +71,6 @@ class Search:
         limits: limits that end the search.
         progress: callback, called regularly.
         nearest: whether the first settled goal ends the search.
-        answers: costs-to-go for which the heuristic's kernel asks; None if it asks for nothing.
 
     Attributes:
         goals: int64 [n], packed.
@@ -108,10 +90,8 @@ class Search:
         limits: Limits | None = None,
         progress: Progress | None = None,
         nearest: bool = False,
-        answers: Answers | None = None,
     ):
         self.began, self.paused = now(), 0.0
-        self.answers, self.answering = answers, 0.0
         self.world, self.rules, self.limits, self.progress = world, rules or Rules(), limits or Limits(), progress
         self.start = int(pack_states(start, world.tables.lowest)[0])
         self.goals = pack_states(goals, world.tables.lowest)
@@ -213,10 +193,10 @@ class Search:
         if self.store.counts[EXPANDED] < (FEW if at_limit else self.alone) or not (ended is None or at_limit):
             return None
         began = now()
-        until = self.began + self.limits.time + self.answering
+        until = self.began + self.limits.time
         if not at_limit:
             searched = began - self.began - self.paused
-            until = min(until, began + searched * PROOF_SHARE / (1 - PROOF_SHARE) - (self.paused - self.answering))
+            until = min(until, began + searched * PROOF_SHARE / (1 - PROOF_SHARE) - self.paused)
         if until <= began:
             return None
         answer = hopeless(until)
@@ -239,29 +219,17 @@ class Search:
             return _ENDS[code]
         if code == kernel.FULL and not self._grow():
             return Status.MEMORY_LIMIT
-        if code == kernel.ASKS and not self._answered():
-            return Status.TIME_LIMIT
-        elapsed = now() - self.began - self.answering
+        elapsed = now() - self.began
         if self.progress is not None:
             self.progress(int(self.store.counts[EXPANDED]), elapsed)
-        over = self.answers is not None and now() > self.answers.ends
-        return Status.TIME_LIMIT if over or elapsed > self.limits.time else None
-
-    def _answered(self) -> bool:
-        """Has the costs-to-go computed that the next state needs; returns False at the time limit."""
-        assert self.answers is not None
-        began = now()
-        found = self.answers.answer()
-        self.answering += now() - began
-        self.paused += now() - began
-        return found
+        return Status.TIME_LIMIT if elapsed > self.limits.time else None
 
     def _slice(self) -> int:
         """Number of expansions until the next look at the clock, so that the time limit is kept."""
         done, elapsed = int(self.store.counts[EXPANDED]), now() - self.began
         if done == 0:
             return min(_FIRST, _SLICE)
-        possible = (self.limits.time - elapsed + self.answering) * done / max(elapsed - self.paused, 1e-6)
+        possible = (self.limits.time - elapsed) * done / max(elapsed - self.paused, 1e-6)
         return int(min(max(possible / 2, _LEAST), _SLICE))
 
     def _run(self, expansions: int) -> int:

@@ -28,7 +28,7 @@ from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.search import kernel, multi_kernel
 from hdsp.detailed.search.bounds import rounding, suboptimality
 from hdsp.detailed.search.estimate import Estimate
-from hdsp.detailed.search.life_cycle import Answers, AtEnd, Hopeless, Progress, Search
+from hdsp.detailed.search.life_cycle import AtEnd, Hopeless, Progress, Search
 from hdsp.detailed.search.open_list import first_f
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.search.store import CUT, find
@@ -49,7 +49,6 @@ def solve_multi(
     hopeless: Hopeless | None = None,
     progress: Progress | None = None,
     at_end: AtEnd | None = None,
-    answers: Answers | None = None,
 ) -> SearchResult:
     """Searches with shared multi-heuristic A* from one detailed state to the nearest of one or several goals.
 
@@ -61,7 +60,7 @@ def solve_multi(
         guides: heuristics that may overestimate; a guide leaves states with the value inf to the other heuristics.
         weight: W1 >= 1, factor on all heuristics.
         anchor_weight: W2 >= 1, largest ratio between a guide's key and the anchor's least key.
-        rules, limits, hopeless, progress, at_end, answers: see ``solve``.
+        rules, limits, hopeless, progress, at_end: see ``solve``.
 
     Returns:
         A result with one status. The cost of a plan is at most ``bound <= W1 W2`` times the optimum.
@@ -74,7 +73,7 @@ def solve_multi(
             raise InputError(f"{name} is {value}; it must be a finite number >= 1")
     if not guides:
         raise InputError("a multi-heuristic search needs one guide at least")
-    search = _MultiSearch(world, start, goals, rules, limits, progress, nearest=True, answers=answers)
+    search = _MultiSearch(world, start, goals, rules, limits, progress, nearest=True)
     if (invalid := search.impossible) is not None:
         return SearchResult.of([invalid], [None])
     ended = search.begin_guided(anchor, guides, weight, anchor_weight)

@@ -3,8 +3,8 @@
 import numpy as np
 
 from hdsp.base.jit import njit
-from hdsp.detailed.search.expansion import asks, begin_at, expand, offer, relax, rises
-from hdsp.detailed.search.kernel import ASKS, EXHAUSTED, FULL, OVER_COST_LIMIT, RUNNING, SOLVED
+from hdsp.detailed.search.expansion import begin_at, expand, offer, relax, rises
+from hdsp.detailed.search.kernel import EXHAUSTED, FULL, OVER_COST_LIMIT, RUNNING, SOLVED
 from hdsp.detailed.search.open_list import first_f, list_has_room, pop, push
 from hdsp.detailed.search.store import CLOSED, CUT, EXPANDED, GOAL, has_room, key_of
 
@@ -43,14 +43,6 @@ def _offer_all(world, store, anchor_list, guide_lists, anchor, guides, weight, k
         return
     for i in range(len(guide_lists)):
         offer(world, guide_lists[i], store, guides[i], weight, key, node)
-
-
-@njit(inline="always")
-def _one_asks(world, guides, key):
-    lacking = False
-    for i in range(len(guides)):
-        lacking = lacking or asks(world, guides[i], key)
-    return lacking
 
 
 @njit(inline="always")
@@ -106,16 +98,12 @@ def run(
         if first < np.inf and first <= anchor_weight * least:
             if costs[goal] <= first:
                 return SOLVED
-            if _one_asks(world, guides, key_of(store, guide_list.node[0])):
-                return ASKS
             node = pop(guide_list)
             guided[turn] += 1
             flags[node] |= CLOSED | GUIDED
         else:
             if costs[goal] <= anchor_weight * least:
                 return SOLVED
-            if _one_asks(world, guides, key_of(store, anchor_list.node[0])):
-                return ASKS
             node = pop(anchor_list)
             work = rises(world, anchor_list, store, anchor, weight, key_of(store, node), node, np.float32(least))
             if work > 0:

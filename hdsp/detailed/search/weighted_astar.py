@@ -5,7 +5,7 @@ import numpy as np
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.search.bounds import rounding, suboptimality
 from hdsp.detailed.search.estimate import Estimate, settle_for
-from hdsp.detailed.search.life_cycle import Answers, AtEnd, Hopeless, Progress, Search
+from hdsp.detailed.search.life_cycle import AtEnd, Hopeless, Progress, Search
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.world.world import World
 
@@ -32,7 +32,6 @@ def solve(
     nearest: bool = False,
     at_end: AtEnd | None = None,
     bounding: Estimate | None = None,
-    answers: Answers | None = None,
 ) -> SearchResult:
     """Searches with weighted A* from one detailed state to one or several goals.
 
@@ -66,14 +65,13 @@ def solve(
         at_end: called with the search that ended without a plan, before its states are dropped.
         bounding: admissible heuristic that bounds the cost of a plan from below where ``heuristic`` is not admissible.
             Its backward search settles a few nodes in proportion to the expansions, so that it takes little time.
-        answers: costs-to-go for which the heuristic's kernel asks.
 
     Returns:
         A result with one status per goal, or with one status for ``nearest``, and the proven bounds if there is one
         status.
     """
     limits = limits or Limits()
-    search = Search(world, start, goals, rules, limits, progress, nearest, answers)
+    search = Search(world, start, goals, rules, limits, progress, nearest)
     if None not in search.invalid:
         wrong = [status for status in search.invalid if status][: 1 if nearest else None]
         return SearchResult.of(wrong, [None] * len(wrong))

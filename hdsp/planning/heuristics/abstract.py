@@ -4,39 +4,36 @@ from __future__ import annotations
 
 import numpy as np
 
-from hdsp.abstract.abstract_costs import AbstractCosts, Region
-from hdsp.abstract.asked_distances import AskedDistances, distances_from, least_costs_to
+from hdsp.abstract.abstract_costs import AbstractCosts, LocalCosts, Region, edge_steps
+from hdsp.abstract.cut_off import reconnect
+from hdsp.abstract.prepared_graph import PreparedGraph
 from hdsp.base.gradual import Gradual, Steps, finished
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, efforts_to, foothold_region_steps
 from hdsp.detailed.search.estimate import Estimate, geometric_estimate, least_foot_cost, with_step_efforts
 from hdsp.detailed.search.interpolation import CostsToGo
-from hdsp.detailed.search.life_cycle import Answers
-from hdsp.detailed.search.reading import Reading, all_known, reading
-from hdsp.detailed.states import pack_states
 from hdsp.detailed.world.world import World
-from hdsp.planning.heuristics.asked_costs import AskedCosts, all_distances
 from hdsp.planning.heuristics.goal_sources import Sources, goal_sources
 from hdsp.planning.heuristics.heuristic import Heuristic
-from hdsp.planning.heuristics.known_edges import KnownEdges
 from hdsp.planning.heuristics.standing import standing_steps, uneven_cells, updated_standing
 from hdsp.planning.map_changes import changed_cells
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT
 from hdsp.terrain.height_map import HeightMap
+
+#: Price of an action that the abstraction judges infeasible, relative to its cost on even ground.
+DOUBT = 3.0
 
 
 class AbstractHeuristic(Heuristic):
-    """Costs-to-go in an abstraction: a backward search from each goal, interpolated between abstract states.
+    """Costs-to-go in an abstraction: one backward Dijkstra search per goal, interpolated between abstract states.
 
     The work of the feet completes them (``hdsp.detailed.search.interpolation``). The geometric heuristic, with the
     least steps of each foot (``hdsp.detailed.relaxed.foothold_regions``), counts where it is larger. A state without
-    rest inside an abstract action, e.g. on a step, counts the rest of this action.
+    rest inside an abstract action, e.g. on a step, counts the rest of this action (``PreparedGraph.bridged``).
 
-    A query searches only as far as it needs costs-to-go, and ``BlockwiseCosts`` are evaluated only there. The costs are
-    those of a complete search (``hdsp.abstract.asked_distances``).
-
-    Actions that the abstraction judges infeasible keep a high price (``known_edges.DOUBT``); states far from any
-    abstract state come after all others. An error in the abstraction therefore costs time, but every solvable task
-    stays solvable.
+    States that the abstraction cuts off from the goal are connected at high prices (``hdsp.abstract.cut_off``); states
+    far from any abstract state come after all others. An error in the abstraction therefore costs time, but every
+    solvable task stays solvable.
 
     Args:
         world: terrain and robot, compiled.
@@ -50,63 +47,40 @@ class AbstractHeuristic(Heuristic):
     def __init__(self, world: World, terrain: HeightMap, costs: AbstractCosts, name: str = "abstract"):
         super().__init__(world)
         self.name, self.costs, self.terrain = name, costs, terrain
-        self._known: KnownEdges | None = None
-        self._feet = np.empty(0, np.int32)  # feet at abstract states where the robot can stand, else -1
+        self._graph: PreparedGraph | None = None
+        self._feet = np.empty(0, np.int32)  # of the graph: feet where the robot can stand, else -1
         self._uneven = np.empty(0, bool)  # abstract cells around which feet may step
-        self._last: tuple[Sources, AskedDistances] | None = None  # the last query's search
-        self._asked: AskedCosts | None = None  # answers for the last estimate; None if it is complete
+        self._reached: tuple[Sources, np.ndarray] | None = None  # abstract goals and distances to them
         self._foothold_regions: FootholdRegions | None = None
         self._preparation: Gradual[None] | None = None  # begun, and not yet complete
 
     @property
-    def known(self) -> KnownEdges:
-        """The edges evaluated so far."""
-        finished(self._prepared())
-        assert self._known is not None
-        return self._known
+    def graph(self) -> PreparedGraph:
+        """The abstract graph for the whole map; computed at first use."""
+        self.prepare()
+        assert self._graph is not None
+        return self._graph
 
     @property
     def foothold_regions(self) -> FootholdRegions:
         """Regions in which feet can roll, and the steps between them; computed at first use."""
-        finished(self._prepared())
+        self.prepare()
         assert self._foothold_regions is not None
         return self._foothold_regions
 
-    @property
-    def evaluated(self) -> float:
-        """Share of the states at which the robot can stand whose edges are evaluated."""
-        return 1 - len(self.known.missing()) / max(int(self.known.standing.sum()), 1)
-
     def prepare(self) -> None:
-        finished(self._all_edges())
+        finished(self._prepared())
 
     def steps_to(self, goals: np.ndarray, groups: np.ndarray | None = None) -> Steps[Estimate]:
-        yield from self._all_edges()
+        yield from self._prepared()
+        sources = self._sources(goals)
+        if self._reached is None or not self._reached[0].equal(sources):
+            self._reached = sources, (yield from self.graph.distance_steps(sources.states, sources.costs))
         return (yield from super().steps_to(goals, groups))
 
-    def steps_from(
-        self, start: np.ndarray, goals: np.ndarray, groups: np.ndarray | None = None
-    ) -> Steps[tuple[Estimate, Answers | None]]:
-        yield from self._prepared()
-        if not self.known.blockwise:
-            yield from self.known.evaluate_all()
-        search = self._search_to(goals)
-        read = reading(self.world, search.known)
-        estimate = self._view(goals, np.zeros(1, np.int64) if groups is None else groups, search, read)
-        asked = AskedCosts(self.world, self.known, search, estimate.to_go)
-        yield from asked.know(int(pack_states(start, self.world.tables.lowest)[0]))
-        self._estimate, self._asked = estimate, asked
-        return estimate, asked
-
-    def __call__(self, states: np.ndarray) -> np.ndarray:
-        if self._estimate is not None and self._asked is not None:
-            for key in pack_states(states, self.world.tables.lowest).tolist():
-                finished(self._asked.know(key))
-        return super().__call__(states)
-
     def _prepared(self) -> Steps[None]:
-        """Continues the preparation for the map without its edges, begun by this query or by an earlier one."""
-        while self._known is None or self._foothold_regions is None:
+        """Continues the preparation for the map, begun by this query or by an earlier one."""
+        while self._graph is None or self._foothold_regions is None:
             if self._preparation is None or self._preparation.failed or self._preparation.done:
                 self._preparation = Gradual(self._preparation_steps())
             self._preparation.step()
@@ -114,66 +88,84 @@ class AbstractHeuristic(Heuristic):
         self._preparation = None
 
     def _preparation_steps(self) -> Steps[None]:
-        world = self.world
+        world, terrain = self.world, self.terrain
         if self._foothold_regions is None:
             self._foothold_regions = yield from foothold_region_steps(world, Rules(), least_foot_cost(world))
-        if self._known is None:
+        if self._graph is None:
             feet = yield from standing_steps(world)
-            known = KnownEdges(world, self.terrain, self.costs, feet >= 0)
-            self._feet, self._uneven, self._known = feet, uneven_cells(world), known
-
-    def _all_edges(self) -> Steps[None]:
-        yield from self._prepared()
-        yield from self.known.evaluate_all()
+            edges = yield from edge_steps(self.costs, terrain, feet >= 0)
+            yield
+            graph = PreparedGraph.from_edges(edges)
+            yield
+            _ = graph.passed_over
+            self._feet, self._uneven, self._graph = feet, uneven_cells(world), graph
 
     def clear(self) -> None:
         super().clear()
-        self._last = self._asked = None
+        self._reached = None
 
     def estimate_for(self, goal: np.ndarray) -> Estimate:
         return self.estimate_for_nearest(goal[None], np.zeros(1, dtype=np.int64))
 
     def estimate_for_nearest(self, goals: np.ndarray, groups: np.ndarray) -> Estimate:
-        self.prepare()
-        search, self._asked = self._search_to(goals), None
-        all_distances(search)
-        return self._view(goals, groups, search, all_known())
-
-    def _view(self, goals: np.ndarray, groups: np.ndarray, search: AskedDistances, read: Reading) -> Estimate:
+        to_go = self._cost_to_go(self._sources(goals))
+        finite = to_go[np.isfinite(to_go)]
         efforts = efforts_to(self.foothold_regions, self.world, goals)
-        view = with_step_efforts(geometric_estimate(self.world, goals, groups), self.foothold_regions.region, efforts)
-        nx, ny = self.known.standing.shape[1:]
-        table = CostsToGo(search.values, self._feet.ravel(), self._uneven.ravel(), nx, ny, read)
-        return view._replace(to_go=table, outside=self.known.across)
+        geometric = geometric_estimate(self.world, goals, groups)
+        table = CostsToGo(
+            values=np.ascontiguousarray(to_go, dtype=np.float32).ravel(),
+            feet=self._feet.ravel(),
+            uneven=self._uneven.ravel(),
+            nx=to_go.shape[1],
+            ny=to_go.shape[2],
+        )
+        view = with_step_efforts(geometric, self.foothold_regions.region, efforts)
+        return view._replace(to_go=table, outside=float(finite.max()) if len(finite) else 0.0)
 
-    def _search_to(self, goals: np.ndarray) -> AskedDistances:
-        """The backward search for goals; the last one goes on if it has the same sources."""
-        sources = goal_sources(self.world, self.known.standing, goals)
-        if self._last is None or not self._last[0].equal(sources):
-            edges, states = self.known.edges, sources.states
-            places = np.ravel_multi_index((states[:, 2], states[:, 0], states[:, 1]), self._feet.shape)
-            to_goal = least_costs_to(edges, places, sources.costs)
-            self._last = sources, distances_from(edges, places, sources.costs, sources.excess, to_goal)
-        return self._last[1]
+    def _sources(self, goals: np.ndarray) -> Sources:
+        self.prepare()
+        return goal_sources(self.world, self._feet >= 0, goals)
+
+    def _cost_to_go(self, sources: Sources) -> np.ndarray:
+        if self._reached is None or not self._reached[0].equal(sources):
+            self._reached = sources, self.graph.distances(sources.states, sources.costs)
+        to_go = self.graph.bridged(self._reached[1])
+        to_go = np.maximum(to_go - sources.excess, 0.0)
+        reconnect(to_go, (self._feet >= 0) | self.graph.passed_over, self._prices())
+        return to_go
+
+    def _prices(self) -> np.ndarray:
+        """Prices of actions that the abstraction judges infeasible, float64 [16, 22]; see ``reconnect``."""
+        t = self.world.tables
+        drives = CELLS_PER_ABSTRACT * t.drive_price[0, ::HEADINGS_PER_ABSTRACT, : len(t.move_dx)]
+        turns = np.full((ABSTRACT_HEADINGS, 2), HEADINGS_PER_ABSTRACT * self.world.constants.turn)
+        return DOUBT * np.concatenate([drives, turns], axis=1)
 
     def update(self, world: World, terrain: HeightMap, region: Region | None = None) -> None:
         """See ``Heuristic.update``.
 
-        ``LocalCosts`` name the states that a change touches. Only their edges are evaluated again, where a query needs
-        them. Other costs start from nothing.
+        ``LocalCosts`` name the states that a change touches. Their edges are computed again, and the costs-to-go for
+        the last goal that depend on them. Other costs start from nothing.
         """
-        changed = changed_cells(self.terrain, terrain, region)
-        before = self.world
+        changed, before = changed_cells(self.terrain, terrain, region), self.world
         super().update(world, terrain, region)
         self.terrain, self._foothold_regions, self._preparation = terrain, None, None
-        if changed is not None and not changed.any():
-            return
-        self._last = self._asked = None
-        if self._known is None or changed is None:
-            self._known = None
+        if self._graph is None or changed is None or not isinstance(self.costs, LocalCosts):
+            self._graph = self._reached = None
             return
         feet = updated_standing(before, world, self._feet)
-        if self._known.update(terrain, feet >= 0, changed):
-            self._feet, self._uneven = feet, uneven_cells(world)
-        else:
-            self._known = None
+        standing, stood = feet >= 0, self._feet >= 0
+        # States at which the robot could not stand before have no edges yet.
+        stale = standing & (self.costs.affected(changed) | ~stood)
+        states = np.argwhere(stale | (stood & ~standing))
+        self._feet, self._uneven = feet, uneven_cells(world)
+        if len(states) == 0:
+            return
+        (_, *first), (_, *last) = states.min(axis=0), states.max(axis=0)
+        box = (slice(None), slice(first[0], last[0] + 1), slice(first[1], last[1] + 1))
+        edges = self.costs.edges(terrain, (*first, last[0] + 1, last[1] + 1), stale[box])
+        k, a, b = states.T
+        self._graph = self._graph.with_edges(states, edges[k, a - first[0], b - first[1]])
+        if self._reached is not None:
+            sources, distances = self._reached
+            self._reached = sources, self._graph.repaired(distances, sources.states, states, sources.costs)

@@ -10,7 +10,6 @@ from hdsp.abstract.abstract_costs import Region
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps
 from hdsp.detailed.search.estimate import Estimate, final_estimates, geometric_estimate
-from hdsp.detailed.search.life_cycle import Answers
 from hdsp.detailed.states import pack_states
 from hdsp.detailed.world.world import World
 from hdsp.terrain.height_map import HeightMap
@@ -80,22 +79,6 @@ class Heuristic(ABC):
         self.prepare()
         yield
         return self.set_goal(goals[0]) if groups is None else self.set_goals(goals, groups)
-
-    def steps_from(
-        self, start: np.ndarray, goals: np.ndarray, groups: np.ndarray | None = None
-    ) -> Steps[tuple[Estimate, Answers | None]]:
-        """Like ``steps_to``, for a search from one start; here, ``steps_to`` without answers.
-
-        A subclass may leave out work that this search does not need, if it answers the search's questions later.
-
-        Args:
-            start: int64 [7], lattice units.
-            goals, groups: as for ``steps_to``.
-
-        Returns:
-            The estimate, and answers to questions of the kernels; None if they ask for nothing.
-        """
-        return (yield from self.steps_to(goals, groups)), None
 
     def __call__(self, states: np.ndarray) -> np.ndarray:
         """Estimated costs, float64 [n], for detailed states [n, 7].
