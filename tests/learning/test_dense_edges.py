@@ -143,7 +143,7 @@ def test_patches_of_a_rotated_map(heading):
 def test_the_benchmark_counts_and_compares(capsys):
     from benchmarks import edges
 
-    result = edges.main(["--size", "1.5", "--sample", "0.02"])
+    result = edges.main(["--size", "1.5", "--sample", "0.02", "--threads", "1"])
     assert result["update_identical"]
     assert result["largest_difference"] < 1e-4
     assert result["differently_feasible"] < 1e-3

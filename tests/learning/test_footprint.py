@@ -84,12 +84,15 @@ def test_a_turn_to_the_other_side_is_the_mirrored_turn_of_a_mirrored_network(net
 def test_whole_maps_in_bfloat16(network):
     heights = rough_patches(1)[0]
     terrain = HeightMap(np.tile(heights, (2, 2)))
-    region = (8, 8, 12, 12)
+    region, mask = (8, 8, 12, 12), np.zeros((16, 4, 4), bool)
+    mask[[0, 3]] = True
 
     def edges(precision):
         settings = load_settings(ModelSettings, model_file("footprint"), "model")
         hardware = HardwareSettings(accelerator="cpu", precision=precision)
-        return LearnedCosts(LearnedAbstraction(network, settings, Provenance(), {}, hardware)).edges(terrain, region)
+        return LearnedCosts(LearnedAbstraction(network, settings, Provenance(), {}, hardware)).edges(
+            terrain, region, mask
+        )
 
     exact, rough = edges("32"), edges("bf16")
     both = np.isfinite(exact) & np.isfinite(rough)
