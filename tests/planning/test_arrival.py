@@ -5,11 +5,12 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
 from hdsp import HeightMap, InputError, Planner, Status
 from hdsp.abstract.transform import feet_at
+from hdsp.detailed.search.bounds import rounding
 from hdsp.planning.ends import arrival
 from hdsp.robot.lattice import HEADINGS, RESOLUTION, heading_angle
 from tests.detailed.instances import NIMBLE, blocky, valid_states
@@ -71,6 +72,7 @@ def test_with_a_tolerance_the_plan_is_the_cheapest_to_any_state_within_it(seed, 
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@example(seed=50, weight=1.0, manual=True)
 @given(seed=st.integers(0, 10_000), weight=st.sampled_from([1.0, 1.5]), manual=st.booleans())
 def test_several_goals_cost_the_least_of_the_single_costs_and_more_tolerance_never_costs_more(seed, weight, manual):
     planner, _, _, start, goals = toy_scene(seed)
@@ -84,7 +86,9 @@ def test_several_goals_cost_the_least_of_the_single_costs_and_more_tolerance_nev
         assert plan.cost >= min(single) - 1e-6
         assert manual or plan.cost <= weight * min(single) + 1e-6
         anchored = guided.plan(start, goals, weight, anchor_weight=1.5)
-        assert anchored.cost <= min(anchored.bound, 1.5 * weight) * min(single) + 1e-6
+        # A bound of 1 means: no worse than the optimum, up to rounding of the costs in the store.
+        rounded = 3 * rounding(planner.world) * anchored.cost
+        assert anchored.cost <= min(anchored.bound, 1.5 * weight) * min(single) * (1 + rounded) + 1e-6
         *_, last = guided.improve(start, goals)
         assert last.cost == pytest.approx(min(single), rel=1e-6)
         assert min(single) >= single[last.goal_index] - 1e-6
