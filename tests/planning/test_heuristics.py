@@ -3,11 +3,13 @@ import pytest
 
 from hdsp.abstract import FlatCosts, ManualCosts
 from hdsp.base.errors import InputError
+from hdsp.base.gradual import finished
 from hdsp.detailed.relaxed.foothold_regions import efforts_to
 from hdsp.detailed.search.estimate import estimate
 from hdsp.detailed.states import pack_states, unpack_states
 from hdsp.detailed.world.world import build_world, cell_index
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, standing_states
+from hdsp.planning.heuristics.standing import standing_steps, updated_standing
 from hdsp.planning.map_changes import changed_cells
 from hdsp.planning.planner import Planner
 from hdsp.robot.lattice import (
@@ -178,6 +180,21 @@ class Local(FlatCosts):
     def affected(self, changed):
         nx, ny = abstract_shape(changed.shape)
         return np.repeat(changed[2::4, 2::4][None, :nx, :ny], 16, axis=0)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_standing_states_after_a_change_are_those_of_a_new_map(seed):
+    random = np.random.default_rng(seed)
+    robot = Robot.load(("momaro", "anymal_wheels", "go2w")[seed % 3])
+    terrain = random_map(seed, ("cuboid_2", "staircase", "plane_mixed", "long_ramp")[seed % 4], seed)
+    heights = terrain.heights.copy()
+    x, y = random.integers(0, np.array(heights.shape) - 8)
+    heights[x : x + random.integers(1, 8), y : y + random.integers(1, 8)] = random.choice([np.nan, 0.05, 0.3, 1.0])
+    before, after = build_world(terrain, robot), build_world(HeightMap(heights, terrain.origin), robot)
+    former, expected = finished(standing_steps(before)), finished(standing_steps(after))
+    np.testing.assert_array_equal(updated_standing(before, after, former), expected)
+    assert (former != expected).any() or np.array_equal(before.standable, after.standable)
+    np.testing.assert_array_equal(updated_standing(after, after, expected), expected)
 
 
 @pytest.mark.parametrize("region", [None, (30, 30, 72, 72)])
