@@ -58,3 +58,81 @@ def bridged(edges, distances):
                 if (x, y) not in ((0, 0), (dx, dy)) and not np.isfinite(distances[between]):
                     result[between] = min(result[between], distances[k, a + dx, b + dy] + 0.5 * float(cost))
     return result
+
+
+def least_costs_from(standing, least, starts):
+    """Least possible costs from the nearest of some states (ix, iy, heading): a dict over reachable states."""
+    _, nx, ny = standing.shape
+    costs, queue, closed = {}, [(0.0, tuple(start)) for start in starts], set()
+    while queue:
+        reached, (ix, iy, heading) = heapq.heappop(queue)
+        if (ix, iy, heading) in closed:
+            continue
+        closed.add((ix, iy, heading))
+        costs[ix, iy, heading] = reached
+        for action, (dx, dy, dtheta) in enumerate(ABSTRACT_ACTIONS.tolist()):
+            x, y, turned = ix + dx, iy + dy, (heading + dtheta) % ABSTRACT_HEADINGS
+            if 0 <= x < nx and 0 <= y < ny and standing[turned, x, y]:
+                heapq.heappush(queue, (reached + float(least[heading, action]), (x, y, turned)))
+    return costs
+
+
+def corridor(distances, behind, margin, slack, near, doubt):
+    """States of the corridor with their costs, a dict, and its limit.
+
+    Args:
+        distances: costs-to-go with all edges, [16, nx, ny].
+        behind: from ``least_costs_from``.
+        margin, slack, near, doubt: as in `hdsp.abstract.corridor`.
+    """
+    costs = {state: float(distances[state[2], state[0], state[1]]) for state in behind}
+    best = min((cost + doubt * behind[state] for state, cost in costs.items() if behind[state] <= near), default=np.inf)
+    limit = (1 + margin) * best + slack
+    return {state: cost for state, cost in costs.items() if cost + behind[state] <= limit < np.inf}, limit
+
+
+def costs_around(inside, behind, limit, edges, standing, least, prices, excess):
+    """Costs-to-go in and around a corridor: a dict over states (ix, iy, heading).
+
+    Args:
+        inside, limit: from ``corridor``.
+        behind: from ``least_costs_from``.
+        edges: all edges, at least ``least``.
+        standing, least, prices, excess: as in `hdsp.abstract.corridor.costs_around`.
+    """
+    result, reached = {state: max(cost - excess, 0.0) for state, cost in inside.items()}, set(inside)
+    for heading, ix, iy in np.argwhere(standing).tolist():
+        for action, (dx, dy, dtheta) in enumerate(ABSTRACT_ACTIONS.tolist()):
+            end = ix + dx, iy + dy, (heading + dtheta) % ABSTRACT_HEADINGS
+            if end not in inside or (ix, iy, heading) not in behind:
+                continue
+            if inside[end] + float(least[heading, action]) + behind[ix, iy, heading] > limit:
+                continue
+            reached.add((ix, iy, heading))
+            cost = float(edges[heading, ix, iy, action])
+            if dtheta or not np.isfinite(cost):
+                continue
+            for x in {math.floor(dx / 2), math.ceil(dx / 2)}:
+                for y in {math.floor(dy / 2), math.ceil(dy / 2)}:
+                    between = ix + x, iy + y, heading
+                    if (x, y) not in ((0, 0), (dx, dy)) and between not in inside:
+                        reached.add(between)
+                        value = max(inside[end] + 0.5 * cost - excess, 0.0)
+                        result[between] = min(result.get(between, np.inf), value)
+    queue = []
+    for ix, iy, heading in reached - set(result):
+        for action, (dx, dy, dtheta) in enumerate(ABSTRACT_ACTIONS.tolist()):
+            end = ix + dx, iy + dy, (heading + dtheta) % ABSTRACT_HEADINGS
+            if end in result:
+                queue.append((result[end] + float(prices[heading, action]), (ix, iy, heading)))
+    heapq.heapify(queue)
+    while queue:
+        cost, (ix, iy, heading) = heapq.heappop(queue)
+        if cost >= result.get((ix, iy, heading), np.inf):
+            continue
+        result[ix, iy, heading] = cost
+        for action, (dx, dy, dtheta) in enumerate(ABSTRACT_ACTIONS.tolist()):
+            start = ix - dx, iy - dy, (heading - dtheta) % ABSTRACT_HEADINGS
+            if start in reached:
+                heapq.heappush(queue, (cost + float(prices[start[2], action]), start))
+    return result

@@ -55,6 +55,11 @@ class KeptCosts:
         self.costs, self.folder, self.factors = costs, folder, factors
         self.key = costs_key(costs)
 
+    @property
+    def least(self) -> np.ndarray | None:
+        """See ``BoundedCosts``."""
+        return getattr(self.costs, "least", None)
+
     def edges(self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None) -> np.ndarray:
         """See ``AbstractCosts.edges``."""
         if region is not None or mask is None:

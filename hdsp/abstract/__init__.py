@@ -5,11 +5,20 @@
 - `manual`: the manually tuned abstraction
 - `oracle`: costs of the detailed planner from one state; `oracle_costs`: on a map
 - `prepared_graph`: costs-to-go on a map (`dijkstra`: search, `repair`: after a change, `bridging`: between action ends)
+- `corridor`: costs-to-go for one start, from few edges; `cut_off`: for states without a path
 - `transform`: detailed states of abstract ones
 """
 
 from hdsp.abstract.abstract_conformance import check_abstract_costs
-from hdsp.abstract.abstract_costs import AbstractCosts, FlatCosts, GradualCosts, LocalCosts, Region, TaskPredictor
+from hdsp.abstract.abstract_costs import (
+    AbstractCosts,
+    BoundedCosts,
+    FlatCosts,
+    GradualCosts,
+    LocalCosts,
+    Region,
+    TaskPredictor,
+)
 from hdsp.abstract.manual import ManualCosts, ManualSettings
 from hdsp.abstract.oracle import CostKind, LabelSettings, task_costs
 from hdsp.abstract.oracle_costs import OracleCosts
@@ -18,6 +27,7 @@ from hdsp.abstract.transform import feet_at, feet_at_all
 
 __all__ = [
     "AbstractCosts",
+    "BoundedCosts",
     "CostKind",
     "FlatCosts",
     "GradualCosts",

@@ -90,6 +90,18 @@ class GradualCosts(AbstractCosts, Protocol):
 
 
 @runtime_checkable
+class BoundedCosts(AbstractCosts, Protocol):
+    """Costs with known lower bounds: a query evaluates edges only where it needs them.
+
+    Attributes:
+        least: float32 [16, 22], costs by heading and action below which hardly any edge lies; edges below count as this
+            much. None: no bounds are known.
+    """
+
+    least: np.ndarray | None
+
+
+@runtime_checkable
 class TaskPredictor(Protocol):
     """Predicts single tasks: patches with goals."""
 
@@ -179,15 +191,17 @@ def checked_region(height_map: HeightMap, region: Region | None) -> Region:
     return first_x, first_y, end_x, end_y
 
 
-def edge_steps(costs: AbstractCosts, height_map: HeightMap, mask: np.ndarray) -> Steps[np.ndarray]:
-    """Computes the edges of a whole map, in steps if the costs are ``GradualCosts``; arguments as for ``edges``."""
+def edge_steps(
+    costs: AbstractCosts, height_map: HeightMap, mask: np.ndarray, region: Region | None = None
+) -> Steps[np.ndarray]:
+    """Computes edges, in steps if the costs are ``GradualCosts``; arguments as for ``edges``."""
     classes = type(costs).__mro__
     whole = next((i for i, cls in enumerate(classes) if "edges" in vars(cls)), len(classes))
     gradual = next((i for i, cls in enumerate(classes) if "edge_steps" in vars(cls)), len(classes))
     # A subclass with other edges has inherited the steps for the edges of its parent.
     if isinstance(costs, GradualCosts) and gradual <= whole and "edges" not in getattr(costs, "__dict__", ()):
-        return (yield from costs.edge_steps(height_map, mask=mask))
-    return costs.edges(height_map, mask=mask)
+        return (yield from costs.edge_steps(height_map, region, mask))
+    return costs.edges(height_map, region, mask)
 
 
 def close_exits(edges: np.ndarray, height_map: HeightMap, region: Region | None = None) -> None:

@@ -8,7 +8,7 @@ from hdsp.base.jit import njit
 from hdsp.robot.lattice import DRIVE_MOVES
 
 #: States that an action passes over: rows (action, x, y), int64 [n, 3], with (x, y) from the state to the action's end.
-_PASSED = np.array(
+PASSED = np.array(
     [
         (m, dx - x, dy - y)
         for m, (dx, dy) in enumerate(DRIVE_MOVES)
@@ -26,7 +26,7 @@ def passed_over(incoming: np.ndarray) -> np.ndarray:
     Args:
         incoming: float32 [16, nx, ny, 22], costs by end state, see `hdsp.abstract.prepared_graph.PreparedGraph`.
     """
-    return _passed_over(incoming, _PASSED)
+    return _passed_over(incoming, PASSED)
 
 
 def bridge(incoming: np.ndarray, distances: np.ndarray, passed: np.ndarray) -> np.ndarray:
@@ -37,7 +37,7 @@ def bridge(incoming: np.ndarray, distances: np.ndarray, passed: np.ndarray) -> n
         distances: float64 [16, nx, ny], costs-to-go.
         passed: result of `passed_over`.
     """
-    return _bridge(incoming, distances, passed, _PASSED)
+    return _bridge(incoming, distances, passed, PASSED)
 
 
 @njit()

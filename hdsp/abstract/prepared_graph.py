@@ -86,7 +86,7 @@ class PreparedGraph:
         if not (costs >= 0).all():
             raise InputError(f"abstract edges contain the cost {costs[~(costs >= 0)][0]}, costs must be >= 0")
         incoming = self.incoming.copy()
-        _replace(incoming, np.ascontiguousarray(states, np.int64), costs, ABSTRACT_ACTIONS)
+        replace_edges(incoming, np.ascontiguousarray(states, np.int64), costs, ABSTRACT_ACTIONS)
         finite = costs[np.isfinite(costs)]
         # Both values serve as bounds; no edge needs to reach them.
         cheapest, most_expensive = (float(finite.min()), float(finite.max())) if len(finite) else (np.inf, 0.0)
@@ -236,7 +236,29 @@ def _invert(edges, actions):
 
 
 @njit()
-def _replace(incoming, states, costs, actions):
+def least_incoming(standing, least, actions):
+    """Edges by end state, float32 [16, nx, ny, 22], with the least cost of each action.
+
+    Args:
+        standing: bool [16, nx, ny]; states without standing have no edges.
+        least: float32 [16, 22], by the heading of the start.
+        actions: the abstract actions.
+    """
+    headings, nx, ny = standing.shape
+    incoming = np.empty((headings, nx, ny, len(actions)), np.float32)
+    for k in range(headings):
+        for a in range(nx):
+            for b in range(ny):
+                for m in range(len(actions)):
+                    x, y, z = a - actions[m, 0], b - actions[m, 1], (k - actions[m, 2]) % headings
+                    inside = 0 <= x < nx and 0 <= y < ny
+                    incoming[k, a, b, m] = least[z, m] if inside and standing[z, x, y] else np.float32(np.inf)
+    return incoming
+
+
+@njit()
+def replace_edges(incoming, states, costs, actions):
+    """Writes new edges at some states into ``incoming``; arguments as for ``PreparedGraph.with_edges``."""
     headings, nx, ny, count = incoming.shape
     for n in range(len(states)):
         k, a, b = states[n]

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from hdsp.abstract.abstract_costs import Region, checked_mask, checked_region, close_exits
-from hdsp.abstract.flat_table import planning_factors
+from hdsp.abstract.flat_table import flat_table, planning_factors
 from hdsp.abstract.oracle import CostKind, checked_kind
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps, finished
@@ -23,6 +23,8 @@ from hdsp.terrain.patches import crop_patches
 #: Probability from which edges for planning count an action as feasible. A way that is wrongly closed makes plans
 #: dearer by a detour; a way that is wrongly open costs some expansions, because the detailed search checks each action.
 PLANNING_THRESHOLD = 0.1
+#: Least cost of an edge, relative to flat ground. 0.1 % of the edges on the paper's arena are below 0.993.
+LEAST = 0.99
 #: Patches cropped at once; 10 MB, evaluated in less than a second.
 CHUNK = 512
 #: Side in cells of the squares whose states the engine evaluates together. Larger ones share more features.
@@ -33,7 +35,7 @@ TILE = 96
 
 
 class LearnedCosts:
-    """``AbstractCosts``, ``LocalCosts`` and ``TaskPredictor`` from a learned abstraction.
+    """``BoundedCosts``, ``LocalCosts`` and ``TaskPredictor`` from a learned abstraction.
 
     Two methods compute a map's costs. *Patches*: each abstract state's patch passes the trunk once for its 22 actions,
     and equal patches (flat ground) once for all their states. *Dense*: the trunk runs once for each cell in 16 rotated
@@ -82,9 +84,11 @@ class LearnedCosts:
         self.batch = batch
         #: Float32 [16, 22], factors on predicted costs by heading and action; None = label costs.
         self.factors = None
-        if checked_kind(kind) == CostKind.PLANNING:
-            known = _trained_for(abstraction.provenance) if robot is None else Robot.load(robot)
+        kind, known = checked_kind(kind), _trained_for(abstraction.provenance) if robot is None else Robot.load(robot)
+        if kind == CostKind.PLANNING:
             self.factors = None if known is None else planning_factors(known)
+        #: See ``BoundedCosts``.
+        self.least = None if known is None else np.float32(LEAST) * flat_table(known, None, kind)
         self._on_rotated_map = abstraction.is_dense()
         dense = method == "dense" or (method == "auto" and self._on_rotated_map)
         self._by_engine = dense and abstraction.engine is not None

@@ -16,6 +16,7 @@ import numpy as np
 
 from hdsp.abstract.abstract_costs import checked_region, close_exits, close_states
 from hdsp.base.errors import InputError, RefinementError
+from hdsp.base.gradual import finished
 from hdsp.detailed.relaxed.heading_masks import missing_feet
 from hdsp.detailed.relaxed.proofs import why_unreachable
 from hdsp.detailed.search.leaving import leave
@@ -126,6 +127,7 @@ def _try(robot: Robot, kind: QueryKind, learned: LearnedCosts | None) -> None:
     ends = arrival(world, grid, robot, [(middle[0] + metres(8.0), middle[1], None)], metres(1.0))
     heuristic.set_goals(ends.states, np.zeros(len(ends.states), np.int64))
     goal, _ = locate(world, grid, robot, (middle[0] + metres(8.0), middle[1], 0.2), "goal")
+    heuristic.set_goal(goal)
     query = Query(
         terrain=terrain,
         robot=robot,
@@ -133,7 +135,7 @@ def _try(robot: Robot, kind: QueryKind, learned: LearnedCosts | None) -> None:
         grid=grid,
         world=world,
         heuristic=heuristic,
-        estimate=heuristic.set_goal(goal),
+        estimate=finished(heuristic.steps_from(start, goal[None])),
         start=start,
         goals=goal[None],
         goal_numbers=np.zeros(1, np.int64),
@@ -168,7 +170,9 @@ def _ground(robot: Robot) -> HeightMap:
 
 
 class _EvenCosts:
-    """Abstract costs in which every action costs 1."""
+    """Abstract costs in which every action costs 1, evaluated where a query needs them."""
+
+    least = np.ones((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), np.float32)
 
     def edges(self, height_map: HeightMap, region=None, mask=None) -> np.ndarray:
         first_x, first_y, end_x, end_y = checked_region(height_map, region)

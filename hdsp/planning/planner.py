@@ -138,8 +138,8 @@ class Planner:
         """Takes over a changed terrain; returns the planner. Later plans equal the plans from a new planner.
 
         The update computes only the parts that the changed cells touch: conditioned heights (with the noise estimated
-        at construction), terrain costs, abstract edges, and costs-to-go
-        for the last goal. A map with another shape or origin needs everything.
+        at construction), terrain costs, and places to stand. The next query computes abstract edges and costs-to-go
+        that depend on them. A map with another shape or origin needs everything.
 
         Args:
             terrain: the whole height map after the change.
@@ -401,7 +401,7 @@ class Planner:
             )
         exact = ends.exact and len(ends.states) == 1
         groups = None if exact else np.unique(ends.goal, return_inverse=True)[1].ravel()
-        preparation = Gradual(self.heuristic.steps_to(ends.states, groups))
+        preparation = Gradual(self.heuristic.steps_from(begin.state, ends.states, groups))
         if not preparation.run(began + limits.time):
             return self._no_plan(Status.TIME_LIMIT, weight, began, (start, goal))
         spent = 0.0 if begin.way is None else float(begin.way.costs.sum())

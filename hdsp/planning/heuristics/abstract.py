@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hdsp.abstract.abstract_costs import AbstractCosts, LocalCosts, Region, edge_steps
+from hdsp.abstract.abstract_costs import AbstractCosts, Region
 from hdsp.abstract.cut_off import reconnect
 from hdsp.abstract.prepared_graph import PreparedGraph
 from hdsp.base.gradual import Gradual, Steps, finished
@@ -13,15 +13,14 @@ from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, efforts_to, 
 from hdsp.detailed.search.estimate import Estimate, geometric_estimate, least_foot_cost, with_step_efforts
 from hdsp.detailed.search.interpolation import CostsToGo
 from hdsp.detailed.world.world import World
+from hdsp.planning.heuristics.corridor_steps import DOUBT, corridor_steps
 from hdsp.planning.heuristics.goal_sources import Sources, goal_sources
 from hdsp.planning.heuristics.heuristic import Heuristic
+from hdsp.planning.heuristics.known_edges import KnownEdges
 from hdsp.planning.heuristics.standing import standing_steps, uneven_cells, updated_standing
 from hdsp.planning.map_changes import changed_cells
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT
 from hdsp.terrain.height_map import HeightMap
-
-#: Price of an action that the abstraction judges infeasible, relative to its cost on even ground.
-DOUBT = 3.0
 
 
 class AbstractHeuristic(Heuristic):
@@ -47,40 +46,58 @@ class AbstractHeuristic(Heuristic):
     def __init__(self, world: World, terrain: HeightMap, costs: AbstractCosts, name: str = "abstract"):
         super().__init__(world)
         self.name, self.costs, self.terrain = name, costs, terrain
-        self._graph: PreparedGraph | None = None
-        self._feet = np.empty(0, np.int32)  # of the graph: feet where the robot can stand, else -1
+        self._known: KnownEdges | None = None
+        self._feet = np.empty(0, np.int32)  # feet at abstract states where the robot can stand, else -1
         self._uneven = np.empty(0, bool)  # abstract cells around which feet may step
-        self._reached: tuple[Sources, np.ndarray] | None = None  # abstract goals and distances to them
+        self._reached: tuple[Sources, np.ndarray] | None = None  # abstract goals and distances to them, all edges known
+        self._outdated: np.ndarray | None = None  # states with other edges since then
         self._foothold_regions: FootholdRegions | None = None
         self._preparation: Gradual[None] | None = None  # begun, and not yet complete
+
+    @property
+    def known(self) -> KnownEdges:
+        """The edges evaluated so far."""
+        finished(self._prepared())
+        assert self._known is not None
+        return self._known
 
     @property
     def graph(self) -> PreparedGraph:
         """The abstract graph for the whole map; computed at first use."""
         self.prepare()
-        assert self._graph is not None
-        return self._graph
+        return self.known.graph
 
     @property
     def foothold_regions(self) -> FootholdRegions:
         """Regions in which feet can roll, and the steps between them; computed at first use."""
-        self.prepare()
+        finished(self._prepared())
         assert self._foothold_regions is not None
         return self._foothold_regions
 
     def prepare(self) -> None:
-        finished(self._prepared())
+        finished(self._all_edges())
 
     def steps_to(self, goals: np.ndarray, groups: np.ndarray | None = None) -> Steps[Estimate]:
-        yield from self._prepared()
+        yield from self._all_edges()
         sources = self._sources(goals)
-        if self._reached is None or not self._reached[0].equal(sources):
-            self._reached = sources, (yield from self.graph.distance_steps(sources.states, sources.costs))
+        if not self._is_reached(sources):
+            self._reached = sources, (yield from self.known.graph.distance_steps(sources.states, sources.costs))
+            self._outdated = None
         return (yield from super().steps_to(goals, groups))
 
+    def steps_from(self, start: np.ndarray, goals: np.ndarray, groups: np.ndarray | None = None) -> Steps[Estimate]:
+        yield from self._prepared()
+        known, sources = self.known, self._sources(goals)
+        to_go = None if known.least is None else (yield from corridor_steps(known, start, sources, self._prices()))
+        if to_go is None:
+            return (yield from self.steps_to(goals, groups))
+        groups = np.zeros(1, dtype=np.int64) if groups is None else groups
+        self._estimate = self._view(goals, groups, to_go)
+        return self._estimate
+
     def _prepared(self) -> Steps[None]:
-        """Continues the preparation for the map, begun by this query or by an earlier one."""
-        while self._graph is None or self._foothold_regions is None:
+        """Continues the preparation for the map without its edges, begun by this query or by an earlier one."""
+        while self._known is None or self._foothold_regions is None:
             if self._preparation is None or self._preparation.failed or self._preparation.done:
                 self._preparation = Gradual(self._preparation_steps())
             self._preparation.step()
@@ -91,24 +108,27 @@ class AbstractHeuristic(Heuristic):
         world, terrain = self.world, self.terrain
         if self._foothold_regions is None:
             self._foothold_regions = yield from foothold_region_steps(world, Rules(), least_foot_cost(world))
-        if self._graph is None:
+        if self._known is None:
             feet = yield from standing_steps(world)
-            edges = yield from edge_steps(self.costs, terrain, feet >= 0)
-            yield
-            graph = PreparedGraph.from_edges(edges)
-            yield
-            _ = graph.passed_over
-            self._feet, self._uneven, self._graph = feet, uneven_cells(world), graph
+            known = KnownEdges(terrain, self.costs, feet >= 0)
+            self._feet, self._uneven, self._known = feet, uneven_cells(world), known
+
+    def _all_edges(self) -> Steps[None]:
+        yield from self._prepared()
+        yield from self.known.evaluate_all()
 
     def clear(self) -> None:
         super().clear()
-        self._reached = None
+        self._reached = self._outdated = None
 
     def estimate_for(self, goal: np.ndarray) -> Estimate:
         return self.estimate_for_nearest(goal[None], np.zeros(1, dtype=np.int64))
 
     def estimate_for_nearest(self, goals: np.ndarray, groups: np.ndarray) -> Estimate:
-        to_go = self._cost_to_go(self._sources(goals))
+        self.prepare()
+        return self._view(goals, groups, self._cost_to_go(self._sources(goals)))
+
+    def _view(self, goals: np.ndarray, groups: np.ndarray, to_go: np.ndarray) -> Estimate:
         finite = to_go[np.isfinite(to_go)]
         efforts = efforts_to(self.foothold_regions, self.world, goals)
         geometric = geometric_estimate(self.world, goals, groups)
@@ -123,15 +143,24 @@ class AbstractHeuristic(Heuristic):
         return view._replace(to_go=table, outside=float(finite.max()) if len(finite) else 0.0)
 
     def _sources(self, goals: np.ndarray) -> Sources:
-        self.prepare()
-        return goal_sources(self.world, self._feet >= 0, goals)
+        return goal_sources(self.world, self.known.standing, goals)
+
+    def _is_reached(self, sources: Sources) -> bool:
+        return self._reached is not None and self._outdated is None and self._reached[0].equal(sources)
 
     def _cost_to_go(self, sources: Sources) -> np.ndarray:
-        if self._reached is None or not self._reached[0].equal(sources):
-            self._reached = sources, self.graph.distances(sources.states, sources.costs)
-        to_go = self.graph.bridged(self._reached[1])
+        """Costs-to-go of the whole map, float64 [16, nx, ny]; all edges are known."""
+        graph = self.known.graph
+        if self._reached is not None and self._outdated is not None and self._reached[0].equal(sources):
+            states = np.argwhere(self._outdated)
+            self._reached = sources, graph.repaired(self._reached[1], sources.states, states, sources.costs)
+        elif not self._is_reached(sources):
+            self._reached = sources, graph.distances(sources.states, sources.costs)
+        self._outdated = None
+        assert self._reached is not None
+        to_go = graph.bridged(self._reached[1])
         to_go = np.maximum(to_go - sources.excess, 0.0)
-        reconnect(to_go, (self._feet >= 0) | self.graph.passed_over, self._prices())
+        reconnect(to_go, self.known.standing | graph.passed_over, self._prices())
         return to_go
 
     def _prices(self) -> np.ndarray:
@@ -144,28 +173,23 @@ class AbstractHeuristic(Heuristic):
     def update(self, world: World, terrain: HeightMap, region: Region | None = None) -> None:
         """See ``Heuristic.update``.
 
-        ``LocalCosts`` name the states that a change touches. Their edges are computed again, and the costs-to-go for
-        the last goal that depend on them. Other costs start from nothing.
+        ``LocalCosts`` name the states that a change touches. Only their edges are evaluated again, when a query needs
+        them, and the costs-to-go for the last goal that depend on them. Other costs start from nothing.
         """
         changed, before = changed_cells(self.terrain, terrain, region), self.world
         super().update(world, terrain, region)
         self.terrain, self._foothold_regions, self._preparation = terrain, None, None
-        if self._graph is None or changed is None or not isinstance(self.costs, LocalCosts):
-            self._graph = self._reached = None
+        if changed is not None and not changed.any():
             return
-        feet = updated_standing(before, world, self._feet)
-        standing, stood = feet >= 0, self._feet >= 0
-        # States at which the robot could not stand before have no edges yet.
-        stale = standing & (self.costs.affected(changed) | ~stood)
-        states = np.argwhere(stale | (stood & ~standing))
+        known, former = None, self._known
+        if former is not None and changed is not None:
+            feet = updated_standing(before, world, self._feet)
+            known = former.updated(terrain, feet >= 0, changed)
+        self._known = known
+        if known is None or former is None:
+            self._reached = self._outdated = None
+            return
         self._feet, self._uneven = feet, uneven_cells(world)
-        if len(states) == 0:
-            return
-        (_, *first), (_, *last) = states.min(axis=0), states.max(axis=0)
-        box = (slice(None), slice(first[0], last[0] + 1), slice(first[1], last[1] + 1))
-        edges = self.costs.edges(terrain, (*first, last[0] + 1, last[1] + 1), stale[box])
-        k, a, b = states.T
-        self._graph = self._graph.with_edges(states, edges[k, a - first[0], b - first[1]])
         if self._reached is not None:
-            sources, distances = self._reached
-            self._reached = sources, self._graph.repaired(distances, sources.states, states, sources.costs)
+            outdated = (known.evaluated != former.evaluated) | (known.standing != former.standing)
+            self._outdated = outdated if self._outdated is None else self._outdated | outdated

@@ -80,6 +80,18 @@ class Heuristic(ABC):
         yield
         return self.set_goal(goals[0]) if groups is None else self.set_goals(goals, groups)
 
+    def steps_from(self, start: np.ndarray, goals: np.ndarray, groups: np.ndarray | None = None) -> Steps[Estimate]:
+        """Does the work of ``steps_to`` for searches from one start; here, the same work.
+
+        A subclass may leave out work that these searches do not need. States far from their ways then have other
+        estimates.
+
+        Args:
+            start: int64 [7], lattice units.
+            goals, groups: as for ``steps_to``.
+        """
+        return (yield from self.steps_to(goals, groups))
+
     def __call__(self, states: np.ndarray) -> np.ndarray:
         """Estimated costs, float64 [n], for detailed states [n, 7].
 

@@ -1,0 +1,285 @@
+"""Costs-to-go in the corridor of one query: abstract states on ways from its start that are not too expensive.
+
+A query from one start needs costs-to-go of few states. Let ``cost`` be the cost from a state to the goals, ``behind`` a
+lower bound on the cost from the start to the state, and ``best`` the cost of the cheapest abstract way. The corridor
+consists of all states with ``cost + behind <= (1 + MARGIN) * best + SLACK``.
+
+A backward A* search from the goals with the key ``cost + behind`` finds the corridor (Hart, Nilsson & Raphael 1968).
+The bound comes from a forward Dijkstra search in which every action has its least possible cost, between states at
+which the robot can stand. It is consistent, so the search gives each state of the corridor its cost in the whole graph,
+and visits no state beyond.
+
+Edges are evaluated where the search needs them (lazy weighted A*, Cohen, Phillips & Likhachev, RSS 2014). An action
+without evaluation counts its least cost. All states of the corridor are then evaluated, and the search begins again,
+until the corridor holds evaluated states alone. Its costs are then exact, and independent of edges elsewhere: with all
+edges of the map, the corridor is the same.
+
+Convention: states are flat indices ``(heading * nx + ix) * ny + iy``.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.abstract.bridging import PASSED
+from hdsp.abstract.cut_off import reconnect
+from hdsp.base.jit import njit
+from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
+
+#: Cost above the cheapest way that a way in the corridor may have, relative and absolute.
+MARGIN, SLACK = 0.0, 2.0
+#: Cost on even ground within which a start without an abstract way is connected to states that have one.
+NEAR = 1.0
+
+_BUCKETS = 1 << 13
+_FAR = _BUCKETS - 1  # a state in a later bucket waits in this one, and comes again
+_OUT = np.int32(-(2**31))
+
+
+class Corridor(NamedTuple):
+    """The corridor, as far as edges are known.
+
+    Attributes:
+        costs: float64 [16, nx, ny], costs to the goals in the corridor, inf outside.
+        behind: float64 [16, nx, ny], lower bounds on costs from the start.
+        limit: largest sum of both in the corridor.
+    """
+
+    costs: np.ndarray
+    behind: np.ndarray
+    limit: float
+
+    @property
+    def states(self) -> np.ndarray:
+        """Whether a state belongs to the corridor, bool [16, nx, ny]."""
+        return self.costs < np.inf
+
+
+def least_costs_from(states: np.ndarray, open_states: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """Returns lower bounds on the costs from the nearest of some states, float64 [16, nx, ny]; inf without a way.
+
+    Args:
+        states: int64 [n, 3], abstract states (ix, iy, heading).
+        open_states: bool [16, nx, ny], states that a way may pass.
+        least: float64 [16, 22], least cost of an action by the heading of its start.
+    """
+    headings, nx, ny = open_states.shape
+    costs, queue = np.full(open_states.size, np.inf), _Queue.empty(open_states.size)
+    _spread(_flat(states, nx, ny), open_states.ravel(), nx, ny, least, costs, *queue, 1.0 / _width(least))
+    return costs.reshape(headings, nx, ny)
+
+
+def find_corridor(
+    incoming: np.ndarray, behind: np.ndarray, goals: np.ndarray, costs: np.ndarray, least: np.ndarray, doubt: float
+) -> Corridor | None:
+    """Returns the corridor; None if no way leads from the start to a goal.
+
+    A start that the abstraction cuts off is connected to states with a way within ``NEAR``, at ``doubt`` times the cost
+    of even ground.
+
+    Args:
+        incoming: float32 [16, nx, ny, 22], costs by end state, see `hdsp.abstract.prepared_graph.PreparedGraph`, at
+            least ``least``; the same as ``least`` where they are not evaluated.
+        behind: from ``least_costs_from``, for the states around the start.
+        goals: int64 [n, 3], states (ix, iy, heading).
+        costs: float64 [n], >= 0, cost that is left at each of them.
+        least: as for ``least_costs_from``.
+        doubt: see above.
+    """
+    shape = behind.shape
+    found, queue = np.full(behind.size, np.inf), _Queue.empty(behind.size)
+    goals = _flat(goals, *shape[1:])
+    nx, ny = shape[1:]
+    settings = 1.0 / _width(least), doubt, MARGIN, SLACK, NEAR
+    limit = _settle(incoming.reshape(-1), nx, ny, behind.ravel(), goals, costs, found, *queue, *settings)
+    return None if limit == np.inf else Corridor(found.reshape(shape), behind, limit)
+
+
+def costs_around(
+    corridor: Corridor,
+    incoming: np.ndarray,
+    standing: np.ndarray,
+    least: np.ndarray,
+    prices: np.ndarray,
+    excess: float,
+) -> np.ndarray:
+    """Returns costs-to-go in and around a corridor, float64 [16, nx, ny]; inf elsewhere.
+
+    States between the ends of an action count half its cost, see `hdsp.abstract.bridging`. States with evaluated
+    actions into the corridor, and no feasible one, are connected at high prices, see `hdsp.abstract.cut_off`.
+
+    Args:
+        corridor: a corridor with evaluated edges.
+        incoming, least: as for ``find_corridor``.
+        standing: bool [16, nx, ny], states at which the robot can stand.
+        prices: float64 [16, 22], price of an action that is judged infeasible, by the heading of its start.
+        excess: costs in the corridor exceed the costs-to-go by this much.
+    """
+    values, reached = _around(corridor.costs, corridor.behind, corridor.limit, incoming, standing, least, PASSED)
+    values = np.maximum(values - excess, 0.0)
+    reconnect(values, reached, prices)
+    return values
+
+
+class _Queue(NamedTuple):
+    """Waiting states in buckets.
+
+    Attributes:
+        after, ahead: int32 [states], neighbours of a waiting state in its bucket; ``ahead`` of its first state is
+            -1 - slot, of other states -2**31.
+        heads: int32 [buckets], first state of a bucket, -1 = none; slot n holds buckets of n modulo their number.
+        counts: int64 [2], present bucket and number of waiting states.
+    """
+
+    after: np.ndarray
+    ahead: np.ndarray
+    heads: np.ndarray
+    counts: np.ndarray
+
+    @classmethod
+    def empty(cls, states: int) -> _Queue:
+        links = np.empty(states, np.int32), np.full(states, _OUT, np.int32)
+        return cls(*links, np.full(_BUCKETS, -1, np.int32), np.zeros(2, np.int64))
+
+
+def _flat(states: np.ndarray, nx: int, ny: int) -> np.ndarray:
+    return (states[:, 2] * nx + states[:, 0]) * ny + states[:, 1]
+
+
+def _width(least: np.ndarray) -> float:
+    """Width of a bucket: the cheapest action, and no less than a small share of the most expensive one."""
+    finite = least[np.isfinite(least)]
+    return float(max(finite.min(), finite.max() / 64, 1e-6)) if len(finite) else 1.0
+
+
+@njit(inline="always")
+def _queue(after, ahead, heads, counts, state, bucket):
+    slot = min(max(bucket, counts[0]), counts[0] + _FAR) % _BUCKETS
+    if ahead[state] != _OUT:
+        _take(after, ahead, heads, counts, state)
+    second = heads[slot]
+    heads[slot], after[state], ahead[state] = state, second, -1 - slot
+    if second >= 0:
+        ahead[second] = state
+    counts[1] += 1
+
+
+@njit(inline="always")
+def _take(after, ahead, heads, counts, state):
+    one, other = ahead[state], after[state]
+    if one >= 0:
+        after[one] = other
+    else:
+        heads[-1 - one] = other
+    if other >= 0:
+        ahead[other] = one
+    ahead[state] = _OUT
+    counts[1] -= 1
+
+
+@njit(allocates=False)
+def _spread(sources, open_states, nx, ny, least, cost, after, ahead, heads, counts, per_width):
+    """Forward Dijkstra search; fills ``cost``."""
+    for i in range(len(sources)):
+        cost[sources[i]] = 0.0
+        _queue(after, ahead, heads, counts, sources[i], 0)
+    while counts[1] > 0:
+        slot = counts[0] % _BUCKETS
+        while heads[slot] >= 0:
+            state = np.int64(heads[slot])
+            _take(after, ahead, heads, counts, state)
+            k, a, b = state // (nx * ny), state // ny % nx, state % ny
+            so_far = cost[state]
+            for m in range(len(ABSTRACT_ACTIONS)):
+                x, y = a + ABSTRACT_ACTIONS[m, 0], b + ABSTRACT_ACTIONS[m, 1]
+                if not (0 <= x < nx and 0 <= y < ny):
+                    continue
+                other = ((k + ABSTRACT_ACTIONS[m, 2]) % ABSTRACT_HEADINGS * nx + x) * ny + y
+                further = so_far + least[k, m]
+                if further < cost[other] and open_states[other]:
+                    cost[other] = further
+                    _queue(after, ahead, heads, counts, other, np.int64(further * per_width))
+        counts[0] += 1
+
+
+@njit(allocates=False)
+def _settle(
+    incoming, nx, ny, behind, goals, costs, cost, after, ahead, heads, counts, per_width, doubt, margin, slack, near
+):
+    """Backward A* search; fills ``cost``, inf outside the corridor, and returns the corridor's limit."""
+    limit, best = np.inf, np.inf
+    for i in range(len(goals)):
+        goal = goals[i]
+        if costs[i] < cost[goal] and behind[goal] < np.inf:
+            cost[goal] = costs[i]
+            _queue(after, ahead, heads, counts, goal, np.int64((costs[i] + behind[goal]) * per_width))
+    count = len(ABSTRACT_ACTIONS)
+    while counts[1] > 0 and counts[0] <= limit * per_width:
+        slot = counts[0] % _BUCKETS
+        while heads[slot] >= 0:
+            state = np.int64(heads[slot])
+            _take(after, ahead, heads, counts, state)
+            so_far = cost[state]
+            key = so_far + behind[state]
+            if key > limit:
+                continue
+            bucket = np.int64(key * per_width)
+            if bucket > counts[0]:
+                _queue(after, ahead, heads, counts, state, bucket)
+                continue
+            if behind[state] <= near and so_far + doubt * behind[state] < best:
+                best = so_far + doubt * behind[state]
+                limit = (1.0 + margin) * best + slack
+            k, a, b = state // (nx * ny), state // ny % nx, state % ny
+            for m in range(count):
+                edge = np.float64(incoming[state * count + m])
+                if edge == np.inf:
+                    continue
+                x, y = a - ABSTRACT_ACTIONS[m, 0], b - ABSTRACT_ACTIONS[m, 1]
+                start = ((k - ABSTRACT_ACTIONS[m, 2]) % ABSTRACT_HEADINGS * nx + x) * ny + y
+                further = so_far + edge
+                if further < cost[start] and behind[start] < np.inf and further + behind[start] <= limit:
+                    cost[start] = further
+                    _queue(after, ahead, heads, counts, start, np.int64((further + behind[start]) * per_width))
+        counts[0] += 1
+    for state in range(len(cost)):
+        if cost[state] + behind[state] > limit:
+            cost[state] = np.inf
+    return limit
+
+
+@njit()
+def _around(costs, behind, limit, incoming, standing, least, passed):
+    """Costs with those of states between the ends of an action, and the states that ``reconnect`` may reach."""
+    headings, nx, ny = costs.shape
+    values, reached = costs.copy(), np.zeros((headings, nx, ny), np.bool_)
+    for k in range(headings):
+        for a in range(nx):
+            for b in range(ny):
+                cost = costs[k, a, b]
+                if cost == np.inf:
+                    continue
+                reached[k, a, b] = True
+                for m in range(len(ABSTRACT_ACTIONS)):
+                    x, y = a - ABSTRACT_ACTIONS[m, 0], b - ABSTRACT_ACTIONS[m, 1]
+                    z = (k - ABSTRACT_ACTIONS[m, 2]) % ABSTRACT_HEADINGS
+                    if not (0 <= x < nx and 0 <= y < ny) or not standing[z, x, y]:
+                        continue
+                    # Other states may be without evaluated edges.
+                    if cost + least[z, m] + behind[z, x, y] <= limit:
+                        reached[z, x, y] = True
+                for n in range(len(passed)):
+                    m = passed[n, 0]
+                    edge = np.float64(incoming[k, a, b, m])
+                    if edge == np.inf:
+                        continue
+                    x, y = a - ABSTRACT_ACTIONS[m, 0], b - ABSTRACT_ACTIONS[m, 1]
+                    if cost + least[k, m] + behind[k, x, y] > limit:
+                        continue
+                    x, y = a - passed[n, 1], b - passed[n, 2]
+                    if costs[k, x, y] == np.inf:
+                        reached[k, x, y] = True
+                        values[k, x, y] = min(values[k, x, y], cost + 0.5 * edge)
+    return values, reached

@@ -1,0 +1,125 @@
+"""Edges of a map that a heuristic knows: all of them, or the edges that queries needed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hdsp.abstract.abstract_costs import AbstractCosts, BoundedCosts, LocalCosts, edge_steps
+from hdsp.abstract.prepared_graph import PreparedGraph, least_incoming, replace_edges
+from hdsp.base.errors import InputError
+from hdsp.base.gradual import Gradual, Steps
+from hdsp.robot.lattice import ABSTRACT_ACTIONS, N_ABSTRACT_ACTIONS
+from hdsp.terrain.height_map import HeightMap
+
+
+class KnownEdges:
+    """Edges from the states of a map at which the robot can stand, as far as they were evaluated.
+
+    Edges of ``BoundedCosts`` that are not evaluated have their least cost; others are missing. Several threads may
+    evaluate edges.
+
+    Args:
+        terrain: the map.
+        costs: the abstraction.
+        standing: bool [16, nx, ny], states at which the robot can stand.
+
+    Attributes:
+        least: float32 [16, 22], least cost of an action by heading; None for costs without known bounds.
+        evaluated: bool [16, nx, ny], states whose edges are known.
+        incoming: float32 [16, nx, ny, 22], edges by end state, see ``PreparedGraph``.
+        count: number of evaluations so far; it grows with each new edge.
+    """
+
+    def __init__(self, terrain: HeightMap, costs: AbstractCosts, standing: np.ndarray):
+        self.terrain, self.costs, self.standing = terrain, costs, standing
+        stated = costs.least if isinstance(costs, BoundedCosts) else None
+        self.least = None if stated is None else np.ascontiguousarray(stated, np.float32)
+        self.evaluated, self.count = np.zeros(standing.shape, bool), 0
+        bounds = np.full(N_ABSTRACT_ACTIONS, np.inf, np.float32) if self.least is None else self.least
+        bounds = np.broadcast_to(bounds, (len(standing), N_ABSTRACT_ACTIONS))
+        self.incoming = least_incoming(standing, np.ascontiguousarray(bounds), ABSTRACT_ACTIONS)
+        self._cheapest, self._most_expensive = np.inf, 0.0
+        self._graph: PreparedGraph | None = None
+        self._running: Gradual[None] | None = None
+
+    @property
+    def share(self) -> float:
+        """Share of the states at which the robot can stand whose edges are evaluated."""
+        return float(self.evaluated.sum() / max(self.standing.sum(), 1))
+
+    @property
+    def graph(self) -> PreparedGraph:
+        """The graph of all edges; only after ``evaluate_all``."""
+        if self._graph is None:
+            self._graph = PreparedGraph(self.incoming, self._cheapest, self._most_expensive)
+        return self._graph
+
+    def evaluate_all(self) -> Steps[None]:
+        """Evaluates all edges that are not known."""
+        while (missing := self.standing & ~self.evaluated).any():
+            yield from self._step(missing)
+
+    def evaluate(self, states: np.ndarray) -> Steps[None]:
+        """Evaluates edges of states, bool [16, nx, ny], at which the robot can stand."""
+        while (missing := states & ~self.evaluated).any():
+            yield from self._step(missing)
+
+    def _step(self, mask: np.ndarray) -> Steps[None]:
+        if self._running is None or self._running.done or self._running.failed:
+            self._running = Gradual(self._evaluation(mask))
+        # An evaluation that a query with little time began is continued by the next one.
+        self._running.step()
+        yield
+
+    def _evaluation(self, mask: np.ndarray) -> Steps[None]:
+        states = np.argwhere(mask)
+        region, part = None, mask
+        if not np.array_equal(mask, self.standing):
+            (_, *first), (_, *last) = states.min(axis=0).tolist(), states.max(axis=0).tolist()
+            region = (*first, last[0] + 1, last[1] + 1)
+            part = mask[:, region[0] : region[2], region[1] : region[3]]
+        edges = yield from edge_steps(self.costs, self.terrain, part, region)
+        expected = (*part.shape, N_ABSTRACT_ACTIONS)
+        if np.shape(edges) != expected:
+            raise InputError(f"abstract edges have shape {np.shape(edges)}, expected {expected}")
+        values = np.ascontiguousarray(np.asarray(edges, np.float32)[part])
+        if not (values >= 0).all():
+            raise InputError(f"abstract edges contain the cost {values[~(values >= 0)][0]}, costs must be >= 0")
+        if self.least is not None:
+            values = np.maximum(values, self.least[states[:, 0]])
+        self._enter(states, values)
+        self.evaluated[mask] = True
+
+    def _enter(self, states: np.ndarray, values: np.ndarray) -> None:
+        finite = values[np.isfinite(values)]
+        if len(finite):
+            self._cheapest = min(self._cheapest, float(finite.min()))
+            self._most_expensive = max(self._most_expensive, float(finite.max()))
+        self.count, self._graph = self.count + 1, None
+        replace_edges(self.incoming, states, values, ABSTRACT_ACTIONS)
+
+    def updated(self, terrain: HeightMap, standing: np.ndarray, changed: np.ndarray) -> KnownEdges | None:
+        """Returns the edges of a changed map, without edges that the change reaches.
+
+        Args:
+            terrain: the map after the change.
+            standing: bool [16, nx, ny], states at which the robot can stand now.
+            changed: bool [nx, ny], cells with other heights.
+
+        Returns:
+            None if the costs do not know how far a change reaches.
+        """
+        if not isinstance(self.costs, LocalCosts):
+            return None
+        result = object.__new__(KnownEdges)
+        result.__dict__.update(self.__dict__, terrain=terrain, standing=standing, _graph=None, _running=None)
+        # States at which the robot could not stand before have no edges yet.
+        result.evaluated = self.evaluated & standing & ~self.costs.affected(changed)
+        result.incoming = self.incoming.copy()
+        states = np.argwhere((self.evaluated & ~result.evaluated) | (self.standing != standing))
+        bounds = np.full((len(states), N_ABSTRACT_ACTIONS), np.inf, np.float32)
+        if self.least is not None:
+            known = standing[tuple(states.T)]
+            bounds[known] = self.least[states[known, 0]]
+        replace_edges(result.incoming, states, bounds, ABSTRACT_ACTIONS)
+        return result

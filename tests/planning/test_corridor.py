@@ -1,0 +1,195 @@
+"""A query that evaluates edges where it needs them gives the result with all edges."""
+
+import functools
+import threading
+
+import numpy as np
+import pytest
+
+from hdsp.abstract import BoundedCosts, FlatCosts, ManualCosts, PreparedGraph
+from hdsp.abstract.abstract_costs import close_states
+from hdsp.abstract.corridor import MARGIN, NEAR, SLACK
+from hdsp.base.gradual import finished
+from hdsp.detailed.search.outcome import Status
+from hdsp.planning.heuristics import AbstractHeuristic
+from hdsp.planning.heuristics.corridor_steps import DOUBT
+from hdsp.planning.heuristics.goal_sources import goal_sources
+from hdsp.planning.planner import Planner
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS, abstract_shape, surrounding_abstract
+from hdsp.robot.robot import Robot
+from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.scenes import random_map
+from tests.naive_abstract import corridor, costs_around, least_costs_from
+
+MOMARO = Robot.load("momaro")
+CELLS = 120
+
+
+class Expensive(ManualCosts):
+    """Manual costs with random factors and errors, which depend on the state alone; counts the evaluated states."""
+
+    def __init__(self, seed=0, share=0.1):
+        super().__init__(MOMARO)
+        random, shape = np.random.default_rng(seed), (ABSTRACT_HEADINGS, CELLS // 4, CELLS // 4, N_ABSTRACT_ACTIONS)
+        self._factor = random.uniform(0.8, 1.3, shape).astype(np.float32)
+        self._factor[random.random(shape) < share] = np.inf
+        self.least, self.asked = np.float32(0.9) * FlatCosts(MOMARO).edge_table, 0
+
+    def edges(self, height_map, region=None, mask=None):
+        first_x, first_y, end_x, end_y = region or (0, 0, *abstract_shape(height_map.shape))
+        found = manual_edges(height_map)[:, first_x:end_x, first_y:end_y].copy()
+        close_states(found, mask)
+        self.asked += int(np.sum(mask))
+        return found * self._factor[:, first_x:end_x, first_y:end_y]
+
+
+@functools.cache
+def manual_edges(height_map):
+    """Manual costs of all edges."""
+    return ManualCosts(MOMARO).edges(height_map)
+
+
+@pytest.fixture(scope="module")
+def terrain():
+    heights = random_map(1007, "cuboid_2", 5, cells=CELLS).heights.copy()
+    heights[70:90, 20:60] += 0.15
+    return HeightMap(heights)
+
+
+def poses(planner, random, count):
+    """World poses at which the robot can stand."""
+    found = []
+    while len(found) < count:
+        pose = (*random.uniform(0.5, 2.5, 2), random.uniform(-3, 3))
+        if planner.can_leave(pose):
+            found.append(pose)
+    return found
+
+
+def table(planner, start, goal):
+    """Costs-to-go for a query, [16, nx, ny]."""
+    lattice = [np.array(planner.grid.to_lattice(pose)) for pose in (start, goal)]
+    to_go = finished(planner.heuristic.steps_from(lattice[0], lattice[1][None])).to_go
+    return to_go.values.reshape(ABSTRACT_HEADINGS, to_go.nx, to_go.ny)
+
+
+def same(plan, other):
+    np.testing.assert_array_equal(plan.states, other.states)
+    assert (plan.status, plan.cost, plan.stats.expansions) == (other.status, other.cost, other.stats.expansions)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.4, 0.7])
+def test_costs_to_go_are_those_with_all_edges_after_any_queries(terrain, share):
+    lazy, prepared = (Planner(terrain, MOMARO, Expensive(1, share)) for _ in range(2))
+    prepared.prepare()
+    random, shares = np.random.default_rng(3), []
+    ends = poses(prepared, random, 12)
+    for start, goal in zip(ends[::2], ends[1::2], strict=True):
+        new = Planner(terrain, MOMARO, Expensive(1, share))
+        expected = table(prepared, start, goal)
+        np.testing.assert_array_equal(table(new, start, goal), expected)
+        np.testing.assert_array_equal(table(lazy, start, goal), expected)
+        np.testing.assert_array_equal(table(lazy, goal, start), table(prepared, goal, start))
+        shares.append(new.heuristic.known.share)
+    assert lazy.heuristic.known.evaluated.sum() == lazy.heuristic.costs.asked <= prepared.heuristic.costs.asked
+    if share < 0.5:
+        assert np.median(shares) < 0.8
+    assert isinstance(Expensive(), BoundedCosts)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.4])
+def test_costs_to_go_equal_their_twin(terrain, share):
+    planner = Planner(terrain, MOMARO, Expensive(2, share))
+    start, goal = poses(planner, np.random.default_rng(4), 2)
+    found = table(planner, start, goal)
+    heuristic, known = planner.heuristic, planner.heuristic.known
+    standing, least = known.standing, known.least
+    edges = heuristic.costs.edges(terrain, mask=standing)
+    edges = np.maximum(edges, least[:, None, None])
+    edges[~standing] = np.inf
+    begin, end = (np.array(planner.grid.to_lattice(pose)) for pose in (start, goal))
+    sources = goal_sources(heuristic.world, standing, end[None])
+    around, shares = surrounding_abstract(begin[None])
+    starts = [(x, y, k) for x, y, k in around[0][shares[0] > 0].tolist() if standing[k, x, y]]
+    behind = least_costs_from(standing, least, starts)
+    distances = PreparedGraph.from_edges(edges).distances(sources.states, sources.costs)
+    inside, limit = corridor(distances, behind, MARGIN, SLACK, NEAR, DOUBT)
+    expected = costs_around(inside, behind, limit, edges, standing, least, heuristic._prices(), sources.excess)
+    assert 20 < len(inside) < len(expected) <= np.isfinite(found).sum()
+    whole = np.full(found.shape, np.inf)
+    for (x, y, k), cost in expected.items():
+        whole[k, x, y] = cost
+    np.testing.assert_array_equal(found, whole.astype(np.float32))
+
+
+def test_plans_are_those_with_all_edges(terrain):
+    lazy, prepared = (Planner(terrain, MOMARO, Expensive(4)) for _ in range(2))
+    prepared.prepare()
+    start, other, goal = poses(lazy, np.random.default_rng(6), 3)
+    for options in ({"weight": 1.25}, {"weight": 1.5, "anchor_weight": 2.0}, {"weight": 1.5, "tolerance": 0.2}):
+        options |= {"expansions": 3000}
+        same(lazy.plan(start, goal, **options), prepared.plan(start, goal, **options))
+    same(lazy.plan(start, [other, goal], weight=1.5), prepared.plan(start, [other, goal], weight=1.5))
+    options = {"weights": (2.0, 1.25), "expansions": 3000, "polish": 0.0}
+    for plan, twin in zip(lazy.improve(start, goal, **options), prepared.improve(start, goal, **options), strict=True):
+        same(plan, twin)
+    asked = lazy.heuristic.costs.asked
+    lazy.plan(start, goal, weight=2.0)
+    assert lazy.heuristic.costs.asked == asked < prepared.heuristic.costs.asked
+
+
+def test_an_update_evaluates_only_what_a_query_needs_of_the_change(terrain):
+    lazy = Planner(terrain, MOMARO, Expensive(5)).prepare()
+    start, goal = poses(lazy, np.random.default_rng(9), 2)
+    asked = lazy.heuristic.costs.asked
+    for height in (0.1, 0.3):
+        heights = lazy.terrain.heights.copy()
+        heights[56:62, 56:60] += height
+        after = HeightMap(heights, terrain.origin)
+        lazy.update(after)
+        assert lazy.heuristic.costs.asked == asked
+        fresh = Planner(after, MOMARO, Expensive(5))
+        np.testing.assert_array_equal(table(lazy, start, goal), table(fresh, start, goal))
+        np.testing.assert_array_equal(table(lazy, goal, start), table(fresh, goal, start))
+        assert lazy.heuristic.costs.asked - asked < asked / 2
+        asked = lazy.heuristic.costs.asked
+    np.testing.assert_array_equal(lazy.heuristic.graph.incoming, fresh.heuristic.graph.incoming)
+    assert asked < lazy.heuristic.costs.asked
+
+
+def test_a_start_without_an_abstract_way_asks_for_all_edges(terrain):
+    planner = Planner(terrain, MOMARO, Expensive(6, share=1.0))
+    start, goal = poses(planner, np.random.default_rng(10), 2)
+    lattice = [np.array(planner.grid.to_lattice(pose)) for pose in (start, goal)]
+    values = finished(planner.heuristic.steps_from(lattice[0], lattice[1][None])).to_go.values
+    whole = AbstractHeuristic(planner.world, planner.terrain, Expensive(6, share=1.0)).set_goal(lattice[1])
+    np.testing.assert_array_equal(values, whole.to_go.values)
+    assert planner.heuristic.known.share == 1
+
+
+def test_a_query_without_time_leaves_its_edges_to_the_next(terrain):
+    planner = Planner(terrain, MOMARO, Expensive(7))
+    start, goal = poses(planner, np.random.default_rng(11), 2)
+    for _ in range(10_000):
+        plan = planner.plan(start, goal, weight=1.25, time=1e-9)
+        if planner.heuristic._known is not None and planner.heuristic.known.share > 0:
+            break
+    assert plan.status == Status.TIME_LIMIT
+    asked = planner.heuristic.costs.asked
+    assert planner.plan(start, goal, weight=1.25).solved
+    assert planner.heuristic.known.evaluated.sum() == planner.heuristic.costs.asked >= asked > 0
+
+
+def test_queries_at_the_same_time_give_the_same_costs_to_go(terrain):
+    planner = Planner(terrain, MOMARO, Expensive(8))
+    ends = poses(planner, np.random.default_rng(12), 8)
+    pairs = list(zip(ends[::2], ends[1::2], strict=True))
+    found = {}
+    threads = [threading.Thread(target=lambda pair=pair: found.update({pair: table(planner, *pair)})) for pair in pairs]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    prepared = Planner(terrain, MOMARO, Expensive(8)).prepare()
+    for pair in pairs:
+        np.testing.assert_array_equal(found[pair], table(prepared, *pair))
