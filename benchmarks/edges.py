@@ -205,9 +205,10 @@ def random_abstraction(hardware, **settings):
     network = build_network(model).eval()
     heights = torch.tensor(rough_map((16 * 72, 72), seed=1).heights).view(16, 1, 72, 72)
     with torch.inference_mode():
-        cost, logits = network(heights, torch.tensor(robot_frame_goals(1)).expand(16, -1, -1))
+        cost, logits, *planning = network(heights, torch.tensor(robot_frame_goals(1)).expand(16, -1, -1))
     with torch.no_grad():
-        for row, values, center, spread in ((0, cost, 0.5, 0.1), (1, logits, 0.0, 1.0)):
+        scales = (cost, 0.5, 0.1), (logits, 0.0, 1.0), *((values, 0.5, 0.1) for values in planning)
+        for row, (values, center, spread) in enumerate(scales):
             factor = spread / values.std()
             network.heads.weight[row] *= factor
             network.heads.bias[row] = center - factor * values.median()

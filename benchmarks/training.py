@@ -128,7 +128,7 @@ def singles(batch: Batch) -> list[Batch]:
 
 def pass_through(network: torch.nn.Module, batch: Batch, whole: Batch) -> None:
     """Adds gradients for a batch's share in the losses over ``whole``."""
-    cost, logits = network(batch.heights, batch.goals)
+    cost, logits, *_ = network(batch.heights, batch.goals)
     feasibility, error = task_losses(cost, logits, batch.feasible, batch.cost)
     share = batch.feasible.numel() / whole.feasible.numel()
     share_feasible = batch.feasible.sum() / whole.feasible.sum()

@@ -71,7 +71,7 @@ class Labelling:
         settings: labelling rules.
         used: splits that `dvc repro` labels.
         splits: random maps by split.
-        rich, sloped: terrain categories that splits refer to.
+        mixed, rich, sloped: terrain categories that splits refer to.
         sensing: degradation of maps in splits with `sensing`.
         scheduler, slurm: see `hdsp.base.workers.ClusterSettings`.
         destination: folder or URL for shards; None = data/labels.
@@ -80,6 +80,7 @@ class Labelling:
     settings: LabelSettings
     used: tuple[Name, ...]
     splits: dict[str, SplitSettings]
+    mixed: tuple[Category, ...]
     rich: tuple[Category, ...]
     sloped: tuple[Category, ...]
     sensing: SensingSettings

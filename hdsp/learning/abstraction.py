@@ -16,6 +16,7 @@ from scipy.special import expit
 from hdsp.base.errors import InputError
 from hdsp.learning.calibration import MINIMUM_COST, Calibration, calibration_figures, fit_calibration
 from hdsp.learning.inference.footprint_engine import FootprintEngine, engine_options
+from hdsp.learning.judgements import Judgements
 from hdsp.learning.learning_settings import HardwareSettings, ModelSettings
 from hdsp.learning.saved_abstraction import (
     CONFIG,
@@ -54,6 +55,7 @@ class LearnedAbstraction:
         metrics: flat metrics at the end of training.
         calibration: corrects probabilities and holds cost quantiles.
         quantile: level of predicted costs, see ``at_quantile``; None = the network's own costs.
+        threshold: probability above which an action counts as feasible, see ``at_threshold``.
     """
 
     def __init__(
@@ -69,6 +71,7 @@ class LearnedAbstraction:
         self.calibration = calibration or Calibration()
         self.quantile: float | None = None
         self.threshold = 0.5
+        self._for_planning = False
         self._flat: dict[bytes, np.ndarray] = {}
         self.hardware = hardware or HardwareSettings()
         self.engine = network if isinstance(network, FootprintEngine) else None
@@ -97,6 +100,11 @@ class LearnedAbstraction:
         """Returns whether all patches of a heading share the features of a rotated map."""
         return self.engine is not None or self.network.is_dense()
 
+    @property
+    def predicts_planning_cost(self) -> bool:
+        """Whether the network predicts costs for planning beside the label costs (`hdsp.abstract.CostKind`)."""
+        return self.engine.options.planning if self.engine is not None else self.network.predicts_planning_cost
+
     def predict(self, patches: np.ndarray, goals: np.ndarray, batch: int = 128) -> tuple[np.ndarray, np.ndarray]:
         """Predicts feasibility and cost of tasks.
 
@@ -108,7 +116,7 @@ class LearnedAbstraction:
         Returns:
             feasible: bool [n, G], probability above one half, or above another threshold after ``at_threshold``.
             cost: float32 [n, G], at least ``MINIMUM_COST``; meaningful where feasible; a quantile after
-                ``at_quantile``.
+                ``at_quantile``, a cost for planning after ``for_planning``.
 
         Raises:
             InputError: a shape is wrong.
@@ -116,15 +124,15 @@ class LearnedAbstraction:
         Convention: axis 1 of ``patches`` is x, along the robot's heading; the base stands at the centre of cell (36,
         36).
         """
-        logits, cost = self._predict(patches, goals, batch)
-        return logits > self._least_logit(), self._at_level(cost, goals)
+        judged = self._predict(patches, goals, batch)
+        return judged.logits > self._least_logit(), self._costs(judged, goals)
 
     def predict_probability(
         self, patches: np.ndarray, goals: np.ndarray, batch: int = 128
     ) -> tuple[np.ndarray, np.ndarray]:
         """Like ``predict``, with feasibility probabilities, float32 [n, G], instead of decisions."""
-        logits, cost = self._predict(patches, goals, batch)
-        return expit(logits / np.float32(self.calibration.temperature)), self._at_level(cost, goals)
+        judged = self._predict(patches, goals, batch)
+        return expit(judged.logits / np.float32(self.calibration.temperature)), self._costs(judged, goals)
 
     def at_quantile(self, level: float) -> "LearnedAbstraction":
         """Returns an abstraction with the same network that predicts a cost quantile.
@@ -151,16 +159,28 @@ class LearnedAbstraction:
         other.threshold = float(probability)
         return other
 
+    def for_planning(self) -> "LearnedAbstraction":
+        """Returns an abstraction with the same network that predicts costs for planning instead of label costs.
+
+        Raises:
+            InputError: the network does not predict them.
+        """
+        if not self.predicts_planning_cost:
+            raise InputError(f"a network of {self.model.architecture} with these options predicts label costs alone")
+        other = copy(self)
+        other._for_planning = True
+        return other
+
     def calibrated(self, tasks: "TaskSet") -> "LearnedAbstraction":
         """Returns an abstraction with the same network, calibrated on tasks outside its training set."""
-        logits, cost = self._predict(tasks.heights, tasks.goals)
+        cost, logits, _ = self._predict(tasks.heights, tasks.goals)
         other = copy(self)
         other.calibration = fit_calibration(logits, cost, self.flat_costs(tasks.goals), tasks.feasible, tasks.cost)
         return other
 
     def calibration_figures(self, tasks: "TaskSet") -> dict[str, Any]:
         """Returns ``hdsp.learning.calibration.calibration_figures`` for labelled tasks."""
-        logits, cost = self._predict(tasks.heights, tasks.goals)
+        cost, logits, _ = self._predict(tasks.heights, tasks.goals)
         flat = self.flat_costs(tasks.goals)
         bounds = {level: self.calibration.at_level(level, cost, flat) for level in self.calibration.cost_quantiles}
         probability = expit(logits / np.float32(self.calibration.temperature))
@@ -171,8 +191,18 @@ class LearnedAbstraction:
         goals = np.asarray(goals, np.float32)
         distinct, which = np.unique(goals.reshape(-1, 3), axis=0, return_inverse=True)
         flat = np.zeros((1, lattice.PATCH_CELLS, lattice.PATCH_CELLS), np.float32)
-        _, cost = self._predict(flat, distinct)
+        cost = self._predict(flat, distinct).cost
         return cost[0][which.reshape(-1)].reshape(goals.shape[:-1])
+
+    def _costs(self, judged: Judgements, goals: np.ndarray) -> np.ndarray:
+        """Costs [n, G] of the requested kind at the requested level; a cost for planning never exceeds the label's."""
+        cost = self._at_level(judged.cost, goals)
+        if not self._for_planning or judged.planning_cost is None:
+            return cost
+        planning = np.minimum(judged.planning_cost, judged.cost)
+        if self.quantile is not None:
+            planning = planning * (cost / judged.cost)
+        return np.maximum(planning, np.float32(MINIMUM_COST))
 
     def _at_level(self, cost: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """Converts predicted costs [n, G] to the requested level."""
@@ -186,8 +216,8 @@ class LearnedAbstraction:
         flat = np.broadcast_to(self._flat[key], cost.shape)
         return np.maximum(self.calibration.at_level(self.quantile, cost, flat), np.float32(MINIMUM_COST))
 
-    def _predict(self, patches: np.ndarray, goals: np.ndarray, batch: int = 128) -> tuple[np.ndarray, np.ndarray]:
-        """Feasibility logits and the network's own costs, float32 [n, G] each."""
+    def _predict(self, patches: np.ndarray, goals: np.ndarray, batch: int = 128) -> Judgements:
+        """The network's own judgements [n, G]; label costs are at least ``MINIMUM_COST``."""
         patches, goals = np.asarray(patches, np.float32), np.asarray(goals, np.float32)
         cells = lattice.PATCH_CELLS
         if patches.ndim != 3 or patches.shape[1:] != (cells, cells):
@@ -196,14 +226,15 @@ class LearnedAbstraction:
             goals = np.broadcast_to(goals, (len(patches), *goals.shape))
         if goals.ndim != 3 or len(goals) != len(patches) or goals.shape[2] != 3:
             raise InputError(f"goals: shape {goals.shape} is not [{len(patches)}, goals, 3]")
-        logits, cost = np.empty((2, *goals.shape[:2]), np.float32)
+        result = Judgements.empty(goals.shape[:2], self.predicts_planning_cost)
         evaluation: TorchEvaluation | FootprintEngine = self.engine or self.torch_evaluation
         for start in range(0, len(patches), batch):
             part = slice(start, start + batch)
-            predicted, of_feasible = evaluation.patches(patches[part], goals[part])
-            logits[part] = np.where(self._never(goals[part]), NEVER, of_feasible)
-            cost[part] = np.maximum(predicted, np.float32(MINIMUM_COST))
-        return logits, cost
+            judged = evaluation.patches(patches[part], goals[part])
+            logits = np.where(self._never(goals[part]), np.float32(NEVER), judged.logits)
+            cost = np.maximum(judged.cost, np.float32(MINIMUM_COST))
+            result.store(part, judged._replace(cost=cost, logits=logits))
+        return result
 
     def predict_windows(
         self, trunk: "DenseEvaluation", heights: np.ndarray, corners: np.ndarray, wanted: np.ndarray, goals: np.ndarray
@@ -214,7 +245,7 @@ class LearnedAbstraction:
         costs.
         """
         for group in self.torch_evaluation.windows(trunk, heights, corners, wanted, goals):
-            yield None if group is None else (group[0], *self._judged(*group[1:], goals))
+            yield None if group is None else (group[0], *self._judged(group[1], goals))
 
     def predict_bases(
         self, heights: np.ndarray, bases: np.ndarray, goals: np.ndarray
@@ -222,12 +253,13 @@ class LearnedAbstraction:
         """Like ``predict_windows``, with the engine; arguments are as for ``FootprintEngine.evaluate``."""
         assert self.engine is not None
         for group in self.engine.evaluate(heights, bases, goals):
-            yield None if group is None else (group[0], *self._judged(*group[1:], goals))
+            yield None if group is None else (group[0], *self._judged(group[1], goals))
 
-    def _judged(self, cost: np.ndarray, logits: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Feasibility and costs at the requested level, [n, G] each, for shared goals."""
-        feasible = (logits > self._least_logit()) & ~self._never(goals)
-        return feasible, self._at_level(np.maximum(cost, np.float32(MINIMUM_COST)), goals)
+    def _judged(self, judged: Judgements, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Feasibility, and costs of the requested kind and level, [n, G] each, for shared goals."""
+        feasible = (judged.logits > self._least_logit()) & ~self._never(goals)
+        cost = np.maximum(judged.cost, np.float32(MINIMUM_COST))
+        return feasible, self._costs(judged._replace(cost=cost), goals)
 
     def _least_logit(self) -> float:
         """Logit above which an action counts as feasible."""

@@ -111,6 +111,7 @@ class FootprintOptions:
         context: width of the summary over all footprints around the start; detours need it.
         feet: width of the ground summary ahead of and behind each foot at the start; steps need it.
         head: width of the layers that judge a way.
+        planning: whether the network predicts costs for planning, too, as a second cost.
         stance: the robot's requirements on the ground at a pose, as input features. None: the network has to learn
             them.
     """
@@ -124,6 +125,7 @@ class FootprintOptions:
     context: Width = 64
     feet: Width = 128
     head: Annotated[Width, Field(ge=2)] = 128
+    planning: bool = False
     stance: PoseRequirementOptions | None = None
 
     @model_validator(mode="after")
@@ -133,6 +135,11 @@ class FootprintOptions:
         if any(n % 2 == 0 for n in self.taps) or max(self.taps) * self.spacing > 27:
             raise fault("taps", self.taps, f"odd numbers, and with spacing {self.spacing} within 27 cells")
         return self
+
+    @property
+    def costs(self) -> int:
+        """Costs per goal: the label's, and with ``planning`` the one for planning."""
+        return 2 if self.planning else 1
 
     @property
     def foot(self) -> tuple[int, int]:

@@ -54,9 +54,9 @@ class LearnedCosts:
             patch has zeros.
         robot: robot of the network, for ``kind`` planning; None = the preset for which it was trained, if it still has
             the same parameters. Without a robot, edges keep label costs.
-        kind: kind of costs of the edges. The network predicts label costs. For planning, each edge is multiplied by the
-            ratio of both costs on flat ground (``hdsp.abstract.flat_table.planning_factors``). Predictions of single
-            tasks are label costs in any case.
+        kind: kind of costs of the edges. For planning, a network that predicts costs for planning gives them; the label
+            costs of any other network are multiplied by the ratio of both costs on flat ground
+            (``hdsp.abstract.flat_table.planning_factors``). Predictions of single tasks are label costs in any case.
         threshold: probability from which edges count an action as feasible; None = ``PLANNING_THRESHOLD`` for ``kind``
             planning, one half for label costs. Predictions of single tasks keep one half.
         quantile: cost level, see ``LearnedAbstraction.at_quantile``. A low level makes overestimates rare, for better
@@ -82,10 +82,12 @@ class LearnedCosts:
             threshold = PLANNING_THRESHOLD if checked_kind(kind) == CostKind.PLANNING else abstraction.threshold
         self._of_edges = self.abstraction.at_threshold(threshold)
         self.batch = batch
-        #: Float32 [16, 22], factors on predicted costs by heading and action; None = label costs.
+        #: Float32 [16, 22], factors on predicted costs by heading and action; None = costs as predicted.
         self.factors = None
         kind, known = checked_kind(kind), _trained_for(abstraction.provenance) if robot is None else Robot.load(robot)
-        if kind == CostKind.PLANNING:
+        if kind == CostKind.PLANNING and abstraction.predicts_planning_cost:
+            self._of_edges = self._of_edges.for_planning()
+        elif kind == CostKind.PLANNING:
             self.factors = None if known is None else planning_factors(known)
         #: See ``BoundedCosts``.
         self.least = None if known is None else np.float32(LEAST) * flat_table(known, None, kind)

@@ -19,11 +19,27 @@ class TaskMetrics:
     def reset(self) -> None:
         self.tasks = self.correct = self.both_feasible = 0
         self.detailed_cost = self.abstract_cost = self.error = 0.0
+        self.planning_error: float | None = None
 
-    def update(self, cost: Tensor, logits: Tensor, feasible: Tensor, labelled_cost: Tensor) -> None:
-        """Adds tasks: predicted costs, feasibility logits, and their labels; all arguments have one shape."""
+    def update(
+        self,
+        cost: Tensor,
+        logits: Tensor,
+        feasible: Tensor,
+        labelled_cost: Tensor,
+        planning: tuple[Tensor, Tensor] | None = None,
+    ) -> None:
+        """Adds tasks: predicted costs, feasibility logits, and their labels; all tensors have one shape.
+
+        ``planning`` holds predicted and true costs for planning; all tasks since ``reset`` have them, or none.
+        """
         judged = logits > 0
         both = judged & feasible
+        if planning is not None:
+            # A cost for planning never exceeds the label cost.
+            found = torch.minimum(planning[0], cost)[both].double().clamp_min(MINIMUM_COST)
+            true = planning[1][both].double()
+            self.planning_error = (self.planning_error or 0.0) + float((found - true).abs().sum())
         self.tasks += feasible.numel()
         self.correct += int((judged == feasible).sum())
         self.both_feasible += int(both.sum())
@@ -36,10 +52,12 @@ class TaskMetrics:
         """Returns the metrics.
 
         Keys are ``feasibility_accuracy`` in [0, 1]; ``cost_error``, ``detailed_cost`` and ``abstract_cost``, which are
-        means over tasks that labels and network judge feasible (NaN without any); and the counts ``tasks`` and
-        ``both_feasible``.
+        means over tasks that labels and network judge feasible (NaN without any); the counts ``tasks`` and
+        ``both_feasible``; and ``planning_cost_error``, the same mean as ``cost_error`` for costs for planning, if the
+        tasks have them.
         """
         compared = self.both_feasible or float("nan")
+        planning = {} if self.planning_error is None else {"planning_cost_error": self.planning_error / compared}
         return {
             "feasibility_accuracy": self.correct / self.tasks if self.tasks else float("nan"),
             "cost_error": self.error / compared,
@@ -47,6 +65,7 @@ class TaskMetrics:
             "abstract_cost": self.abstract_cost / compared,
             "tasks": float(self.tasks),
             "both_feasible": float(self.both_feasible),
+            **planning,
         }
 
 
@@ -63,5 +82,10 @@ def combined_score(feasibility_accuracy: float, cost_error: float) -> float:
 def task_losses(cost: Tensor, logits: Tensor, feasible: Tensor, labelled_cost: Tensor) -> tuple[Tensor, Tensor]:
     """Returns the paper's losses: feasibility BCE over all tasks, cost L1 over feasible tasks (0 without any)."""
     feasibility = torch.nn.functional.binary_cross_entropy_with_logits(logits, feasible.to(logits.dtype))
+    return feasibility, cost_loss(cost, labelled_cost, feasible)
+
+
+def cost_loss(cost: Tensor, labelled_cost: Tensor, feasible: Tensor) -> Tensor:
+    """Returns the mean absolute error over feasible tasks, 0 without any; all arguments have one shape."""
     error = (cost - labelled_cost).abs() * feasible
-    return feasibility, error.sum() / feasible.sum().clamp_min(1)
+    return error.sum() / feasible.sum().clamp_min(1)

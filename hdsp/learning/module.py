@@ -8,16 +8,16 @@ from torch import Tensor
 
 from hdsp.learning.callbacks import LOSSES
 from hdsp.learning.learning_settings import LossSettings, OptimizerSettings, ScheduleSettings
-from hdsp.learning.metrics import TaskMetrics, task_losses
+from hdsp.learning.metrics import TaskMetrics, cost_loss, task_losses
 from hdsp.learning.networks import TaskNetwork
-from hdsp.learning.task_data import Batch
+from hdsp.learning.task_data import Batch, PlanningBatch
 
 
 class AbstractionModule(pl.LightningModule):
     """Trains a ``TaskNetwork``.
 
-    The loss is w_f BCE(feasibility) + w_c L1(cost over feasible tasks). The weights are buffers and part of every
-    checkpoint.
+    The loss is w_f BCE(feasibility) + w_c L1(cost over feasible tasks). For a network that predicts costs for planning,
+    and batches with them, their L1 is part of the cost loss. The weights are buffers and part of every checkpoint.
 
     Args:
         network: network to train.
@@ -53,13 +53,15 @@ class AbstractionModule(pl.LightningModule):
         """Returns flat metrics for the epoch that just ended.
 
         Keys are ``loss/*`` and ``loss_weight/*`` (as used in the epoch) for ``feasibility`` and ``cost``, and
-        ``feasibility_accuracy/{set}`` and ``cost_error/{set}`` for each validation set.
+        ``feasibility_accuracy/{set}`` and ``cost_error/{set}`` for each validation set; ``planning_cost_error/{set}``
+        for a network that predicts costs for planning.
         """
         values = {f"loss/{name}": value for name, value in self.epoch_losses().items()}
         values |= {f"loss_weight/{name}": self.loss_weight(name) for name in LOSSES}
         for set_name, metrics in self.metrics.items():
             computed = metrics.compute()
-            values |= {f"{metric}/{set_name}": computed[metric] for metric in ("feasibility_accuracy", "cost_error")}
+            shown = ("feasibility_accuracy", "cost_error", "planning_cost_error")
+            values |= {f"{metric}/{set_name}": computed[metric] for metric in shown if metric in computed}
         return values
 
     def loss_weight(self, name: str) -> float:
@@ -79,9 +81,12 @@ class AbstractionModule(pl.LightningModule):
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         self.loss_sums[:] = torch.tensor(checkpoint.get("loss_sums", [0.0] * 3), dtype=torch.float64)
 
-    def training_step(self, batch: Batch, index: int) -> Tensor:
-        cost, logits = self.network(batch.heights, batch.goals)
-        losses = torch.stack(task_losses(cost, logits, batch.feasible, batch.cost))
+    def training_step(self, batch: Batch | PlanningBatch, index: int) -> Tensor:
+        cost, logits, *planning = self.network(batch.heights, batch.goals)
+        feasibility, error = task_losses(cost, logits, batch.feasible, batch.cost)
+        if planning and isinstance(batch, PlanningBatch):
+            error = error + cost_loss(planning[0], batch.planning_cost, batch.feasible)
+        losses = torch.stack([feasibility, error])
         size = len(batch.heights)
         self.loss_sums[:2] += losses.detach() * size
         self.loss_sums[2] += size
@@ -91,9 +96,10 @@ class AbstractionModule(pl.LightningModule):
         for metrics in self.metrics.values():
             metrics.reset()
 
-    def validation_step(self, batch: Batch, index: int, dataloader_idx: int = 0) -> None:
-        cost, logits = self.network(batch.heights, batch.goals)
-        self.metrics[self.val_sets[dataloader_idx]].update(cost, logits, batch.feasible, batch.cost)
+    def validation_step(self, batch: Batch | PlanningBatch, index: int, dataloader_idx: int = 0) -> None:
+        cost, logits, *planning = self.network(batch.heights, batch.goals)
+        known = (planning[0], batch.planning_cost) if planning and isinstance(batch, PlanningBatch) else None
+        self.metrics[self.val_sets[dataloader_idx]].update(cost, logits, batch.feasible, batch.cost, known)
 
     def configure_optimizers(self):
         settings = self.optimizer_settings

@@ -26,7 +26,7 @@ from hdsp.terrain.scenes import random_map
 #: The rules of the contract `TaskNetwork`.
 RULES = {
     "parts": "a network has an encoding (HeightEncoding) and heads (nn.Linear)",
-    "outputs": "forward returns cost and logits, float [B, G] each, for any B and G",
+    "outputs": "forward returns cost, logits and, with predicts_planning_cost, costs for planning, float [B, G] each",
     "finite": "outputs are finite, with unknown cells too",
     "trunk": "map_part returns [B, F], and forward is goal_part of it in float32",
     "determinism": "in evaluation mode the same tasks have the same outputs",
@@ -100,13 +100,14 @@ def _check_parts(contract: Contract, network: TaskNetwork) -> None:
 
 
 def _check_outputs(contract: Contract, network: TaskNetwork, patches: Tensor, goals: Tensor) -> np.ndarray:
-    """Checks the answers; returns them, float32 [2, B, G]."""
+    """Checks the answers; returns them, float32 [2 or 3, B, G]."""
     given = patches.clone(), goals.clone()
     outputs = network(*given)
     contract.require_equal("input", given[0].numpy(), patches.numpy(), "heights after a call")
     contract.require_equal("input", given[1].numpy(), goals.numpy(), "goals after a call")
-    _check_kind(contract, outputs, goals)
-    _check_kind(contract, network(patches[:1], goals[:1, :1]), goals[:1, :1])
+    count = 3 if network.predicts_planning_cost else 2
+    _check_kind(contract, outputs, goals, count)
+    _check_kind(contract, network(patches[:1], goals[:1, :1]), goals[:1, :1], count)
     expected = _array(outputs)
     contract.require_equal("determinism", _array(network(patches, goals)), expected, "outputs when asked again")
     unknown = torch.full_like(patches[:1], torch.nan)
@@ -117,16 +118,16 @@ def _check_outputs(contract: Contract, network: TaskNetwork, patches: Tensor, go
     return expected
 
 
-def _check_kind(contract: Contract, outputs: object, goals: Tensor) -> None:
-    kinds = isinstance(outputs, tuple) and len(outputs) == 2 and all(isinstance(out, Tensor) for out in outputs)
-    contract.require("outputs", kinds, f"{type(outputs).__name__} instead of two tensors")
+def _check_kind(contract: Contract, outputs: object, goals: Tensor, count: int) -> None:
+    kinds = isinstance(outputs, tuple) and len(outputs) == count and all(isinstance(out, Tensor) for out in outputs)
+    contract.require("outputs", kinds, f"{type(outputs).__name__} instead of {count} tensors")
     assert isinstance(outputs, tuple)
     for output in outputs:
         found = f"{output.dtype} {tuple(output.shape)} for goals {tuple(goals.shape)}"
         contract.require("outputs", output.is_floating_point() and output.shape == goals.shape[:2], found)
 
 
-def _array(outputs: tuple[Tensor, Tensor]) -> np.ndarray:
+def _array(outputs: tuple[Tensor, ...]) -> np.ndarray:
     return torch.stack(outputs).float().numpy()
 
 
@@ -208,8 +209,7 @@ def _check_gradients(contract: Contract, network: TaskNetwork, patches: Tensor, 
         with torch.no_grad():
             for parameter in trial.parameters():
                 parameter.add_(offset + noise * torch.randn(parameter.shape, generator=random))
-        cost, logits = trial(patches, goals)
-        (cost.square().sum() + logits.square().sum()).backward()
+        torch.stack(trial(patches, goals)).square().sum().backward()
         for name, parameter in trial.named_parameters():
             if parameter.grad is not None:
                 finite = parameter.grad.isfinite().all()

@@ -12,6 +12,7 @@ from safetensors.torch import save as tensor_bytes
 from hdsp.base.errors import InputError
 from hdsp.learning.encoding import encode
 from hdsp.learning.hardware import autocast, channels_last
+from hdsp.learning.judgements import Judgements
 from hdsp.learning.learning_settings import HardwareSettings, ModelSettings
 from hdsp.learning.networks import TaskNetwork, build_network
 from hdsp.learning.networks.dense import DenseEvaluation
@@ -51,17 +52,17 @@ class TorchEvaluation:
         return cls(network, hardware)
 
     @torch.inference_mode()
-    def patches(self, patches: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Returns costs and feasibility logits, float32 [n, G] each, for patches [n, 72, 72] and goals [n, G, 3]."""
+    def patches(self, patches: np.ndarray, goals: np.ndarray) -> Judgements:
+        """Returns judgements [n, G] for patches [n, 72, 72] and goals [n, G, 3]."""
         heights = torch.tensor(patches)[:, None].to(self.device, memory_format=torch.channels_last)
         with self._precision():
-            cost, logits = self.network(heights, torch.tensor(goals).to(self.device))
-        return cost.float().cpu().numpy(), logits.float().cpu().numpy()
+            outputs = self.network(heights, torch.tensor(goals).to(self.device))
+        return Judgements(*(output.float().cpu().numpy() for output in outputs))
 
     @torch.inference_mode()
     def windows(
         self, trunk: DenseEvaluation, heights: np.ndarray, corners: np.ndarray, wanted: np.ndarray, goals: np.ndarray
-    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray] | None]:
+    ) -> Iterator[tuple[slice, Judgements] | None]:
         """Like ``patches`` with shared goals, for patches that are windows into one array; some patches at a time.
 
         Args:
@@ -73,8 +74,8 @@ class TorchEvaluation:
             goals: float32 [G, 3] in abstract steps in the robot frame.
 
         Yields:
-            None after the trunk. Then, for each group with a wanted patch, its slice of ``corners``, costs and logits,
-            [m, G] each.
+            None after the trunk. Then, for each group with a wanted patch, its slice of ``corners``, and judgements
+            [m, G].
         """
         with self._precision():
             encoded = encode(self.network.encoding, torch.from_numpy(heights)[None, None].to(self.device))
@@ -88,8 +89,8 @@ class TorchEvaluation:
             part = slice(start, start + WINDOWS)
             if wanted[part].any():
                 features = trunk.windows(dense, torch.from_numpy(corners[part]).to(self.device)).float()
-                cost, logits = self.network.goal_part(features, shared_goals)
-                yield part, cost.cpu().numpy(), logits.cpu().numpy()
+                outputs = self.network.goal_part(features, shared_goals)
+                yield part, Judgements(*(output.cpu().numpy() for output in outputs))
 
     def weights(self, half: bool) -> bytes:
         """Returns the content of a safetensors file; with ``half``, trained values are rounded to half precision."""

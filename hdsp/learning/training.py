@@ -30,7 +30,7 @@ from hdsp.learning.module import AbstractionModule
 from hdsp.learning.networks import build_network
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.saved_abstraction import Provenance
-from hdsp.learning.task_data import task_loader
+from hdsp.learning.task_data import Targets, task_loader
 from hdsp.learning.task_stream import ResumableBatches, TaskStream
 
 if TYPE_CHECKING:
@@ -92,8 +92,9 @@ def train(
         quiet: whether to omit the printed line per epoch.
 
     Raises:
-        InputError: a configuration key is unknown or a value wrong, a task set is empty, the selection set is missing,
-            or no epoch gave a network that finds feasible tasks.
+        InputError: a configuration key is unknown or a value wrong, a task set is empty or lacks the costs for planning
+            that the network predicts, the selection set is missing, or no epoch gave a network that finds feasible
+            tasks.
     """
     config = load_settings(TrainingConfig, config)
     trainer_settings, out_dir = config.trainer, Path(out_dir)
@@ -106,9 +107,13 @@ def train(
     module = _module(config, tuple(val_sets))
     if trainer_settings.initial is not None:
         _begin_with(module.network, trainer_settings.initial, config.model)
-    source, maps = _training_batches(trainer_settings, train_tasks)
+    predicted: Targets = ("cost", "planning_cost") if module.network.predicts_planning_cost else ("cost",)
+    source, maps = _training_batches(trainer_settings, train_tasks, predicted)
     batches = ResumableBatches(source)
-    val_loaders = [task_loader(tasks, VALIDATION_BATCH) for tasks in val_sets.values()]
+    val_loaders = [
+        task_loader(tasks, VALIDATION_BATCH, targets=predicted if tasks.planning_cost is not None else ("cost",))
+        for tasks in val_sets.values()
+    ]
 
     checkpoints = out_dir / "checkpoints"
     last = _checkpoint_to_resume(checkpoints, _fingerprint(config, source))
@@ -186,11 +191,13 @@ def _loggers(logger: Logger | Iterable[Logger] | None) -> list[Logger] | bool:
     return [logger] if isinstance(logger, Logger) else list(logger)
 
 
-def _training_batches(settings: TrainerSettings, tasks: "TaskSet | Sequence[Place]") -> tuple[Any, int]:
+def _training_batches(
+    settings: TrainerSettings, tasks: "TaskSet | Sequence[Place]", targets: Targets
+) -> tuple[Any, int]:
     """An epoch's batches, and their number of maps."""
     from hdsp.labels.tasks import TaskSet
 
-    order: dict[str, Any] = {"shuffle": True, "mirror": settings.mirror, "seed": settings.seed}
+    order: dict[str, Any] = {"shuffle": True, "mirror": settings.mirror, "seed": settings.seed, "targets": targets}
     if isinstance(tasks, TaskSet):
         return task_loader(tasks, settings.batch, **order), len(tasks)
     stream = TaskStream(tasks, settings.batch, **order)
@@ -210,7 +217,8 @@ def _fingerprint(config: TrainingConfig, batches: Any) -> str:
         digest.update(json.dumps([*map(str, batches.paths), *batches.maps]).encode())
         return digest.hexdigest()
     data = batches.dataset
-    for tensor in (data.heights, data.goals, data.feasible, data.cost):
+    planning = [data.planning_cost] if data.planning_cost is not None else []
+    for tensor in (data.heights, data.goals, data.feasible, data.cost, *planning):
         digest.update(memoryview(tensor.numpy()).cast("B"))
     return digest.hexdigest()
 

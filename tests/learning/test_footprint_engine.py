@@ -154,7 +154,10 @@ def test_a_network_with_other_widths_and_channels(tmp_path):
     settings["encoding"] |= {"scale": 0.9, "clip": [-0.2, 0.4]}
     settings["options"] |= {"width": 12, "dilations": [2, 1], "hidden": 24, "features": 17, "head": 12}
     torch.manual_seed(1)
-    in_torch = LearnedAbstraction(hdsp.learning.build_network(settings), _model(settings))
+    network = hdsp.learning.build_network(settings)
+    with torch.no_grad():
+        network.goal_cost[-1].bias += 2  # no cost is at its lower bound
+    in_torch = LearnedAbstraction(network, _model(settings))
     folder = in_torch.save_pretrained(tmp_path / "model")
     patches, goals = rough_patches(3), robot_frame_goals(5)
     patches[0, 30:33, 20:50] = np.nan

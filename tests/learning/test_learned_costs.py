@@ -12,10 +12,12 @@ from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, ModelSettings, Provenance, build_network
 from hdsp.learning.learned_costs import PLANNING_THRESHOLD, distinct_patches
+from hdsp.learning.rotated_maps import RotatedMap
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, robot_frame_goals
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from tests.learning.synthetic import TINY_MODEL
+from tests.learning.test_zoo import abstraction as random_abstraction
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +92,32 @@ def test_edges_for_planning_are_corrected_by_the_ratio_on_flat_ground(costs, ter
         strict=True,
     ):
         np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("method", ["auto", "patches"])
+def test_edges_for_planning_come_from_a_network_that_predicts_them(method, terrain, tmp_path):
+    in_torch = random_abstraction("footprint")
+    with torch.no_grad():
+        in_torch.network.goal_cost[-1].bias += torch.tensor([2.0, 1.9])
+    box = 2, 3, 4, 5
+    for abstraction in (in_torch, LearnedAbstraction.from_pretrained(in_torch.save_pretrained(tmp_path / "model"))):
+        label, planned = (
+            LearnedCosts(abstraction, method=method, kind=kind, threshold=0.5, robot="momaro").edges(terrain, box)
+            for kind in ("label", "planning")
+        )
+        finite = np.isfinite(label)
+        assert (np.isfinite(planned) == finite).all() and finite.any()
+        assert (planned[finite] <= label[finite]).all() and (planned[finite] < label[finite]).any()
+        goals = robot_frame_goals(5)[None]
+        (state,) = np.argwhere(finite[5].any(axis=-1))[:1] + box[:2]
+        patch = RotatedMap(terrain.heights, 5).patches(4 * state[None] + 2)
+        _, cost = abstraction.for_planning().predict(patch, goals)
+        _, of_label = abstraction.predict(patch, goals)
+        actions = finite[5][tuple(state - box[:2])]
+        np.testing.assert_allclose(planned[5][tuple(state - box[:2])][actions], cost[0][actions], rtol=1e-2)
+        assert (cost <= of_label).all()
+    with pytest.raises(InputError, match="predicts label costs alone"):
+        random_abstraction("compact").for_planning()
 
 
 def test_each_edge_is_the_prediction_for_the_patch_of_its_state(costs, terrain, edges):

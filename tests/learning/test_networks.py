@@ -65,7 +65,7 @@ def test_klamt2019_with_shared_trunk_equals_the_textbook_network_task_by_task(pa
     network = build_network({"architecture": "klamt2019"}).eval()
     twin = TextbookKlamt2019().load_from(network)
     with torch.no_grad():
-        cost, logits = network(patches, goals)
+        cost, logits, *_ = network(patches, goals)
         for i in range(len(patches)):
             for j in range(0, 22, 3):
                 twin_cost, twin_probability = twin(patches[i, 0], goals[i, j])

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import lightning.pytorch as pl
 import numpy as np
@@ -15,6 +16,7 @@ from hdsp.learning import HardwareSettings, LearnedAbstraction, train
 from hdsp.learning.callbacks import AveragedWeights
 from hdsp.learning.metrics import combined_score
 from tests.learning.synthetic import synthetic_tasks, tiny_config
+from tests.learning.test_zoo import model_file
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +34,28 @@ def test_a_small_network_learns_a_simple_rule(tasks, val, tmp_path):
     always_feasible = val.feasible.mean()
     assert result.metrics["feasibility_accuracy/val"] > (1 + always_feasible) / 2
     assert result.metrics["cost_error/val"] < val.cost[val.feasible].std() / 2
+
+
+def test_costs_for_planning_are_learned_beside_label_costs(tasks, val, tmp_path):
+    def planned(tasks):
+        return replace(tasks, planning_cost=tasks.cost * np.linspace(0.4, 0.9, 22, dtype=np.float32))
+
+    config = tiny_config(epochs=12)
+    config["model"] = model_file("footprint")
+    config["model"]["options"] |= {"width": 8, "hidden": 16, "features": 8, "context": 8, "feet": 16, "head": 32}
+    result = train(config, planned(tasks), {"val": planned(val), "label": val}, tmp_path, quiet=True)
+    assert result.metrics["planning_cost_error/val"] < 0.5 * result.history[0]["planning_cost_error/val"]
+    assert "planning_cost_error/label" not in result.metrics
+    abstraction = LearnedAbstraction.from_pretrained(result.model_dir)
+    feasible, cost = abstraction.predict(val.heights, val.goals)
+    again, planning = abstraction.for_planning().predict(val.heights, val.goals)
+    both = feasible & val.feasible
+    np.testing.assert_array_equal(again, feasible)
+    assert (planning <= cost).all() and planning[both].mean() < 0.85 * cost[both].mean()
+    error = np.abs(planning - planned(val).planning_cost)[both].mean()
+    assert error == pytest.approx(result.metrics["planning_cost_error/val"], rel=0.05)
+    with pytest.raises(InputError, match="its labels have no planning_cost"):
+        train(config, tasks, {"val": val}, tmp_path / "other", quiet=True)
 
 
 def test_the_best_epoch_is_saved_and_gives_its_metrics_again(tasks, val, tmp_path):

@@ -29,7 +29,7 @@ def abstraction(name: str) -> LearnedAbstraction:
         network.heads.weight *= 20
         network.heads.bias[:half] += 0.5
         goals = torch.from_numpy(robot_frame_goals(2)).expand(2, -1, -1)
-        _, logits = network(torch.from_numpy(rough_patches(2))[:, None], goals)
+        _, logits, *_ = network(torch.from_numpy(rough_patches(2))[:, None], goals)
         network.heads.bias[half:] -= logits.median()
     return LearnedAbstraction(network, model, hardware=EXACT)
 
@@ -86,7 +86,7 @@ def test_a_step_against_the_gradient_lessens_the_loss(name):
     goals = torch.from_numpy(robot_frame_goals(1)).expand(2, -1, -1)
 
     def loss():
-        cost, logits = network(heights, goals)
+        cost, logits, *_ = network(heights, goals)
         return (cost - 0.3).square().mean() + (logits + 1).square().mean()
 
     before = loss()
@@ -103,7 +103,7 @@ def test_gradients_are_finite_in_bfloat16(name):
     network = abstraction(name).network.train().to(memory_format=torch.channels_last)
     heights = torch.from_numpy(rough_patches(8))[:, None]
     with torch.autocast("cpu", torch.bfloat16):
-        cost, logits = network(heights, torch.from_numpy(robot_frame_goals(1)).expand(8, -1, -1))
+        cost, logits, *_ = network(heights, torch.from_numpy(robot_frame_goals(1)).expand(8, -1, -1))
     (cost.sum() + logits.sum()).backward()
     assert all(parameter.grad.isfinite().all() for parameter in network.parameters())
 

@@ -59,6 +59,7 @@ from hdsp.learning.inference.ground_kernels import (
     weighted_sum,
 )
 from hdsp.learning.inference.pose_table import CORNERS, PoseTable, Ways, numbers, square
+from hdsp.learning.judgements import Judgements
 from hdsp.learning.learning_settings import ModelSettings
 from hdsp.learning.saved_abstraction import WEIGHTS
 from hdsp.robot.lattice import PATCH_CELLS, PATCH_CENTER, cells
@@ -228,7 +229,7 @@ class FootprintEngine:
 
     def evaluate(
         self, heights: np.ndarray, bases: np.ndarray, goals: np.ndarray
-    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray] | None]:
+    ) -> Iterator[tuple[slice, Judgements] | None]:
         """Evaluates the goals of some bases in a window, in short steps.
 
         Args:
@@ -237,8 +238,8 @@ class FootprintEngine:
             goals: float32 [G, 3] in abstract steps in the robot frame.
 
         Yields:
-            None after each layer of the whole window. Then, for each group of bases, its slice of ``bases``, costs and
-            feasibility logits, float32 [m, G] each.
+            None after each layer of the whole window. Then, for each group of bases, its slice of ``bases``, and the
+            judgements, [m, G].
         """
         to = self._known(goals)
         across = heights.shape[1]
@@ -272,12 +273,13 @@ class FootprintEngine:
             rows = np.empty((len(part) * len(goals), SAMPLES * self.features), np.float32)
             way_rows(part, poses, of_turns, corners, to.ways.weights, to.ways.turning, rows)
             (judged,) = self.judge.run(None, {"rows": rows, "start": known, "goals": to.constant})
-            excess, logits = np.moveaxis(judged.reshape(len(part), len(goals), 2), 2, 0)
-            yield slice(start, start + STATES), to.cost * (1 + excess), logits
+            excess, logits, *planning_excess = np.moveaxis(judged.reshape(len(part), len(goals), -1), 2, 0)
+            costs = [flat * (1 + more) for flat, more in zip(to.costs, (excess, *planning_excess), strict=True)]
+            yield slice(start, start + STATES), Judgements(costs[0], logits, *costs[1:])
 
-    def patches(self, patches: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Returns costs and feasibility logits, float32 [n, G] each, for patches [n, 72, 72] and goals [n, G, 3]."""
-        cost, logits = np.empty((2, *goals.shape[:2]), np.float32)
+    def patches(self, patches: np.ndarray, goals: np.ndarray) -> Judgements:
+        """Returns judgements [n, G] for patches [n, 72, 72] and goals [n, G, 3]."""
+        result = Judgements.empty(goals.shape[:2], self.options.planning)
         distinct, which = np.unique(goals.reshape(len(goals), -1), axis=0, return_inverse=True)
         for kind in range(len(distinct)):
             members = np.flatnonzero(which.reshape(-1) == kind)
@@ -289,8 +291,8 @@ class FootprintEngine:
                 heights = patches[part].reshape(-1, PATCH_CELLS)
                 for group in self.evaluate(heights, bases, np.ascontiguousarray(goals[part[0]])):
                     if group is not None:
-                        cost[part[group[0]]], logits[part[group[0]]] = group[1:]
-        return cost, logits
+                        result.store(part[group[0]], group[1])
+        return result
 
     def _known(self, goals: np.ndarray) -> _Goals:
         key = goals.tobytes()
@@ -299,10 +301,10 @@ class FootprintEngine:
                 self._goals.clear()
             features, weights = goal_features(goals), self._weights
             hidden = features @ weights["goal_cost.0.weight"].T + weights["goal_cost.0.bias"]
-            cost = np.maximum(hidden, 0) @ weights["goal_cost.2.weight"][0] + weights["goal_cost.2.bias"]
+            costs = np.maximum(hidden, 0) @ weights["goal_cost.2.weight"].T + weights["goal_cost.2.bias"]
             ways = Ways.to(goals)
             poses = np.unique(np.concatenate([self.table.context, ways.cells()]), axis=0)
-            self._goals[key] = _Goals(ways, poses, cost, features @ self._of_goal)
+            self._goals[key] = _Goals(ways, poses, costs.T, features @ self._of_goal)
         return self._goals[key]
 
     def _needed(self, size: int, across: int, cells: np.ndarray, read: np.ndarray) -> _Needed:
@@ -452,13 +454,13 @@ class _Goals(NamedTuple):
     Attributes:
         ways: ways to the goals.
         poses: int64 [n, 2], poses with the start heading that a base reads, relative to it.
-        cost: float32 [G], costs without excess.
+        costs: float32 [1 or 2, G], costs without excess, for planning last.
         constant: float32 [G, head], part of the goals in the first layer.
     """
 
     ways: Ways
     poses: np.ndarray
-    cost: np.ndarray
+    costs: np.ndarray
     constant: np.ndarray
 
 
@@ -506,9 +508,9 @@ def _shapes(options: FootprintOptions, channels: int) -> dict[str, tuple[int, ..
         "feet": (options.feet, of_feet),
         "rest.0": (head, way),
         "rest.2": (head // 2, head),
-        "heads": (2, head // 2),
+        "heads": (1 + options.costs, head // 2),
         "goal_cost.0": (64, GOAL_FEATURES),
-        "goal_cost.2": (1, 64),
+        "goal_cost.2": (options.costs, 64),
     }
     shapes = {f"{name}.weight": shape for name, shape in weights.items()}
     return shapes | {f"{name}.bias": shape[:1] for name, shape in weights.items() if name != "of_ground"}

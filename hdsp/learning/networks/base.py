@@ -20,10 +20,12 @@ class TaskNetwork(nn.Module):
 
     Attributes:
         Options: settings class of the architecture's options (`hdsp.base.settings.checked`).
+        predicts_planning_cost: whether costs for planning follow as a third output; the tasks it learns from need them.
     """
 
     Options: ClassVar[type]
     heads: nn.Linear
+    predicts_planning_cost = False
 
     def __init__(self, encoding: HeightEncoding):
         super().__init__()
@@ -33,8 +35,8 @@ class TaskNetwork(nn.Module):
         """Returns features [B, F] for encoded patches [B, channels, 72, 72]."""
         raise NotImplementedError
 
-    def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns costs [B, G] and feasibility logits [B, G] for features [B, F] and goals [B, G, 3]."""
+    def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, ...]:
+        """Returns the outputs of ``forward`` for features [B, F] and goals [B, G, 3]."""
         raise NotImplementedError
 
     def dense_trunk(self) -> DenseEvaluation | None:
@@ -49,7 +51,7 @@ class TaskNetwork(nn.Module):
         trunk = self.dense_trunk()
         return trunk is not None and trunk.exact and self.encoding.is_local()
 
-    def forward(self, heights: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, heights: Tensor, goals: Tensor) -> tuple[Tensor, ...]:
         """Evaluates tasks.
 
         Args:
@@ -57,7 +59,8 @@ class TaskNetwork(nn.Module):
             goals: float32 [B, G, 3], (dx, dy, dtheta) in abstract steps in each patch's robot frame; any G.
 
         Returns:
-            (cost, feasibility logits), float [B, G] each. Costs are meaningful for feasible tasks only.
+            (cost, feasibility logits), float [B, G] each, and with ``predicts_planning_cost`` a third tensor, costs for
+            planning. Costs are meaningful for feasible tasks only.
 
         Convention: axis 2 of ``heights`` is x, along the robot's heading, axis 3 is y, to its left; the base stands at
         the centre of cell (36, 36).

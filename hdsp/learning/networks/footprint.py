@@ -90,8 +90,10 @@ class Footprint(TaskNetwork):
         self.rest = nn.Sequential(
             nn.Linear(way, options.head), nn.ReLU(), nn.Linear(options.head, options.head // 2), nn.ReLU()
         )
-        self.heads = nn.Linear(options.head // 2, 2)
-        self.goal_cost = nn.Sequential(nn.Linear(GOAL_FEATURES, 64), nn.ReLU(), nn.Linear(64, 1))
+        # Excess of the label's cost, logit, excess of the cost for planning.
+        self.heads = nn.Linear(options.head // 2, 1 + options.costs)
+        self.goal_cost = nn.Sequential(nn.Linear(GOAL_FEATURES, 64), nn.ReLU(), nn.Linear(64, options.costs))
+        self.predicts_planning_cost = options.planning
         self.register_buffer("taps", torch.from_numpy(footprint_taps(options)), persistent=False)
         self.register_buffer("turns", torch.from_numpy(turn_angles()), persistent=False)
         self.requirements = None
@@ -221,7 +223,7 @@ class Footprint(TaskNetwork):
         judged = torch.relu(self.footprint(torch.relu(of_local + self.of_ground(of_ground))))
         return torch.cat([judged, required[..., -POSE_FEATURES:].to(judged)], dim=-1) if self.requirements else judged
 
-    def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
+    def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, ...]:
         width = self.pose_features
         goals = goals.expand(len(features), -1, -1)
         sizes = [POSES * POSES * width, 2 * (SAMPLES - 1) * width, self.options.feet]
@@ -240,8 +242,10 @@ class Footprint(TaskNetwork):
         around = torch.cat([around, feet], dim=1)[:, None].expand(-1, goals.shape[1], -1)
         known = goal_features(goals)
         seen = torch.cat([way.flatten(2), way.mean(2), way.amax(2), around, known], dim=-1)
-        excess, logits = self.heads(self.rest(seen)).unbind(-1)
-        return self.goal_cost(known).squeeze(-1) * (1 + excess), logits
+        excess, logits, *planning_excess = self.heads(self.rest(seen)).unbind(-1)
+        cost, *planning_cost = self.goal_cost(known).unbind(-1)
+        judged = cost * (1 + excess), logits
+        return (*judged, planning_cost[0] * (1 + planning_excess[0])) if planning_cost else judged
 
 
 class FootprintTrunk:
