@@ -163,18 +163,18 @@ def _metrics(figures: Mapping[str, Mapping[str, Any]], missing: Mapping[str, str
         rows.append((
             name, f"{values['maps']:,}", f"{values['tasks']:,}",
             percent(values["feasibility_accuracy"]), percent(paper.get("feasibility_accuracy")),
-            _cost(values["cost_error"]), _cost(paper.get("cost_error")),
+            _cost(values["cost_error"]), _cost(paper.get("cost_error")), _cost(values["planning_cost_error"]),
             percent(values["false_feasible"]), percent(values["false_infeasible"]),
         ))  # fmt: skip
     header = (
         "set", "maps", "tasks", "feasibility correct", "the paper's", "cost error", "the paper's",
-        "wrongly feasible", "wrongly infeasible",
+        "planning cost error", "wrongly feasible", "wrongly infeasible",
     )  # fmt: skip
     text = (
         "## Metrics\n\nThe metrics compare the network with the detailed planner. The set `val` chose the epoch; no "
-        "other set took part. The cost error is the mean absolute difference over tasks that both judge feasible. The "
-        "paper's figures belong to the paper's own sets; `published` stands beside its simulated set.\n\n"
-        + markdown(header, rows)
+        "other set took part. The cost error is the mean absolute difference over tasks that both judge feasible; the "
+        "planning cost error is the same for costs for planning (docs/cost-model.md). The paper's figures belong to "
+        "the paper's own sets; `published` stands beside its simulated set.\n\n" + markdown(header, rows)
     )
     if missing:
         text += "\n\nWithout data: " + "; ".join(f"{name} ({reason})" for name, reason in missing.items()) + "."

@@ -8,7 +8,7 @@ cost error; a smaller error means a larger cost similarity (paper, Sec. VI-A).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -22,7 +22,23 @@ if TYPE_CHECKING:
 COLUMNS = (
     "set", "category", "method", "maps", "tasks", "feasible", "judged_feasible", "both_feasible",
     "feasibility_accuracy", "detailed_cost_mean", "detailed_cost_std", "abstract_cost_mean", "cost_error",
+    "planning_cost_error",
 )  # fmt: skip
+
+
+@runtime_checkable
+class PlanningPredictor(TaskPredictor, Protocol):
+    """Predictor that may know costs for planning (`hdsp.abstract.CostKind`), too.
+
+    Attributes:
+        predicts_planning_cost: whether `for_planning` is possible.
+    """
+
+    predicts_planning_cost: bool
+
+    def for_planning(self) -> TaskPredictor:
+        """Returns a predictor of costs for planning."""
+        ...
 
 
 def evaluate_set(predictors: Mapping[str, TaskPredictor], tasks: TaskSet) -> dict[str, Any]:
@@ -35,16 +51,19 @@ def evaluate_set(predictors: Mapping[str, TaskPredictor], tasks: TaskSet) -> dic
     Returns:
         `maps`, `tasks`, `feasible`, `detailed_cost_mean`, `detailed_cost_std`; `methods`: for each method
         `feasibility_accuracy` in [0, 1] over all tasks; `cost_error` (mean absolute cost difference),
-        `abstract_cost_mean` and `compared_cost_mean` (label costs) over the tasks feasible according to both; the
-        counts `judged_feasible` and `both_feasible`; and `categories`: the same entries for each category in the set.
-        All values are plain numbers for JSON; a mean over no task is None.
+        `abstract_cost_mean` and `compared_cost_mean` (label costs) over the tasks feasible according to both;
+        `planning_cost_error`, the same as `cost_error` for costs for planning, None if the tasks lack them or the
+        abstraction does not predict them; the counts `judged_feasible` and `both_feasible`; and `categories`: the same
+        entries for each category in the set. All values are plain numbers for JSON; a mean over no task is None.
 
     Raises:
         InputError: if the set is empty, or a prediction has the wrong shape.
     """
     if len(tasks.heights) == 0:
         raise InputError("evaluation: the set has no tasks, need at least one map")
-    judged = {name: predict(predictor, tasks) for name, predictor in predictors.items()}
+    judged = {
+        name: (*predict(predictor, tasks), _planning_costs(predictor, tasks)) for name, predictor in predictors.items()
+    }
     everything = np.ones(len(tasks.heights), dtype=bool)
     names = np.array([str(name) for name in tasks.category])
     result = _figures(tasks, judged, everything)
@@ -68,6 +87,15 @@ def predict(predictor: TaskPredictor, tasks: TaskSet) -> tuple[np.ndarray, np.nd
     return feasible, cost
 
 
+def _planning_costs(predictor: TaskPredictor, tasks: TaskSet) -> np.ndarray | None:
+    """Predicted costs for planning, float [n, 22]; None if tasks or predictor have none."""
+    if tasks.planning_cost is None or not (
+        isinstance(predictor, PlanningPredictor) and predictor.predicts_planning_cost
+    ):
+        return None
+    return predict(predictor.for_planning(), tasks)[1]
+
+
 def rows(quality: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Flat table of the metrics with the columns `COLUMNS`.
 
@@ -85,9 +113,18 @@ def rows(quality: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
     return table
 
 
-def _figures(tasks: TaskSet, judged: Mapping[str, tuple[np.ndarray, np.ndarray]], maps: np.ndarray) -> dict[str, Any]:
+def _figures(
+    tasks: TaskSet, judged: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray | None]], maps: np.ndarray
+) -> dict[str, Any]:
     """Metrics for the maps selected by `maps` (bool [n])."""
     feasible, cost = np.asarray(tasks.feasible, bool)[maps], np.asarray(tasks.cost, float)[maps]
+
+    def planning_error(answer: np.ndarray, planning: np.ndarray | None) -> float | None:
+        if planning is None or tasks.planning_cost is None:
+            return None
+        both = feasible & answer[maps]
+        return _number(np.abs(planning[maps][both] - tasks.planning_cost[maps][both]), np.mean)
+
     return {
         "maps": int(maps.sum()),
         "tasks": int(feasible.size),
@@ -95,7 +132,9 @@ def _figures(tasks: TaskSet, judged: Mapping[str, tuple[np.ndarray, np.ndarray]]
         "detailed_cost_mean": _number(cost[feasible], np.mean),
         "detailed_cost_std": _number(cost[feasible], np.std),
         "methods": {
-            name: _agreement(feasible, cost, answer[maps], costs[maps]) for name, (answer, costs) in judged.items()
+            name: _agreement(feasible, cost, answer[maps], costs[maps])
+            | {"planning_cost_error": planning_error(answer, planning)}
+            for name, (answer, costs, planning) in judged.items()
         },
     }
 

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,6 +57,24 @@ def test_cost_counts_only_where_both_judge_feasible():
     assert it["compared_cost_mean"] == pytest.approx(0.5)
     assert figures["detailed_cost_mean"] == pytest.approx(0.5)
     assert figures["detailed_cost_std"] == pytest.approx(0.0)
+
+
+def test_costs_for_planning_are_compared_where_both_sides_have_them(four_maps):
+    class Planning(Answers):
+        predicts_planning_cost = True
+
+        def for_planning(self):
+            return Answers(self.feasible, 0.5 * self.cost + 0.1)
+
+    planned = replace(four_maps, planning_cost=0.5 * four_maps.cost)
+    known, unknown = Planning(four_maps.feasible, four_maps.cost), Answers(four_maps.feasible, four_maps.cost)
+
+    def errors(tasks):
+        methods = evaluate_set({"known": known, "unknown": unknown}, tasks)["methods"]
+        return [methods[name]["planning_cost_error"] for name in ("known", "unknown")]
+
+    assert errors(planned) == [pytest.approx(0.1), None]
+    assert errors(four_maps) == [None, None]
 
 
 def test_categories_add_up_to_the_set(four_maps):
