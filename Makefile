@@ -21,9 +21,10 @@ KERNEL_TESTS := tests/detailed tests/abstract/test_prepared_graph.py tests/label
 help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
 
-repro: $(STAMP)  ## run the pipeline (only what changed) and print the paper's tables beside ours
+repro: $(STAMP)  ## run the pipeline (only what changed) and print the paper's tables beside ours, and seconds by stage
 	dvc repro
 	@cat reports/tables.md
+	@python -m pipeline.seconds
 
 tables: $(STAMP)  ## print the tables of the last run
 	@cat reports/tables.md

@@ -20,6 +20,7 @@ from hdsp.base.files import replacing
 from hdsp.base.settings import read_json as read_json_file
 from pipeline.config import configure, expand_choices, read_params, typed
 from pipeline.config_types import Config
+from pipeline.seconds import timed
 
 SWEEP_FLAGS = ("-m", "--multirun")
 
@@ -69,7 +70,8 @@ def run_stage(
                 _sweep(stage, name, arguments, overrides)
         else:
             config = configure(overrides) if overrides else read_params()
-            stage(config, _folders(config, name, bool(overrides), place), *arguments)
+            with contextlib.nullcontext() if overrides else timed(name, arguments):
+                stage(config, _folders(config, name, bool(overrides), place), *arguments)
     except InputError as error:
         sys.exit(f"error: {error}")
 

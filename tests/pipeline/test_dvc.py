@@ -33,6 +33,15 @@ def test_repro_runs_the_chain_once(reproduced):
     assert "up to date" in again
 
 
+def test_each_stage_has_its_seconds(reproduced):
+    lines = run_python("pipeline.seconds", cwd=reproduced).stdout.splitlines()[2:]
+    seconds = {name.strip(): int(value) for name, value in (line.strip("| ").split("|") for line in lines)}
+    total = seconds.pop("all")
+    stages = run_dvc("stage", "list", "--name-only", cwd=reproduced).split()
+    assert set(seconds) == set(stages)
+    assert abs(total - sum(seconds.values())) <= len(stages)
+
+
 def test_outputs_that_dvc_keeps_are_not_in_git_and_reports_are(reproduced):
     stages = yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"]
     outputs = [out for stage in stages.values() for out in [*stage.get("outs", []), *stage.get("metrics", [])]]
