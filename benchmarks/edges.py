@@ -16,6 +16,11 @@ after a height change on 1 m2 in the middle with the same work for the whole map
 results are identical to the bit. `*_cpu_s` are processor seconds over all threads, which depend little on other work on
 the machine; `cpu_ratio` and `update_cpu_ratio` compare them.
 
+`first_query_cpu_s` is the median over the paper arena's goals, each with a new planner on its map, at W = 1.25, without
+the compilation of the terrain; `share_evaluated` is the median share of the states at which the robot can stand whose
+edges this query evaluated. `update_cpu_s` and `manual_update_cpu_s` are medians over changes, learned and manual: a
+block of 30 cm appears beside the way, and the last query follows again.
+
 `padded_*` compare dense evaluation of the published network, an approximation, with its exact evaluation in the middle
 of the map. Dense evaluation sees the map where a patch has zeros, and the base is off by up to half a cell. The figures
 are the share of actions judged differently, and the mean cost difference relative to the mean cost.
@@ -24,10 +29,16 @@ are the share of actions judged differently, and the mean cost difference relati
 import argparse
 import json
 import time
+from pathlib import Path
+from statistics import median
 
 import numpy as np
 
 CELLS_PER_METRE = 40
+PAPER = Path(__file__).parents[1] / "conf/arena/paper.yaml"
+WEIGHT = 1.25
+BLOCK, HEIGHT = 12, 0.1  # cells along a side, m
+CHANGES = 5
 
 
 def main(argv=None) -> dict:
@@ -92,6 +103,7 @@ def main(argv=None) -> dict:
         "update_identical": bool(np.array_equal(updated.incoming, whole.incoming) and np.array_equal(repaired, anew)),
         **approximation(hardware, before),
         **shipped(hardware, arguments.size, arguments.seed),
+        **queries(),
     }
     print(json.dumps({key: round(value, 7) if isinstance(value, float) else value for key, value in result.items()}))
     return result
@@ -123,6 +135,56 @@ def shipped(hardware, size: float, seed: int) -> dict:
         "whole_map_cpu_s": whole_map_cpu_s,
         "before_over_now": before_cpu_s / now_cpu_s,
     }
+
+
+def queries() -> dict:
+    """First queries and updates in the paper's arena, as ``heuristic="learned"`` and ``"manual"`` answer them."""
+    import yaml
+
+    from hdsp.planning.planner import Planner
+    from hdsp.terrain.arenas import read_arena
+
+    description = yaml.safe_load(PAPER.read_text())
+    terrain = read_arena(description).height_map()
+    tasks = [(task["start"], task["goal"]) for task in description["tasks"]]
+
+    def planner(heuristic: str) -> Planner:
+        return Planner(terrain, heuristic=heuristic, conditioning=None)
+
+    planner("learned").plan(*tasks[-1], weight=WEIGHT)  # compiles
+    seconds, shares = [], []
+    for ends in tasks:
+        new = planner("learned")
+        seconds.append(timed(lambda new=new, ends=ends: new.plan(*ends, weight=WEIGHT, polish=0.0))[1])
+        shares.append(new.heuristic.known.share)
+    return {
+        "first_query_cpu_s": median(seconds),
+        "share_evaluated": median(shares),
+        "update_cpu_s": median(updates(planner("learned"), terrain, tasks[0])),
+        "manual_update_cpu_s": median(updates(planner("manual"), terrain, tasks[0])),
+    }
+
+
+def updates(planner, terrain, ends) -> list[float]:
+    """Processor seconds for each change of the map: one more block stands beside the way of the last plan."""
+    from hdsp.terrain.height_map import HeightMap
+
+    plan = planner.plan(*ends, weight=WEIGHT, polish=0.0)
+    first = planner.grid.to_lattice(ends[0])[:2]
+    way = planner.grid.cell(plan.states[:, :2])
+    far = way[np.hypot(*(way - first).T) > 4 * BLOCK]
+    places = far[np.linspace(0, len(far) - 4 * BLOCK, CHANGES + 1).astype(int)] + 2 * BLOCK
+    heights, seconds = terrain.heights, []
+    for x, y in places.tolist():
+        heights = heights.copy()
+        heights[x : x + BLOCK, y : y + BLOCK] += np.float32(HEIGHT)
+
+        def changed(heights=heights):
+            planner.update(HeightMap(heights, terrain.origin))
+            planner.plan(*ends, weight=WEIGHT, polish=0.0)
+
+        seconds.append(timed(changed)[1])
+    return seconds[1:]  # the first change compiles
 
 
 def timed(compute):

@@ -77,18 +77,19 @@ def least_costs_from(standing, least, starts):
     return costs
 
 
-def corridor(distances, behind, margin, slack, near, doubt):
+def corridor(distances, behind, narrow, wide, most, near, doubt):
     """States of the corridor with their costs, a dict, and its limit.
 
     Args:
         distances: costs-to-go with all edges, [16, nx, ny].
         behind: from ``least_costs_from``.
-        margin, slack, near, doubt: as in `hdsp.abstract.corridor`.
+        narrow, wide, most, near, doubt: as in `hdsp.abstract.corridor`.
     """
     costs = {state: float(distances[state[2], state[0], state[1]]) for state in behind}
     best = min((cost + doubt * behind[state] for state, cost in costs.items() if behind[state] <= near), default=np.inf)
-    limit = (1 + margin) * best + slack
-    return {state: cost for state, cost in costs.items() if cost + behind[state] <= limit < np.inf}, limit
+    keys = sorted(cost + behind[state] for state, cost in costs.items() if cost + behind[state] <= best + wide)
+    limit = max(best + narrow, keys[min(most, len(keys)) - 1])
+    return {state: cost for state, cost in costs.items() if cost + behind[state] <= limit}, limit
 
 
 def costs_around(inside, behind, limit, edges, standing, least, prices, excess):

@@ -2,7 +2,9 @@
 
 A query from one start needs costs-to-go of few states. Let ``cost`` be the cost from a state to the goals, ``behind`` a
 lower bound on the cost from the start to the state, and ``best`` the cost of the cheapest abstract way. The corridor
-consists of all states with ``cost + behind <= (1 + MARGIN) * best + SLACK``.
+consists of the states with the least ``cost + behind``: all states up to ``best + NARROW``, and further ones up to
+``best + WIDE`` while there are at most ``MOST``. A short way thus has a wide corridor, in which a search finds ways
+around errors of the abstraction, and a long way has a narrow one for its length.
 
 A backward A* search from the goals with the key ``cost + behind`` finds the corridor (Hart, Nilsson & Raphael 1968).
 The bound comes from a forward Dijkstra search in which every action has its least possible cost, between states at
@@ -10,9 +12,9 @@ which the robot can stand. It is consistent, so the search gives each state of t
 and visits no state beyond.
 
 Edges are evaluated where the search needs them (lazy weighted A*, Cohen, Phillips & Likhachev, RSS 2014). An action
-without evaluation counts its least cost. All states of the corridor are then evaluated, and the search begins again,
-until the corridor holds evaluated states alone. Its costs are then exact, and independent of edges elsewhere: with all
-edges of the map, the corridor is the same.
+without evaluation counts its least cost. All states of the corridor, and some around it, are then evaluated, and the
+search begins again, until the corridor holds evaluated states alone. Its costs are then exact, and independent of edges
+elsewhere: with all edges of the map, the corridor is the same.
 
 Convention: states are flat indices ``(heading * nx + ix) * ny + iy``.
 """
@@ -28,11 +30,14 @@ from hdsp.abstract.cut_off import reconnect
 from hdsp.base.jit import njit
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
 
-#: Cost above the cheapest way that a way in the corridor may have, relative and absolute.
-MARGIN, SLACK = 0.0, 2.0
+#: Cost above the cheapest way that a way in the corridor may have, at least and at most.
+NARROW, WIDE = 0.3, 2.0
+#: States of a corridor that is wider than necessary.
+MOST = 10_000
 #: Cost on even ground within which a start without an abstract way is connected to states that have one.
 NEAR = 1.0
 
+_FRINGE = 0.1  # states around a corridor that are evaluated with it, relative; otherwise, single ones follow one by one
 _BUCKETS = 1 << 13
 _FAR = _BUCKETS - 1  # a state in a later bucket waits in this one, and comes again
 _OUT = np.int32(-(2**31))
@@ -45,11 +50,13 @@ class Corridor(NamedTuple):
         costs: float64 [16, nx, ny], costs to the goals in the corridor, inf outside.
         behind: float64 [16, nx, ny], lower bounds on costs from the start.
         limit: largest sum of both in the corridor.
+        around: bool [16, nx, ny], states of the corridor, and the next ones in the order of this sum.
     """
 
     costs: np.ndarray
     behind: np.ndarray
     limit: float
+    around: np.ndarray
 
     @property
     def states(self) -> np.ndarray:
@@ -89,12 +96,24 @@ def find_corridor(
         doubt: see above.
     """
     shape = behind.shape
-    found, queue = np.full(behind.size, np.inf), _Queue.empty(behind.size)
-    goals = _flat(goals, *shape[1:])
-    nx, ny = shape[1:]
-    settings = 1.0 / _width(least), doubt, MARGIN, SLACK, NEAR
-    limit = _settle(incoming.reshape(-1), nx, ny, behind.ravel(), goals, costs, found, *queue, *settings)
-    return None if limit == np.inf else Corridor(found.reshape(shape), behind, limit)
+    found, settled, queue = np.full(behind.size, np.inf), np.zeros(behind.size, np.bool_), _Queue.empty(behind.size)
+    (nx, ny), bounds, flat = shape[1:], behind.ravel(), incoming.reshape(-1)
+    settings = 1.0 / _width(least), doubt, NEAR, NARROW, WIDE, (1 + _FRINGE) * MOST
+    best = _settle(flat, nx, ny, bounds, _flat(goals, nx, ny), costs, found, settled, *queue, *settings)
+    if best == np.inf:
+        return None
+    keys = np.where(settled, found + bounds, np.inf)
+    around = keys <= best + WIDE
+    limit = max(best + NARROW, _smallest(keys[around], MOST))
+    around &= keys <= max(limit, _smallest(keys[around], round((1 + _FRINGE) * MOST)))
+    found[~(keys <= limit)] = np.inf
+    return Corridor(found.reshape(shape), behind, limit, around.reshape(shape))
+
+
+def _smallest(values: np.ndarray, count: int) -> float:
+    """The largest of the ``count`` smallest values."""
+    last = min(count, values.size) - 1
+    return float(np.partition(values, last)[last])
 
 
 def costs_around(
@@ -206,10 +225,27 @@ def _spread(sources, open_states, nx, ny, least, cost, after, ahead, heads, coun
 
 @njit(allocates=False)
 def _settle(
-    incoming, nx, ny, behind, goals, costs, cost, after, ahead, heads, counts, per_width, doubt, margin, slack, near
+    incoming,
+    nx,
+    ny,
+    behind,
+    goals,
+    costs,
+    cost,
+    settled,
+    after,
+    ahead,
+    heads,
+    counts,
+    per_width,
+    doubt,
+    near,
+    narrow,
+    wide,
+    most,
 ):
-    """Backward A* search; fills ``cost``, inf outside the corridor, and returns the corridor's limit."""
-    limit, best = np.inf, np.inf
+    """Backward A* search; fills ``cost``, also beyond the corridor, and returns the cost of the cheapest way."""
+    best, least_key, limit, total = np.inf, np.inf, np.inf, 0
     for i in range(len(goals)):
         goal = goals[i]
         if costs[i] < cost[goal] and behind[goal] < np.inf:
@@ -217,6 +253,9 @@ def _settle(
             _queue(after, ahead, heads, counts, goal, np.int64((costs[i] + behind[goal]) * per_width))
     count = len(ABSTRACT_ACTIONS)
     while counts[1] > 0 and counts[0] <= limit * per_width:
+        # All states of former buckets have their cost.
+        if total >= most and counts[0] > least_key * per_width:
+            break
         slot = counts[0] % _BUCKETS
         while heads[slot] >= 0:
             state = np.int64(heads[slot])
@@ -231,7 +270,10 @@ def _settle(
                 continue
             if behind[state] <= near and so_far + doubt * behind[state] < best:
                 best = so_far + doubt * behind[state]
-                limit = (1.0 + margin) * best + slack
+                least_key, limit = best + narrow, best + wide
+            if not settled[state]:
+                settled[state] = True
+                total += 1
             k, a, b = state // (nx * ny), state // ny % nx, state % ny
             for m in range(count):
                 edge = np.float64(incoming[state * count + m])
@@ -244,10 +286,7 @@ def _settle(
                     cost[start] = further
                     _queue(after, ahead, heads, counts, start, np.int64((further + behind[start]) * per_width))
         counts[0] += 1
-    for state in range(len(cost)):
-        if cost[state] + behind[state] > limit:
-            cost[state] = np.inf
-    return limit
+    return best
 
 
 @njit()

@@ -41,8 +41,8 @@ def corridor_steps(
         found = find_corridor(known.incoming, behind, sources.states, sources.costs, least, DOUBT)
         if found is None:
             return None
-        missing = found.states & standing & ~known.evaluated
-        if missing.any():
+        missing = found.around & standing & ~known.evaluated
+        if (missing & found.states).any():
             yield from known.evaluate(missing)
             continue
         to_go = costs_around(found, known.incoming, standing, least, prices, sources.excess)
