@@ -33,7 +33,7 @@ from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
 #: Cost above the cheapest way that a way in the corridor may have, at least and at most.
 NARROW, WIDE = 0.3, 2.0
 #: States of a corridor that is wider than necessary.
-MOST = 10_000
+MOST = 8_000
 #: Cost on even ground within which a start without an abstract way is connected to states that have one.
 NEAR = 1.0
 

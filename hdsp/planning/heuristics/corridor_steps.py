@@ -36,7 +36,7 @@ def corridor_steps(
     open_states[sources.states[:, 2], sources.states[:, 0], sources.states[:, 1]] = True
     behind = least_costs_from(_states_around(start, standing), open_states, least)
     while True:
-        count = known.count
+        version = known.version
         # No step ends before some edges are evaluated, so that queries with little time get on.
         found = find_corridor(known.incoming, behind, sources.states, sources.costs, least, DOUBT)
         if found is None:
@@ -46,7 +46,7 @@ def corridor_steps(
             yield from known.evaluate(missing)
             continue
         to_go = costs_around(found, known.incoming, standing, least, prices, sources.excess)
-        if count == known.count:  # no other thread has evaluated edges in the meantime
+        if version is known.version:  # no other thread has evaluated edges in the meantime
             return to_go
 
 

@@ -27,14 +27,14 @@ class KnownEdges:
         least: float32 [16, 22], least cost of an action by heading; None for costs without known bounds.
         evaluated: bool [16, nx, ny], states whose edges are known.
         incoming: float32 [16, nx, ny, 22], edges by end state, see ``PreparedGraph``.
-        count: number of evaluations so far; it grows with each new edge.
+        version: another object after each evaluation.
     """
 
     def __init__(self, terrain: HeightMap, costs: AbstractCosts, standing: np.ndarray):
         self.terrain, self.costs, self.standing = terrain, costs, standing
         stated = costs.least if isinstance(costs, BoundedCosts) else None
-        self.least = None if stated is None else np.ascontiguousarray(stated, np.float32)
-        self.evaluated, self.count = np.zeros(standing.shape, bool), 0
+        self.least = None if stated is None else np.array(stated, np.float32, order="C")
+        self.evaluated, self.version = np.zeros(standing.shape, bool), object()
         bounds = np.full(N_ABSTRACT_ACTIONS, np.inf, np.float32) if self.least is None else self.least
         bounds = np.broadcast_to(bounds, (len(standing), N_ABSTRACT_ACTIONS))
         self.incoming = least_incoming(standing, np.ascontiguousarray(bounds), ABSTRACT_ACTIONS)
@@ -72,7 +72,7 @@ class KnownEdges:
         yield
 
     def _evaluation(self, mask: np.ndarray) -> Steps[None]:
-        states = np.argwhere(mask)
+        states = np.ascontiguousarray(np.argwhere(mask))
         region, part = None, mask
         if not np.array_equal(mask, self.standing):
             (_, *first), (_, *last) = states.min(axis=0).tolist(), states.max(axis=0).tolist()
@@ -88,6 +88,8 @@ class KnownEdges:
         if self.least is not None:
             values = np.maximum(values, self.least[states[:, 0]])
         self._enter(states, values)
+        # A search that saw the former edges finds another version before it finds these states evaluated.
+        self.version = object()
         self.evaluated[mask] = True
 
     def _enter(self, states: np.ndarray, values: np.ndarray) -> None:
@@ -95,7 +97,7 @@ class KnownEdges:
         if len(finite):
             self._cheapest = min(self._cheapest, float(finite.min()))
             self._most_expensive = max(self._most_expensive, float(finite.max()))
-        self.count, self._graph = self.count + 1, None
+        self._graph = None
         replace_edges(self.incoming, states, values, ABSTRACT_ACTIONS)
 
     def updated(self, terrain: HeightMap, standing: np.ndarray, changed: np.ndarray) -> KnownEdges | None:
@@ -116,7 +118,7 @@ class KnownEdges:
         # States at which the robot could not stand before have no edges yet.
         result.evaluated = self.evaluated & standing & ~self.costs.affected(changed)
         result.incoming = self.incoming.copy()
-        states = np.argwhere((self.evaluated & ~result.evaluated) | (self.standing != standing))
+        states = np.ascontiguousarray(np.argwhere((self.evaluated & ~result.evaluated) | (self.standing != standing)))
         bounds = np.full((len(states), N_ABSTRACT_ACTIONS), np.inf, np.float32)
         if self.least is not None:
             known = standing[tuple(states.T)]
