@@ -287,7 +287,7 @@ class Planner:
 
         def search(query: Query, hopeless: Hopeless | None = None) -> Plan:
             if anchored is None or query.admissible:
-                return query.weighted(weight, hopeless)
+                return query.guided(weight, hopeless)
             return query.anchored(weight, anchored, hopeless)
 
         plan = query.search_or_prove(search)
@@ -295,7 +295,8 @@ class Planner:
             plan = refinable_plan(query, search, plan, Polish(polish, second=True))
         else:
             plan = Polish(polish, second=True).of(query, plan)
-        return query.from_start(plan.renewed({"heuristic_seconds": prepared, "seconds": now() - began}))
+        spent = {"heuristic_seconds": prepared + plan.stats.heuristic_seconds, "seconds": now() - began}
+        return query.from_start(plan.renewed(spent))
 
     def plan_each(self, start, goals: Sequence, weight: float | None = None, **options) -> list[Plan]:
         """Plans from start to each of several goals; returns one plan for each goal.
@@ -406,7 +407,15 @@ class Planner:
             return self._no_plan(Status.TIME_LIMIT, weight, began, (start, goal))
         spent = 0.0 if begin.way is None else float(begin.way.costs.sum())
         same = begin.world is self.world
-        estimate = preparation.result if same else _on_ground(begin.world, preparation.result, ends)
+        found = preparation.result
+        estimate = found if same else _on_ground(begin.world, found, ends)
+
+        def whole(until: float) -> Estimate | None:
+            steps = Gradual(self.heuristic.steps_to(ends.states, groups))
+            if not steps.run(until):
+                return None
+            return steps.result if same else _on_ground(begin.world, steps.result, ends)
+
         return Query(
             terrain=begin.terrain,
             robot=self.robot,
@@ -427,6 +436,7 @@ class Planner:
             assumed=begin.assumed,
             way=begin.way,
             measured=self.terrain if self.conditioning is None else None,
+            whole=None if self.heuristic.covers_map(found) else whole,
         )
 
     def _no_plan(

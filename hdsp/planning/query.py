@@ -37,6 +37,8 @@ from hdsp.terrain.height_map import HeightMap
 
 #: Budget of a backward search that settles few nodes, bytes.
 LITTLE = 64 << 20
+#: Expansions of a search whose guide covers a part of the map; a guide for the whole map then begins again.
+FIRST = 20_000
 
 
 class ReachedStates:
@@ -77,6 +79,8 @@ class Query:
         limits: of the whole query; ``ends`` counts instead of the time.
         ends: moment on the clock ``now`` at which the time is over.
         progress: called now and then with (expansions, seconds).
+        whole: computes the guide for the whole map until a moment on the clock ``now``, or returns None; None where
+            ``estimate`` covers the map.
     """
 
     terrain: HeightMap
@@ -97,6 +101,7 @@ class Query:
     assumed: tuple[str, ...] = ()
     way: WayOut | None = None
     measured: HeightMap | None = None
+    whole: Callable[[float], Estimate | None] | None = None
 
     @property
     def goal(self) -> np.ndarray:
@@ -135,6 +140,26 @@ class Query:
             bounding=self.bounding() if bounded and not self.admissible else None,
         )
         return self.plan_of(result, PlanStatistics(self.heuristic.name, float(weight)), reached)
+
+    def guided(self, weight: float, hopeless: Hopeless | None = None) -> Plan:
+        """Searches with weighted A*, first with a guide for a part of the map; arguments as for ``weighted``.
+
+        Where the abstraction is wrong, a plan may leave this part. A search that takes long therefore begins again with
+        the guide for the whole map.
+        """
+        limits = self.limits
+        if self.whole is None or limits.expansions <= FIRST:
+            return self.weighted(weight, hopeless)
+        plan = replace(self, limits=replace(limits, expansions=FIRST)).weighted(weight, hopeless)
+        if plan.status != Status.EXPANSION_LIMIT:
+            return plan
+        began, estimate = now(), self.whole(self.ends)
+        if estimate is None:
+            return self.out_of_time(plan)
+        prepared, left = now() - began, replace(limits, expansions=limits.expansions - plan.stats.expansions)
+        again = replace(self, estimate=estimate, whole=None, limits=left).weighted(weight, hopeless)
+        spent = {name: plan.stats[name] + again.stats[name] for name in ("expansions", "search_seconds")}
+        return again.renewed({**spent, "heuristic_seconds": prepared})
 
     def anchored(self, weight: float, anchor_weight: float, hopeless: Hopeless | None = None) -> Plan:
         """Searches with multi-heuristic A* and the grid heuristic as the anchor; ``hopeless`` as in ``solve``."""

@@ -11,6 +11,7 @@ from hdsp.abstract import corridor as corridors
 from hdsp.abstract.abstract_costs import close_states
 from hdsp.base.gradual import finished
 from hdsp.detailed.search.outcome import Status
+from hdsp.planning import query as queries
 from hdsp.planning.heuristics import AbstractHeuristic
 from hdsp.planning.heuristics.corridor_steps import DOUBT
 from hdsp.planning.heuristics.goal_sources import goal_sources
@@ -196,3 +197,17 @@ def test_queries_at_the_same_time_give_the_same_costs_to_go(terrain):
     prepared = Planner(terrain, MOMARO, Expensive(8)).prepare()
     for pair in pairs:
         np.testing.assert_array_equal(found[pair], table(prepared, *pair))
+
+
+def test_a_long_search_begins_again_with_costs_to_go_of_the_whole_map(monkeypatch, terrain):
+    lazy, prepared = (Planner(terrain, MOMARO, Expensive(4)) for _ in range(2))
+    start, _, goal = poses(lazy, np.random.default_rng(6), 3)
+    first = lazy.plan(start, goal, weight=1.25, polish=0.0)
+    assert first.solved and lazy.heuristic.known.share < 1
+    monkeypatch.setattr(queries, "FIRST", first.stats.expansions - 1)
+    again = lazy.plan(start, goal, weight=1.25, polish=0.0)
+    assert again.solved and lazy.heuristic.known.share == 1
+    assert again.stats.expansions > first.stats.expansions
+    same(again, prepared.plan(start, goal, weight=1.25, polish=0.0))
+    limited = lazy.plan(start, goal, weight=1.25, expansions=first.stats.expansions)
+    assert limited.status == Status.EXPANSION_LIMIT and limited.stats.expansions == first.stats.expansions

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from weakref import WeakValueDictionary
+
 import numpy as np
 
 from hdsp.abstract.abstract_costs import AbstractCosts, Region
@@ -53,6 +55,8 @@ class AbstractHeuristic(Heuristic):
         self._outdated: np.ndarray | None = None  # states with other edges since then
         self._foothold_regions: FootholdRegions | None = None
         self._preparation: Gradual[None] | None = None  # begun, and not yet complete
+        # Tables of corridors by their identity, as long as some query has them.
+        self._partial: WeakValueDictionary[int, np.ndarray] = WeakValueDictionary()
 
     @property
     def known(self) -> KnownEdges:
@@ -92,8 +96,12 @@ class AbstractHeuristic(Heuristic):
         if to_go is None:
             return (yield from self.steps_to(goals, groups))
         groups = np.zeros(1, dtype=np.int64) if groups is None else groups
-        self._estimate = self._view(goals, groups, to_go)
-        return self._estimate
+        estimate = self._estimate = self._view(goals, groups, to_go)
+        self._partial[id(estimate.to_go.values)] = estimate.to_go.values
+        return estimate
+
+    def covers_map(self, estimate: Estimate) -> bool:
+        return self._partial.get(id(estimate.to_go.values)) is not estimate.to_go.values
 
     def _prepared(self) -> Steps[None]:
         """Continues the preparation for the map without its edges, begun by this query or by an earlier one."""

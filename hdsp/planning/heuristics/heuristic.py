@@ -92,6 +92,10 @@ class Heuristic(ABC):
         """
         return (yield from self.steps_to(goals, groups))
 
+    def covers_map(self, estimate: Estimate) -> bool:
+        """Whether an estimate from ``steps_from`` is as good as from ``steps_to``; False after less work."""
+        return True
+
     def __call__(self, states: np.ndarray) -> np.ndarray:
         """Estimated costs, float64 [n], for detailed states [n, 7].
 
