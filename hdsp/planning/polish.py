@@ -22,6 +22,7 @@ import numpy as np
 from hdsp.base.gradual import now
 from hdsp.detailed.actions.action import Action, action_of
 from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
+from hdsp.detailed.search.weighted_astar import HARD
 from hdsp.detailed.search.windows import Windows
 from hdsp.planning.answers.plans import Plan
 from hdsp.planning.arguments import number
@@ -120,14 +121,14 @@ class Polish:
             most, left: expansions of one search and of all, at most.
             ends: moment on the clock ``now`` at which the searches end.
         """
-        spent = 0
+        spent, hard = 0, plan.stats.expansions >= HARD
         if not self.second or query.admissible or plan.stats.anchor_weight:
             return None, spent
         for weight, limit in SECOND:
             limits = replace(query.limits, expansions=min(limit, most, left - spent))
             if weight >= plan.stats.weight or limits.expansions <= 0:
                 break
-            other = replace(query, limits=limits, ends=ends, progress=None).weighted(weight, bounded=False)
+            other = replace(query, limits=limits, ends=ends, progress=None).weighted(weight, bounded=False, hard=hard)
             spent += other.stats.expansions
             if other.solved:
                 return other, spent

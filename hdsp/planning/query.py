@@ -8,7 +8,7 @@ twice, and the first plan or proof ends the query. They never disagree, so the c
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from hdsp.detailed.search.life_cycle import Hopeless, Progress, Search
 from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.search.reached import Reached, reached_by
-from hdsp.detailed.search.weighted_astar import solve
+from hdsp.detailed.search.weighted_astar import HARD, solve
 from hdsp.detailed.world.world import World
 from hdsp.planning.answers.findings import Inquiry
 from hdsp.planning.answers.plan_statistics import PlanStatistics
@@ -35,10 +35,10 @@ from hdsp.robot.lattice import Grid
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
-#: Budget of a backward search that settles few nodes, bytes.
-LITTLE = 64 << 20
+#: Budget of the backward search for bounds and hard searches, bytes: about a million poses.
+LITTLE = 16 << 20
 #: Expansions of a search whose guide covers a part of the map; a guide for the whole map then begins again.
-FIRST = 20_000
+FIRST = 100_000
 
 
 class ReachedStates:
@@ -81,6 +81,7 @@ class Query:
         progress: called now and then with (expansions, seconds).
         whole: computes the guide for the whole map until a moment on the clock ``now``, or returns None; None where
             ``estimate`` covers the map.
+        bounds: the grid heuristic's estimate, shared by all searches of the query; empty before the first one.
     """
 
     terrain: HeightMap
@@ -102,6 +103,7 @@ class Query:
     way: WayOut | None = None
     measured: HeightMap | None = None
     whole: Callable[[float], Estimate | None] | None = None
+    bounds: list[Estimate] = field(default_factory=list)
 
     @property
     def goal(self) -> np.ndarray:
@@ -112,18 +114,25 @@ class Query:
         """Seconds until the time is over, at least 0."""
         return max(0.0, self.ends - now())
 
-    def weighted(self, weight: float, hopeless: Hopeless | None = None, *, bounded: bool = True) -> Plan:
+    def weighted(
+        self, weight: float, hopeless: Hopeless | None = None, *, bounded: bool = True, hard: bool = False
+    ) -> Plan:
         """Searches with weighted A*.
+
+        A heuristic that is not admissible may know little of the ground that the search meets. From ``HARD`` expansions
+        on, the grid heuristic counts where it is larger; its backward search takes more time than an easy search.
 
         Args:
             weight: W >= 1.
             hopeless: as in ``solve``.
             bounded: whether a plan from a heuristic that is not admissible gets a proved bound nevertheless.
+            hard: whether the grid heuristic counts from the beginning, because an earlier search asked for it.
         """
         # No bound is lost without reopening: the heuristic proves none, or it is consistent. At W = 1, a consistent
         # heuristic leads to hardly any state twice, and reopening keeps the optimum up to rounding.
         once = not self.admissible or (self.consistent and weight > 1)
         reached = ReachedStates(self.goal)
+        lower = None if self.admissible else self.lower_bounds()
         result = solve(
             self.world,
             self.start,
@@ -137,7 +146,9 @@ class Query:
             progress=self.progress,
             nearest=True,
             at_end=reached.take,
-            bounding=self.bounding() if bounded and not self.admissible else None,
+            bounding=lower if bounded else None,
+            guide=lower,
+            guide_from=0 if hard else HARD,
         )
         return self.plan_of(result, PlanStatistics(self.heuristic.name, float(weight)), reached)
 
@@ -157,7 +168,7 @@ class Query:
         if estimate is None:
             return self.out_of_time(plan)
         prepared, left = now() - began, replace(limits, expansions=limits.expansions - plan.stats.expansions)
-        again = replace(self, estimate=estimate, whole=None, limits=left).weighted(weight, hopeless)
+        again = replace(self, estimate=estimate, whole=None, limits=left).weighted(weight, hopeless, hard=True)
         spent = {name: plan.stats[name] + again.stats[name] for name in ("expansions", "search_seconds")}
         return again.renewed({**spent, "heuristic_seconds": prepared})
 
@@ -194,6 +205,12 @@ class Query:
             return estimate
         regions = find_foothold_regions(self.world, Rules(), least_foot_cost(self.world))
         return with_step_efforts(estimate, regions.region, efforts_to(regions, self.world, self.goals))
+
+    def lower_bounds(self) -> Estimate:
+        """Returns the grid heuristic's estimate with a small backward search, one for all searches of the query."""
+        if not self.bounds:
+            self.bounds.append(self.bounding())
+        return self.bounds[0]
 
     def bounding(self, memory: int = LITTLE) -> Estimate:
         """Returns the grid heuristic's estimate for the goals, with step efforts as far as they are known.

@@ -181,6 +181,13 @@ def resume(world, e, key):
 
 
 @njit()
+def begin_from(world, e, key):
+    """Begins the backward search toward a packed state, the start of the forward search."""
+    ix, iy, heading, _, _, _, _ = unpack(key)
+    begin_toward(world, e.back, ix, iy, heading)
+
+
+@njit()
 def settle_for(world, e, key, nodes):
     """Continues the backward search for a state by about so many nodes; ``estimate`` needs no end of it."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)

@@ -18,6 +18,7 @@ from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import state_cost, state_costs
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, successors
 from hdsp.detailed.search import kernel, open_list
+from hdsp.detailed.search.backward import Backward
 from hdsp.detailed.search.bounds import rounding
 from hdsp.detailed.search.estimate import Estimate, estimate
 from hdsp.detailed.search.open_list import OpenList
@@ -98,6 +99,7 @@ class Search:
         self.goal_cost = np.full(len(self.goals), np.inf, dtype=np.float32)
         self.nearest = nearest
         self.alone = max(FEW, world.nx * world.ny)
+        self._later: tuple[int, Backward] | None = None
         self.invalid = self._invalid_ends()
 
     def _invalid_ends(self) -> list[Status | None]:
@@ -126,6 +128,18 @@ class Search:
         self._set_order(heuristic, weight, admissible, reopen)
         kernel.insert_start(self.store, self.lists[0], self._first_f(heuristic), self.start)
         return self._memory_limit()
+
+    def guide_later(self, back: Backward, after: int) -> None:
+        """Raises the heuristic by a backward search, once the search has made many expansions.
+
+        States that wait in the open list get their new order when they come out of it (``expansion.rises``).
+
+        Args:
+            back: backward search from the goals, of which the heuristic has none; it is continued as far as the search
+                asks.
+            after: number of expansions.
+        """
+        self._later = after, back
 
     def _first_f(self, heuristic: Estimate) -> np.float32:
         """The start's ``W h``."""
@@ -214,6 +228,12 @@ class Search:
         if left <= 0:
             return Status.EXPANSION_LIMIT
         slice_ = min(left, self._slice())
+        if self._later is not None:
+            after, back = self._later
+            if done < after:
+                slice_ = min(slice_, after - done)
+            else:
+                self._later, self._heuristic = None, self._heuristic._replace(back=back)
         code = self._run(min(slice_, pause - done) if pause is not None and pause > done else slice_)
         if code in _ENDS:
             return _ENDS[code]

@@ -4,7 +4,7 @@ import numpy as np
 
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.search.bounds import rounding, suboptimality
-from hdsp.detailed.search.estimate import Estimate, settle_for
+from hdsp.detailed.search.estimate import Estimate, begin_from, settle_for
 from hdsp.detailed.search.life_cycle import AtEnd, Hopeless, Progress, Search
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.world.world import World
@@ -13,6 +13,8 @@ from hdsp.detailed.world.world import World
 #: then takes about a millisecond, or a small share of the search.
 LEAST_SETTLED = 500
 EXPANSIONS_PER_SETTLED = 5
+#: Expansions of a search that is hard for its heuristic, and worth a backward search over base poses.
+HARD = 10_000
 
 
 def solve(
@@ -32,6 +34,8 @@ def solve(
     nearest: bool = False,
     at_end: AtEnd | None = None,
     bounding: Estimate | None = None,
+    guide: Estimate | None = None,
+    guide_from: int = HARD,
 ) -> SearchResult:
     """Searches with weighted A* from one detailed state to one or several goals.
 
@@ -65,6 +69,9 @@ def solve(
         at_end: called with the search that ended without a plan, before its states are dropped.
         bounding: admissible heuristic that bounds the cost of a plan from below where ``heuristic`` is not admissible.
             Its backward search settles a few nodes in proportion to the expansions, so that it takes little time.
+        guide: admissible heuristic with a backward search, for a ``heuristic`` that has none. Its value counts where it
+            is the larger one, from a number of expansions on.
+        guide_from: this number.
 
     Returns:
         A result with one status per goal, or with one status for ``nearest``, and the proven bounds if there is one
@@ -75,6 +82,9 @@ def solve(
     if None not in search.invalid:
         wrong = [status for status in search.invalid if status][: 1 if nearest else None]
         return SearchResult.of(wrong, [None] * len(wrong))
+    if guide is not None:
+        begin_from(world, guide, search.start)
+        search.guide_later(guide.back, guide_from)
     ended = search.begin(heuristic, weight, admissible, reopen)
     if ended is None:
         ended = search.run(hopeless)

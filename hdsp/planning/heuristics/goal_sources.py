@@ -50,6 +50,9 @@ def goal_sources(world: World, standing: np.ndarray, goals: np.ndarray) -> Sourc
         standing: bool [16, nx, ny], abstract states at which the robot can stand.
         goals: int64 [n, 7], lattice units.
     """
+    # Goals on one pose differ in their feet alone, in a hundred thousand ways where feet may stay as they like.
+    _, first = np.unique((goals[:, 0] * world.ny + goals[:, 1]) * HEADINGS + goals[:, 2], return_index=True)
+    goals = goals[first]
     last = np.array([*standing.shape[1:], ABSTRACT_HEADINGS]) - 1
     around, shares = surrounding_abstract(goals)
     inside = ((around >= 0) & (around <= last)).all(axis=2)
