@@ -14,7 +14,7 @@ from hdsp.detailed.world.world import World
 LEAST_SETTLED = 500
 EXPANSIONS_PER_SETTLED = 5
 #: Expansions of a search that is hard for its heuristic, and worth a backward search over base poses.
-HARD = 10_000
+HARD = 30_000
 
 
 def solve(
