@@ -52,9 +52,9 @@ def test_a_bound_never_claims_too_much(robot, heights, seed, settled, abstract):
 def test_more_of_the_backward_search_proves_more_and_a_bound_stays_with_its_plan(monkeypatch):
     planner, ends = Planner(random_arena(7), heuristic="manual"), ((4.0, 3.35, 3.14), (1.0, 1.2, -1.57))
     monkeypatch.setattr(weighted_astar, "LEAST_SETTLED", 0)
-    little = planner.plan(*ends)
+    little = planner.plan(*ends, 1.25, polish=0.0)
     monkeypatch.setattr(weighted_astar, "LEAST_SETTLED", 10**5)
-    much = planner.plan(*ends)
+    much = planner.plan(*ends, 1.25, polish=0.0)
     assert much.cost == little.cost and 1 < much.bound < little.bound < np.inf
     assert much.cost == pytest.approx(much.bound * much.stats.lower_bound)
     for copy in (pickle.loads(pickle.dumps(much)), much.renewed({"seconds": 1.0})):
