@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from hdsp.learning.abstraction import Precision
 
 #: Weights above this number of bytes are rounded to half floats.
-LARGEST = 4_000_000
+LARGEST = 3_000_000
 #: File in the folder of an unfinished training.
 CHECKPOINT = "checkpoints/best.ckpt"
 #: Cost error levels on the card.
