@@ -20,9 +20,6 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.patches import crop_patches
 
-#: Probability from which edges for planning count an action as feasible. A way that is wrongly closed makes plans
-#: dearer by a detour; a way that is wrongly open costs some expansions, because the detailed search checks each action.
-PLANNING_THRESHOLD = 0.1
 #: Least cost of an edge, relative to flat ground. 0.1 % of the edges on the paper's arena are below 0.993.
 LEAST = 0.99
 #: Patches cropped at once; 10 MB, evaluated in less than a second.
@@ -57,8 +54,8 @@ class LearnedCosts:
         kind: kind of costs of the edges. For planning, a network that predicts costs for planning gives them; the label
             costs of any other network are multiplied by the ratio of both costs on flat ground
             (``hdsp.abstract.flat_table.planning_factors``). Predictions of single tasks are label costs in any case.
-        threshold: probability from which edges count an action as feasible; None = ``PLANNING_THRESHOLD`` for ``kind``
-            planning, one half for label costs. Predictions of single tasks keep one half.
+        threshold: probability from which edges count an action as feasible; None = that of the abstraction, one half.
+            Predictions of single tasks keep the abstraction's.
         quantile: cost level, see ``LearnedAbstraction.at_quantile``. A low level makes overestimates rare, for better
             plans and longer searches. None = predicted costs.
 
@@ -78,9 +75,7 @@ class LearnedCosts:
         threshold: float | None = None,
     ):
         self.abstraction = abstraction if quantile is None else abstraction.at_quantile(quantile)
-        if threshold is None:
-            threshold = PLANNING_THRESHOLD if checked_kind(kind) == CostKind.PLANNING else abstraction.threshold
-        self._of_edges = self.abstraction.at_threshold(threshold)
+        self._of_edges = self.abstraction if threshold is None else self.abstraction.at_threshold(threshold)
         self.batch = batch
         #: Float32 [16, 22], factors on predicted costs by heading and action; None = costs as predicted.
         self.factors = None

@@ -11,7 +11,7 @@ from hdsp.abstract.flat_table import planning_factors
 from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts, ModelSettings, Provenance, build_network
-from hdsp.learning.learned_costs import PLANNING_THRESHOLD, distinct_patches
+from hdsp.learning.learned_costs import distinct_patches
 from hdsp.learning.rotated_maps import RotatedMap
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, robot_frame_goals
 from hdsp.robot.robot import Robot
@@ -50,7 +50,7 @@ def test_it_fulfils_both_contracts(costs):
     assert isinstance(costs, TaskPredictor)
 
 
-def test_edges_for_planning_open_actions_that_are_probably_infeasible(costs, terrain):
+def test_a_threshold_opens_actions_that_are_probably_infeasible(costs, terrain):
     network = costs.abstraction
     patches, goals = np.zeros((1, 72, 72), np.float32), robot_frame_goals(3)[None]
     probability, cost = network.predict_probability(patches, goals)
@@ -61,9 +61,9 @@ def test_edges_for_planning_open_actions_that_are_probably_infeasible(costs, ter
     box = 2, 3, 5, 6
     opened = [np.isfinite(LearnedCosts(network, threshold=at).edges(terrain, box)) for at in (0.01, 0.5, 0.99)]
     assert (opened[0] >= opened[1]).all() and (opened[1] >= opened[2]).all() and opened[0].sum() > opened[2].sum()
-    for kind, threshold in (("planning", PLANNING_THRESHOLD), ("label", 0.5)):
+    for kind in ("planning", "label"):
         found = LearnedCosts(network, kind=kind).edges(terrain, box)
-        np.testing.assert_array_equal(found, LearnedCosts(network, kind=kind, threshold=threshold).edges(terrain, box))
+        np.testing.assert_array_equal(found, LearnedCosts(network, kind=kind, threshold=0.5).edges(terrain, box))
     with pytest.raises(InputError, match=r"feasibility threshold 1: a probability between 0 and 1"):
         LearnedCosts(network, threshold=1)
 
