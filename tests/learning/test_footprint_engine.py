@@ -76,7 +76,7 @@ def some_states(headings: list[int], share: float) -> np.ndarray:
 @pytest.mark.parametrize("category", ["staircase", "clutter", "ramp_mixed"])
 def test_edges_are_those_of_the_network_in_torch(abstraction, in_torch, category):
     terrain = ground(category, 1000 + len(category))
-    mask = some_states([4, 9], 0.5)
+    mask = some_states([4, 9], 1.0)
     found = LearnedCosts(abstraction).edges(terrain, mask=mask)
     expected = LearnedCosts(in_torch).edges(terrain, mask=mask)
     finite = np.isfinite(expected)
