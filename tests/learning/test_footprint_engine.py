@@ -152,7 +152,14 @@ def test_a_network_with_other_widths_and_channels(tmp_path):
     settings = model_file("footprint")
     settings["encoding"] |= {"channels": ["edge", "height", "unknown", "unevenness"], "unevenness_contact": 2}
     settings["encoding"] |= {"scale": 0.9, "clip": [-0.2, 0.4]}
-    settings["options"] |= {"width": 12, "dilations": [2, 1], "hidden": 24, "features": 17, "head": 12}
+    settings["options"] |= {
+        "planning": True,
+        "width": 12,
+        "dilations": [2, 1],
+        "hidden": 24,
+        "features": 17,
+        "head": 12,
+    }
     torch.manual_seed(1)
     network = hdsp.learning.build_network(settings)
     with torch.no_grad():

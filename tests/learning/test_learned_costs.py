@@ -96,7 +96,7 @@ def test_edges_for_planning_are_corrected_by_the_ratio_on_flat_ground(costs, ter
 
 @pytest.mark.parametrize("method", ["auto", "patches"])
 def test_edges_for_planning_come_from_a_network_that_predicts_them(method, terrain, tmp_path):
-    in_torch = random_abstraction("footprint")
+    in_torch = random_abstraction("footprint", planning=True)
     with torch.no_grad():
         in_torch.network.goal_cost[-1].bias += torch.tensor([2.0, 1.9])
     box = 2, 3, 4, 5

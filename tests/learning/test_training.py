@@ -42,7 +42,15 @@ def test_costs_for_planning_are_learned_beside_label_costs(tasks, val, tmp_path)
 
     config = tiny_config(epochs=12)
     config["model"] = model_file("footprint")
-    config["model"]["options"] |= {"width": 8, "hidden": 16, "features": 8, "context": 8, "feet": 16, "head": 32}
+    config["model"]["options"] |= {
+        "planning": True,
+        "width": 8,
+        "hidden": 16,
+        "features": 8,
+        "context": 8,
+        "feet": 16,
+        "head": 32,
+    }
     result = train(config, planned(tasks), {"val": planned(val), "label": val}, tmp_path, quiet=True)
     assert result.metrics["planning_cost_error/val"] < 0.5 * result.history[0]["planning_cost_error/val"]
     assert "planning_cost_error/label" not in result.metrics

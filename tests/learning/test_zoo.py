@@ -19,10 +19,11 @@ MODELS = sorted(path.stem for path in (ROOT / "conf/model").glob("*.yaml"))
 EXACT = HardwareSettings("cpu", "32", 1)
 
 
-def abstraction(name: str) -> LearnedAbstraction:
+def abstraction(name: str, **options) -> LearnedAbstraction:
     """A model from conf/model with random weights; its costs and predictions vary like a trained model's."""
     torch.manual_seed(0)
-    model = load_settings(ModelSettings, model_file(name), "model")
+    settings = model_file(name)
+    model = load_settings(ModelSettings, settings | {"options": settings["options"] | options}, "model")
     network = build_network(model).eval()
     half = len(network.heads.bias) // 2  # the first half are costs, the second half logits
     with torch.no_grad():
