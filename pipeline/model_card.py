@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shlex
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +11,7 @@ from hdsp.robot import lattice
 from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import COST_MODEL_VERSION
 from hdsp.terrain.scenes import CATEGORIES
-from pipeline.config import flatten, plain
+from pipeline.config import configure, flatten, plain
 from pipeline.config_types import Config
 from pipeline.paper import ABSTRACTION_QUALITY
 from pipeline.tables import markdown, percent
@@ -48,7 +50,7 @@ def model_card(
         _metrics(figures, missing),
         _calibration(abstraction, figures),
         _limits(abstraction, figures, config),
-        _again(abstraction, config),
+        _again(abstraction, config, robot),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -148,6 +150,8 @@ def _recipe(abstraction: LearnedAbstraction, config: Config) -> str:
     table = markdown(("setting", "value"), rows)
     if initial := notes.get("initial"):
         first = [("`maps`", f"{initial['maps']:,}"), *_settings(initial["trainer"])]
+        if "epoch" in initial:
+            first.insert(0, ("state", str(initial["epoch"])))
         table += "\n\nIt started from the weights of an earlier training:\n\n" + markdown(("setting", "value"), first)
     return f"## Training recipe\n\nThe recipe is the section `trainer` of the configuration, {source}.\n\n{table}"
 
@@ -244,24 +248,48 @@ def _limits(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, 
     return "## Limits\n\n" + markdown(header, rows) + "\n\n" + "\n".join(lines)
 
 
-def _again(abstraction: LearnedAbstraction, config: Config) -> str:
+def _again(abstraction: LearnedAbstraction, config: Config, robot: Robot) -> str:
     notes = abstraction.provenance.notes
-    chosen = f"profile={notes.get('profile', config.profile)}"
+    chosen = [f"profile={notes.get('profile', config.profile)}", f"robot={robot.name}"]
     variant = f" runtime.variant={config.runtime.variant}" if config.runtime.variant else ""
-    then = ""
+    composed, settings = configure(chosen), chosen
+    if composed.model != abstraction.model:
+        settings = [*chosen, f"model={abstraction.model.architecture}"]
+        composed = configure(settings)
+    first, then = notes, ""
     if "initial" in notes:
-        initial = notes["trainer"]["initial"]
+        first, folder = notes["initial"], notes["trainer"]["initial"]
         then = f"""
-mv models/abstraction {initial}
-python -m pipeline.train experiment=finish trainer.initial={initial} runtime.inputs=. runtime.outputs=."""
+mv models/abstraction {folder}
+python -m pipeline.train {" ".join([*settings, *_differences(composed, notes)])} runtime.inputs=. runtime.outputs=."""
+    overrides = " ".join(f"-S {setting}" for setting in [*settings, *_differences(composed, first)])
     return f"""## Reproduce
 
 These commands use the model and the recipe above.
 
 ```sh
-dvc exp run -S {chosen} -S model={abstraction.model.architecture}      # includes the labels: hours{then}
-python -m pipeline.publish_model models/abstraction {chosen} runtime.outputs=.{variant}
+dvc exp run {overrides}      # includes the labels: hours{then}
+python -m pipeline.publish_model models/abstraction {" ".join(chosen)} runtime.outputs=.{variant}
 ```"""
+
+
+def _differences(config: Config, notes: Mapping[str, Any]) -> list[str]:
+    """Overrides, quoted for a shell, that turn a configuration into the recorded recipe and numbers of maps."""
+    known = flatten(plain(config))
+    recorded = {"trainer": notes.get("trainer", {})}
+    for name, split in notes.get("splits", {}).items():
+        recorded[f"{'simulation' if name in config.simulation.splits else 'labelling'}.splits.{name}"] = split
+    return [
+        shlex.quote(f"{key}={_override(value)}")
+        for key, value in flatten(recorded).items()
+        if key in known and known[key] != value
+    ]
+
+
+def _override(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{','.join(map(_override, value))}]"
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def _largest(value: Any) -> float:

@@ -126,18 +126,13 @@ def figures_of(abstraction: LearnedAbstraction, tasks: TaskSet) -> dict[str, Any
 
     # One evaluation serves all figures, because sets are large and networks may be slow.
     feasible, cost = predict(abstraction, tasks)
-    whole = evaluate_set({"it": _Answers(feasible, cost)}, tasks)
-    planning_error = None
-    if tasks.planning_cost is not None and abstraction.predicts_planning_cost:
-        _, planning_cost = predict(abstraction.for_planning(), tasks)
-        planning_error = float(np.abs(planning_cost - tasks.planning_cost)[feasible & tasks.feasible].mean())
+    whole = evaluate_set({"it": _Answers(abstraction, feasible, cost)}, tasks)
     both = feasible & tasks.feasible
     errors = np.abs(cost - tasks.cost)[both]
     return {
         **{key: whole[key] for key in ("maps", "tasks", "feasible")},
         **whole["methods"]["it"],
         **abstraction.calibration_figures(tasks),
-        "planning_cost_error": planning_error,
         "false_feasible": float((feasible & ~tasks.feasible).mean()),
         "false_infeasible": float((~feasible & tasks.feasible).mean()),
         "cost_errors": {level: float(np.quantile(errors, level)) for level in ERROR_LEVELS} if errors.size else {},
@@ -148,10 +143,12 @@ def figures_of(abstraction: LearnedAbstraction, tasks: TaskSet) -> dict[str, Any
 
 
 class _Answers:
-    """Predictor with precomputed answers."""
+    """Predictor with precomputed answers; its costs for planning are those of the abstraction."""
 
-    def __init__(self, feasible: np.ndarray, cost: np.ndarray):
+    def __init__(self, abstraction: LearnedAbstraction, feasible: np.ndarray, cost: np.ndarray):
         self.answers = feasible, cost
+        self.predicts_planning_cost = abstraction.predicts_planning_cost
+        self.for_planning = abstraction.for_planning
 
     def predict(self, patches: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self.answers

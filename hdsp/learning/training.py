@@ -22,7 +22,7 @@ from lightning.pytorch.loggers import Logger
 from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.learning.abstraction import LearnedAbstraction
-from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, AveragedWeights, EpochPosition
+from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, LOSSES, AveragedWeights, EpochPosition
 from hdsp.learning.hardware import channels_last
 from hdsp.learning.history import EpochHistory, OnEpoch
 from hdsp.learning.learning_settings import BatchSettings, ModelSettings, TrainerSettings, TrainingConfig
@@ -150,10 +150,7 @@ def train(
         trainer.fit(module, batches, val_loaders, ckpt_path=last, weights_only=False if last else None)
 
     if not math.isfinite(min(row["score"] for row in history.rows)):
-        rate = trainer_settings.optimizer.lr
-        raise InputError(
-            f"training diverged: no epoch has a finite score, try a smaller trainer.optimizer.lr than {rate}"
-        )
+        raise InputError(_without_score(history.rows, trainer_settings))
     best_path = checkpoints / "best.ckpt"
     state = torch.load(best_path, map_location="cpu", weights_only=False)
     module.load_state_dict(state["state_dict"])
@@ -164,6 +161,17 @@ def train(
     abstraction.save_pretrained(out_dir / "model")
     seconds, resumed_from = time.perf_counter() - started, len(history.rows) - history.epochs_seen
     return TrainResult(out_dir / "model", best_epoch, metrics, history.rows, seconds, resumed_from, maps)
+
+
+def _without_score(rows: Sequence[Mapping[str, float]], settings: TrainerSettings) -> str:
+    """Returns the reason why no epoch has a finite score."""
+    rate, chosen = settings.optimizer.lr, settings.selection.set
+    if not all(math.isfinite(rows[-1][f"loss/{name}"]) for name in LOSSES):
+        return f"training diverged: its loss is no number, try a smaller trainer.optimizer.lr than {rate}"
+    return (
+        f"the network judges no feasible task of {chosen!r} feasible after {len(rows)} epochs: try more of "
+        f"trainer.epochs, more maps, or another trainer.optimizer.lr than {rate}"
+    )
 
 
 def _module(config: TrainingConfig, val_sets: tuple[str, ...]) -> AbstractionModule:

@@ -201,6 +201,12 @@ def test_a_diverged_training_is_named(tasks, val, tmp_path):
         train(config, tasks, {"val": val}, tmp_path, quiet=True)
 
 
+def test_a_network_that_finds_nothing_feasible_has_not_diverged(tasks, val, tmp_path):
+    never = replace(val, feasible=np.zeros_like(val.feasible))
+    with pytest.raises(InputError, match="judges no feasible task of 'val' feasible after 1 epochs"):
+        train(tiny_config(epochs=1), tasks, {"val": never}, tmp_path, quiet=True)
+
+
 def test_training_may_begin_with_the_weights_of_a_saved_model(tasks, val, tmp_path):
     first = train(tiny_config(epochs=3), tasks, {"val": val}, tmp_path / "first", quiet=True)
     still = {"epochs": 1, "optimizer": {"name": "sgd", "lr": 1e-12}, "initial": str(first.model_dir)}

@@ -1,29 +1,64 @@
 """Publishing a trained abstraction in the package: the folder and its model card."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
+import torch
 
 import hdsp
-from hdsp.labels.shards import read_tasks
-from tests.pipeline.conftest import run_python, tiny
+from hdsp.labels.shards import write_shard
+from hdsp.labels.tasks import TaskSet
+from hdsp.learning import LearnedAbstraction, Provenance, train
+from hdsp.learning.networks import build_network
+from hdsp.robot.robot import Robot
+from pipeline.config import configure
+from pipeline.publish_model import figures_of, publish_model
+from pipeline.stage import Folders
+from pipeline.train import notes
+from tests.learning.synthetic import synthetic_tasks, tiny_config
 
-pytestmark = [pytest.mark.pipeline, pytest.mark.xdist_group("chain")]
+pytestmark = pytest.mark.pipeline
 
 
-def test_the_folder_holds_a_calibrated_model_and_a_card_of_its_figures(chain, tmp_path):
-    source = chain / "models/abstraction"
-    said = run_python("pipeline.publish_model", str(source), *tiny(chain), f"runtime.outputs={tmp_path}").stdout
+@pytest.fixture(scope="module")
+def sets() -> dict[str, TaskSet]:
+    return {"val": synthetic_tasks(32, seed=1), "random": synthetic_tasks(24, seed=2)}
+
+
+def test_the_folder_holds_a_calibrated_model_and_a_card_of_its_figures(sets, tmp_path, capsys):
+    for name, tasks in sets.items():
+        write_shard(tmp_path / f"data/labels/{name}/0.h5", tasks, {"labels_hash": "0" * 64, "maps": len(tasks)})
+    config = configure(["profile=tiny", "trainer.epochs=5"])
+    known = Provenance.of(config.robot, "", **notes(config, synthetic_tasks(64)))
+    source = train(tiny_config(epochs=5), synthetic_tasks(64), sets, tmp_path, provenance=known, quiet=True).model_dir
+    publish_model(config, Folders(tmp_path, tmp_path), str(source))
     folder = tmp_path / "hdsp/learning/shipped/momaro"
-    abstraction = hdsp.load_abstraction(folder, "momaro")
-    config = json.loads((folder / "config.json").read_text())
-    tasks = read_tasks(chain / "data/labels/random")
-    judged, _ = abstraction.predict(tasks.heights, tasks.goals)
-    accuracy = float((judged == tasks.feasible).mean())
-    assert config["metrics"]["feasibility_accuracy/random"] == pytest.approx(accuracy, abs=0.02)
-    assert config["calibration"]["tasks"] == 22 * len(read_tasks(chain / "data/labels/val"))
-    card = (folder / "README.md").read_text()
-    for part in ("`compact`", "profile", "Without data: ", "never saw", "ECE"):
+    stored, card = json.loads((folder / "config.json").read_text()), (folder / "README.md").read_text()
+    judged, _ = hdsp.load_abstraction(folder, "momaro").predict(sets["random"].heights, sets["random"].goals)
+    accuracy = (judged == sets["random"].feasible).mean()
+    assert stored["metrics"]["feasibility_accuracy/random"] == pytest.approx(accuracy)
+    assert stored["calibration"]["tasks"] == sets["val"].feasible.size
+    for part in ("`compact`", "profile", "Without data: ", "never saw", "ECE", f"{100 * accuracy:.2f} %"):
         assert part in card
-    assert f"{100 * config['metrics']['feasibility_accuracy/random']:.2f} %" in card
-    assert "random: " in said
+    assert "dvc exp run -S profile=tiny -S robot=momaro -S model=compact -S trainer.epochs=5 " in card
+    assert "random: " in capsys.readouterr().out
+
+
+def test_the_error_of_costs_for_planning_is_among_the_figures(sets):
+    sizes = {"width": 8, "hidden": 16, "features": 8, "context": 8, "feet": 16, "head": 32, "planning": True}
+    model = configure(["model=footprint"]).model
+    settings = replace(model, options={**model.options, **sizes})
+    torch.manual_seed(0)
+    abstraction = LearnedAbstraction(build_network(settings), settings, Provenance.of(Robot.load("momaro"), ""))
+    tasks = sets["random"]
+    planned = replace(tasks, planning_cost=0.7 * tasks.cost)
+    figures = figures_of(abstraction, planned)
+    feasible, cost = abstraction.for_planning().predict(tasks.heights, tasks.goals)
+    both = feasible & tasks.feasible
+    assert both.any()
+    expected = np.abs(cost - planned.planning_cost)[both].mean()
+    assert figures["planning_cost_error"] == figures["categories"]["block"]["planning_cost_error"]
+    assert figures["planning_cost_error"] == pytest.approx(expected)
+    assert figures_of(abstraction, tasks)["planning_cost_error"] is None
