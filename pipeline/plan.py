@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Iterable
+from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from statistics import median
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,17 +15,21 @@ from hdsp.robot.robot import Robot
 from pipeline.abstractions import abstract_costs, available
 from pipeline.config import plain
 from pipeline.config_types import Config, PlannerSettings
-from pipeline.random_tasks import random_task_report
+from pipeline.random_tasks import random_arena_runs, random_task_report
+from pipeline.side_by_side import side_by_side, with_threads
 from pipeline.speedup import best_known, summarise
 from pipeline.stage import Folders, read_json, run_stage, write_json
+from pipeline.tables import percent
 from pipeline.task_sets import ABSENT
 
 if TYPE_CHECKING:
+    from hdsp.abstract import AbstractCosts
     from hdsp.planning.answers.plans import Plan
     from hdsp.planning.planner import Planner
-    from hdsp.terrain.arenas import Arena, ArenaDescription, ArenaTask
+    from hdsp.terrain.arenas import Arena, ArenaDescription
     from hdsp.terrain.height_map import HeightMap
     from hdsp.terrain.random_arenas import RandomArena
+    from hdsp.viz import DrawnPath
 
 Pose = tuple[float, float, float]
 Tasks = dict[str, tuple[Pose, Pose]]
@@ -49,64 +55,125 @@ def blocked(robot: Robot) -> Plan:
     return Planner(HeightMap(heights), robot).plan((1.0, 1.0, 0.0), (3.0, 1.0, 0.0))
 
 
+class Searches(NamedTuple):
+    """Searches in the arena with one heuristic.
+
+    Attributes:
+        runs: entries of the report.
+        paths: path of each task that was solved, by task and weight.
+        edges: `seconds` for abstract action costs, and the `share` of the states that have them; None without any.
+    """
+
+    runs: list[dict[str, Any]]
+    paths: dict[tuple[str, float], DrawnPath]
+    edges: dict[str, float] | None
+
+
 def plan(config: Config, folders: Folders) -> None:
-    from hdsp.planning.polish import DEFAULT
-    from hdsp.viz import DrawnPath, save_planned_path, save_planned_paths, save_planning_bars
+    from hdsp.viz import save_planned_path, save_planned_paths, save_planning_bars
 
     robot = config.robot
     ground = read_ground(config.arena, folders)
     print(f"{ground.about}, {config.arena.size:g} x {config.arena.size:g} m", flush=True)
-    planners, edges_seconds = prepare(ground.terrain, robot, config, folders)
-    tasks = read_tasks(next(iter(planners.values())), config.arena.tasks)
-    start, goal = next(iter(tasks.values()))
-    for planner in planners.values():
-        planner.plan(start, goal, expansions=1)  # compiles and loads kernels before any measurement,
-    blocked(robot)  # including the kernels for proofs
-
-    runs: list[dict[str, Any]] = []
-    found: dict[tuple[str, str, float], Plan] = {}
-    for name, planner in planners.items():
-        for task, (start, goal) in tasks.items():
-            for weight in config.planner.weights:
-                result, seconds = timed(planner, start, goal, weight, config.planner)
-                run = describe(task, name, weight, result, seconds) | checked(ground.truth, result, robot)
-                if not planner.heuristic.admissible:  # the polish is for plans whose cost nothing bounds
-                    polished, polished_seconds = timed(planner, start, goal, weight, config.planner, DEFAULT)
-                    cost = polished.cost if polished.solved else None
-                    run |= {"polished_cost": cost, "polished_seconds": polished_seconds}
-                runs.append(run)
-                found[task, name, weight] = result
-                print(in_words(run), flush=True)
+    names = available(config.planner.heuristics, robot)
+    if not names:
+        raise InputError(f"planner.heuristics: none of {', '.join(config.planner.heuristics)} exists for {robot.name}")
+    tasks = read_tasks(ground.terrain, config)
+    workers = config.runtime.workers or os.cpu_count() or 1
+    shared = with_threads(config, max((os.cpu_count() or 1) // workers, 1))
+    jobs: list[Callable[[], Any]] = []
+    groups = []
+    for name in names:
+        # Searches with the geometric heuristic are long and share nothing.
+        parts = [{task: ends} for task, ends in tasks.items()] if name == "geometric" else [tasks]
+        groups += [name] * len(parts)
+        jobs += [partial(search_tasks, shared, folders, name, part) for part in parts]
+    arenas = [partial(random_arena_runs, shared, folders, k) for k in range(config.planner.random.arenas)]
+    done = side_by_side([*jobs, *arenas], workers)
+    searches = list(zip(groups, done[: len(jobs)], strict=True))
+    runs = [run for _, found in searches for run in found.runs]
+    edges = {name: found.edges for name, found in searches if found.edges is not None}
 
     report = {
         "arena": {"source": ground.about, "size": config.arena.size, "pairs": len(tasks)},
         "tasks": plain(config.arena.tasks),
         "margin": config.planner.margin,
         "limits": plain(config.planner.limits),
-        "edges_seconds": edges_seconds,
+        "processes": workers,
+        "edges_seconds": {name: values["seconds"] for name, values in edges.items()},
+        "edges_share": {name: values["share"] for name, values in edges.items()},
         "runs": runs,
         "best_known": best_known(runs),
         "summary": summarise(runs),
         "collisions": collisions(runs),
-        "random": random_task_report(config, folders),
+        "random": random_task_report(config, [run for found in done[len(jobs) :] for run in found]),
     }
     write_json(folders.write("reports", "planning.json"), report)
     save_planning_bars(runs, folders.write("reports", "figures", "planning.png"))
+    found = {(task, name, weight): p for name, part in searches for (task, weight), p in part.paths.items()}
     task, name, weight = best_to_show(runs)
     title = f"Task {task}: {name} heuristic, W = {weight:g}"
     picture = folders.write("reports", "figures", "planned_path.png")
     shown = found[task, name, weight]
     save_planned_path(ground.terrain, shown.states, shown.actions, robot, picture, title, *tasks[task])
     name, weight = series_to_show(runs)
-    series = {task: found[task, name, weight] for task in tasks}
     save_planned_paths(
         ground.terrain,
-        {task: DrawnPath(plan.states, plan.actions, plan.cost) for task, plan in series.items()},
+        {task: found[task, name, weight] for task in tasks},
         tasks,
         robot,
         folders.write("reports", "figures", "planned_paths.png"),
         f"{name} heuristic, W = {weight:g}",
     )
+
+
+def search_tasks(config: Config, folders: Folders, name: str, tasks: Tasks) -> Searches:
+    """Searches for each task and weight with one heuristic; prints a line for each search.
+
+    A network that judges patch by patch evaluates only abstract states that the queries need.
+    """
+    from hdsp.planning.heuristics import AbstractHeuristic
+    from hdsp.planning.planner import Planner
+    from hdsp.planning.polish import DEFAULT
+    from hdsp.viz import DrawnPath
+
+    robot, section = config.robot, config.planner
+    ground = read_ground(config.arena, folders)
+    costs = "geometric" if name == "geometric" else abstract_costs(name, config, folders)
+    planner = Planner(ground.terrain, robot, costs, margin=section.margin, conditioning=None)
+    is_lazy, seconds = not isinstance(costs, str) and _by_patches(costs), 0.0
+    if not is_lazy:
+        began = time.perf_counter()
+        planner.prepare()
+        seconds = time.perf_counter() - began
+    start, goal = next(iter(tasks.values()))
+    planner.plan(start, goal, expansions=1)  # compiles and loads kernels before any measurement,
+    blocked(robot)  # including the kernels for proofs
+
+    runs: list[dict[str, Any]] = []
+    paths: dict[tuple[str, float], DrawnPath] = {}
+    for task, (start, goal) in tasks.items():
+        for weight in section.weights:
+            first = 0.0
+            if is_lazy:
+                began = time.perf_counter()
+                planner.plan(start, goal, weight=weight, polish=0.0, **asdict(section.limits))
+                first = time.perf_counter() - began
+            result, duration = timed(planner, start, goal, weight, section)
+            seconds += max(first - duration, 0.0)
+            run = describe(task, name, weight, result, duration) | checked(ground.truth, result, robot)
+            if not planner.heuristic.admissible:  # the polish is for plans whose cost nothing bounds
+                polished, polished_seconds = timed(planner, start, goal, weight, section, DEFAULT)
+                cost = polished.cost if polished.solved else None
+                run |= {"polished_cost": cost, "polished_seconds": polished_seconds}
+            runs.append(run)
+            paths[task, weight] = DrawnPath(result.states, result.actions, result.cost)
+            print(in_words(run), flush=True)
+    if not isinstance(planner.heuristic, AbstractHeuristic):
+        return Searches(runs, paths, None)
+    share = planner.heuristic.known.share
+    print(f"costs of abstract actions, {name}: {seconds:.1f} s for {percent(share)} of the states", flush=True)
+    return Searches(runs, paths, {"seconds": seconds, "share": share})
 
 
 def read_ground(arena: ArenaDescription | RandomArena, folders: Folders) -> ArenaMap:
@@ -127,24 +194,11 @@ def read_ground(arena: ArenaDescription | RandomArena, folders: Folders) -> Aren
     return ArenaMap(HeightMap.load(folders.read("data", "arena", "scanned.npz")), "the scanned arena", truth)
 
 
-def prepare(
-    terrain: HeightMap, robot: Robot, config: Config, folders: Folders
-) -> tuple[dict[str, Planner], dict[str, float]]:
-    """Returns a planner for each heuristic, and the seconds for all abstract action costs."""
-    from hdsp.planning.planner import Planner
+def _by_patches(costs: AbstractCosts) -> bool:
+    """Whether a network judges each state's patch on its own, which takes milliseconds."""
+    from hdsp.learning import LearnedCosts
 
-    planners: dict[str, Planner] = {}
-    edges_seconds: dict[str, float] = {}
-    for name in available(config.planner.heuristics, robot):
-        began = time.perf_counter()
-        heuristic = "geometric" if name == "geometric" else abstract_costs(name, config, folders)
-        planners[name] = Planner(terrain, robot, heuristic, margin=config.planner.margin, conditioning=None).prepare()
-        if name != "geometric":
-            edges_seconds[name] = time.perf_counter() - began
-            print(f"costs of all abstract actions, {name}: {edges_seconds[name]:.1f} s", flush=True)
-    if not planners:
-        raise InputError(f"planner.heuristics: none of {', '.join(config.planner.heuristics)} exists for {robot.name}")
-    return planners, edges_seconds
+    return isinstance(costs, LearnedCosts) and not costs.abstraction.is_dense()
 
 
 def timed(
@@ -165,14 +219,17 @@ def timed(
             return result, median(times)
 
 
-def read_tasks(planner: Planner, tasks: Iterable[ArenaTask]) -> Tasks:
+def read_tasks(terrain: HeightMap, config: Config) -> Tasks:
     """Returns each task's start and goal by name.
 
     Raises:
         InputError: the robot cannot stand at a pose.
     """
+    from hdsp.planning.planner import Planner
+
+    planner = Planner(terrain, config.robot, margin=config.planner.margin, conditioning=None)
     found: Tasks = {}
-    for task in tasks:
+    for task in config.arena.tasks:
         for end, pose in (("start", task.start), ("goal", task.goal)):
             if not planner.valid(pose):
                 raise InputError(f"arena.tasks: the robot cannot stand at the {end} {list(pose)} of task {task.name!r}")

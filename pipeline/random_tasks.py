@@ -26,27 +26,31 @@ _LEAST = 1.0  # m between start and goal
 _RISE = 0.1  # m between the ground under start and goal of every second task
 
 
-def random_task_report(config: Config, folders: Folders) -> dict[str, Any]:
-    """Plans random tasks on random arenas with each heuristic; returns settings, all runs and a summary."""
+def random_arena_runs(config: Config, folders: Folders, number: int) -> list[dict[str, Any]]:
+    """Plans the tasks of one random arena with each heuristic; returns an entry of the report for each search."""
     section = config.planner.random
+    terrain = random_arena(section.seed + number, section.size)
+    tasks: list[tuple[Pose, Pose]] = []
     runs = []
-    names = available(section.heuristics, config.robot)
-    for number in range(section.arenas):
-        terrain = random_arena(section.seed + number, section.size)
-        tasks: list[tuple[Pose, Pose]] = []
-        for name in names:
-            heuristic = "geometric" if name == "geometric" else abstract_costs(name, config, folders)
-            planner = Planner(terrain, config.robot, heuristic, margin=config.planner.margin, conditioning=None)
-            tasks = tasks or draw_tasks(planner, section.tasks, section.seed + number)
-            planner.prepare().plan(*tasks[0], expansions=1)  # loads kernels before any measurement
-            for task, ends in enumerate(tasks):
-                planner.clear()
-                plan = planner.plan(*ends, weight=section.weight, expansions=section.expansions, polish=0.0)
-                runs.append({
-                    "pair": f"{number}.{task}", "heuristic": name, "status": str(plan.status),
-                    "cost": plan.cost if plan.solved else None, "expansions": plan.stats.expansions,
-                    "seconds": plan.stats.seconds,
-                })  # fmt: skip
+    for name in available(section.heuristics, config.robot):
+        heuristic = "geometric" if name == "geometric" else abstract_costs(name, config, folders)
+        planner = Planner(terrain, config.robot, heuristic, margin=config.planner.margin, conditioning=None)
+        tasks = tasks or draw_tasks(planner, section.tasks, section.seed + number)
+        planner.prepare().plan(*tasks[0], expansions=1)  # loads kernels before any measurement
+        for task, ends in enumerate(tasks):
+            planner.clear()
+            plan = planner.plan(*ends, weight=section.weight, expansions=section.expansions, polish=0.0)
+            runs.append({
+                "pair": f"{number}.{task}", "heuristic": name, "status": str(plan.status),
+                "cost": plan.cost if plan.solved else None, "expansions": plan.stats.expansions,
+                "seconds": plan.stats.seconds,
+            })  # fmt: skip
+    return runs
+
+
+def random_task_report(config: Config, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    """Returns settings, all runs and a summary."""
+    section = config.planner.random
     return {
         "arenas": section.arenas, "size": section.size, "weight": section.weight, "expansions": section.expansions,
         "tasks": section.arenas * section.tasks, "runs": runs, "summary": summarise_random(runs, section),

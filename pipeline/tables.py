@@ -102,7 +102,10 @@ def heuristic_table(planning: Mapping[str, Any]) -> str:
                     _seconds(ours["polished_seconds_mean"]) if known else EMPTY,
                 ]
     arena, once, checked = planning["arena"], planning["edges_seconds"], planning["collisions"]
-    seconds = ", ".join(f"{HEURISTIC_NAMES.get(name, name)} {value:.1f} s" for name, value in once.items())
+    seconds = ", ".join(
+        f"{HEURISTIC_NAMES.get(name, name)} {value:.1f} s{_part(planning['edges_share'][name])}"
+        for name, value in once.items()
+    )
     note = (
         f"Table II, heuristic performance: {arena['pairs']} start/goal pairs, {arena['source']}, "
         f"{arena['size']:g} x {arena['size']:g} m (the paper: seven goals, 10 x 10 m). Speed-up and cost compare with "
@@ -111,8 +114,9 @@ def heuristic_table(planning: Mapping[str, Any]) -> str:
         "search. The columns with polish are for plans whose windows are planned again; the best known cost is the "
         "same. "
         "Memory is the largest over all pairs. Times include one Dijkstra search per goal. They exclude the "
-        f"costs of all abstract actions, which each map needs once ({seconds}; the paper: 239 s). ≥ marks a lower "
-        f"bound: a search ended at a limit, here {_limits(planning['limits'])}."
+        f"costs of abstract actions, which each map needs once ({seconds}; the paper: 239 s). "
+        f"{_processes(planning['processes'])}≥ marks a lower bound: a search ended at a limit, here "
+        f"{_limits(planning['limits'])}."
     )
     if checked["checked"]:
         note += (
@@ -178,6 +182,14 @@ def _limits(limits: Mapping[str, float]) -> str:
         f"{limits['time']:g} s, {limits['expansions'] / 1e6:g} million expansions, or {limits['memory'] / 1e9:g} GB "
         "of memory"
     )
+
+
+def _part(share: float) -> str:
+    return "" if share == 1 else f" for the {100 * share:.0f} % of the states that these tasks need"
+
+
+def _processes(number: int) -> str:
+    return "" if number == 1 else f"{number} processes search side by side. "
 
 
 def _clearance(least: float | None) -> str:

@@ -2,19 +2,36 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
+import torch
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import load_settings
 from hdsp.detailed.actions.action import Action, ActionKind
+from hdsp.learning import LearnedAbstraction, LearnedCosts, ModelSettings, Provenance
+from hdsp.learning.networks import build_network
 from hdsp.planning.planner import Planner
 from hdsp.robot.robot import Robot
 from hdsp.terrain.arenas import read_arena
 from hdsp.terrain.height_map import HeightMap
 from pipeline.config import configure
-from pipeline.plan import checked, collisions, describe, in_words, read_ground, read_tasks, series_to_show, timed
+from pipeline.plan import (
+    checked,
+    collisions,
+    describe,
+    in_words,
+    read_ground,
+    read_tasks,
+    search_tasks,
+    series_to_show,
+    timed,
+)
+from pipeline.side_by_side import side_by_side, with_threads
 from pipeline.stage import Folders
+from tests.learning.synthetic import TINY_MODEL
 
 ROBOT = Robot.load("momaro")
 
@@ -52,7 +69,7 @@ def test_before_the_scan_and_with_another_source_there_is_no_ground(config, tmp_
 def test_a_path_of_the_arena_is_checked_against_its_blocks(config):
     arena = read_arena(config.arena)
     planner = Planner(arena.height_map(), ROBOT, margin=config.planner.margin)
-    tasks = read_tasks(planner, config.arena.tasks)
+    tasks = read_tasks(planner.terrain, config)
     assert list(tasks) == ["I", "II", "III", "IV", "V", "VI", "VII"]
     result, seconds = timed(planner, *tasks["VII"], 2.0, config.planner)
     assert result.solved and seconds > 0
@@ -74,3 +91,26 @@ def test_the_picture_of_all_paths_shows_the_last_heuristic_at_the_papers_weight(
     runs = [{"heuristic": name, "weight": weight} for name in ("geometric", "trained") for weight in (1.0, 1.25, 2.0)]
     assert series_to_show(runs) == ("trained", 1.25)
     assert series_to_show([*runs, {**runs[0], "heuristic": "shipped"}]) == ("trained", 1.25)
+
+
+def test_a_network_without_a_dense_map_judges_the_states_that_queries_need(tmp_path):
+    config = configure(["profile=tiny", "planner.repeats=1"])
+    model = load_settings(ModelSettings, TINY_MODEL)
+    torch.manual_seed(0)
+    abstraction = LearnedAbstraction(build_network(model), model, Provenance.of(ROBOT, ""))
+    abstraction.save_pretrained(tmp_path / "models/abstraction")
+    folders = Folders(tmp_path, tmp_path)
+    terrain = read_ground(config.arena, folders).terrain
+    tasks = read_tasks(terrain, config)
+    found = search_tasks(config, folders, "trained", tasks)
+    assert found.edges is not None and 0 < found.edges["share"] < 1 and found.edges["seconds"] > 0
+    planner = Planner(terrain, ROBOT, LearnedCosts(abstraction, robot=ROBOT), config.planner.margin).prepare()
+    for run in found.runs:
+        plan = planner.plan(*tasks[run["pair"]], weight=run["weight"], polish=0.0)
+        assert (run["cost"], run["expansions"]) == (plan.cost, plan.stats.expansions)
+
+
+def test_jobs_run_side_by_side_and_their_results_are_in_order(config):
+    assert side_by_side([partial(pow, 2, k) for k in range(3)], 2) == [1, 2, 4]
+    assert with_threads(config, 3).runtime.hardware.threads == 3
+    assert with_threads(configure(["runtime.hardware.threads=1"]), 3).runtime.hardware.threads == 1

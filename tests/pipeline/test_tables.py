@@ -33,7 +33,9 @@ RUNS = [
 PLANNING = {
     "arena": {"source": "the scanned arena", "size": 5.0, "pairs": 3},
     "limits": {"time": 40.0, "expansions": 50_000_000, "memory": 6_000_000_000},
-    "edges_seconds": {"trained": 21.4},
+    "processes": 2,
+    "edges_seconds": {"trained": 21.4, "shipped": 8.0},
+    "edges_share": {"trained": 0.663, "shipped": 1.0},
     "runs": RUNS,
     "best_known": {"I": {"cost": 4.567, "heuristic": "trained", "weight": 1.25}},
     "collisions": {"checked": 5, "free": 4, "least_body_clearance": 0.0213},
@@ -68,6 +70,8 @@ def test_speed_ups_and_times_that_are_bounds_are_marked():
     assert trained[1:] == ["1.25", "3 of 3", "1.50", "100,000", "2", "≥ 26.9x", "708x", "+2.1 %", "+10.5 %", "+3.4 %"]
     assert cells(table, "geometric")[3] == "≥ 1.50" and cells(table, "geometric")[6:9] == ["1.0x", "–", "+0.0 %"]
     assert "here 40 s, 50 million expansions, or 6 GB of memory" in table
+    seconds = "trained abstraction 21.4 s for the 66 % of the states that these tasks need, shipped abstraction 8.0 s;"
+    assert seconds in table and "2 processes search side by side" in table
 
 
 def test_each_task_has_its_time_and_cost():
