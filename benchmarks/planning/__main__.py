@@ -1,7 +1,7 @@
 """Planning on random maps and real places: heuristics beside each other, on pairs that no heuristic chose.
 
-    python -m benchmarks.planning [--seed 0] [--maps 25] [--pairs 16] [--heuristics manual learned ...]
-                                  [--weights 1 1.25 1.5 2] [--before COMMIT | --before none] [--prove SECONDS]
+    python -m benchmarks.planning [--robot momaro] [--seed 0] [--maps 25] [--pairs 16] [--weights 1 1.25 1.5 2]
+                                  [--heuristics manual learned ...] [--before COMMIT | --before none] [--prove SECONDS]
                                   [--arena] [--picture docs/figures/planning_benchmark.png]
                                   [--page docs/planning-benchmark.md] [--readme README.md]
 
@@ -28,15 +28,19 @@ from benchmarks.planning.page import draw, write_page, write_readme
 from benchmarks.planning.runs import EXPANSIONS, HEURISTICS, TooLarge, run_case
 from benchmarks.planning.summary import HARD_WEIGHT, comparisons, counts, gather, headline, rows
 from hdsp.base.errors import InputError
+from hdsp.robot.robot import Robot
 
 #: The commit before the heuristic knew feet.
 BEFORE = "b406a8a"
 #: Heuristics that exist at that commit, and take part in the comparison with it.
 COMPARED = "manual", "learned"
+#: Robot whose plans are compared with those of an earlier commit.
+ROBOT = "momaro"
 
 
 def main(argv=None) -> dict:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--robot", default=ROBOT, choices=Robot.presets(), help="a preset")
     parser.add_argument("--seed", type=int, default=0, help="below 1000: test; from 1000 on: development")
     parser.add_argument("--maps", type=int, default=DEFAULT_MAPS)
     parser.add_argument("--pairs", type=int, default=16, help="pairs on each map")
@@ -44,7 +48,7 @@ def main(argv=None) -> dict:
     parser.add_argument("--heuristics", nargs="+", default=list(HEURISTICS), choices=list(HEURISTICS))
     parser.add_argument("--weights", type=float, nargs="+", default=[1.0, 1.25, 1.5, 2.0])
     parser.add_argument("--expansions", type=int, default=EXPANSIONS, help="limit of each search")
-    parser.add_argument("--before", default=BEFORE, help="earlier commit for comparison; none: without")
+    parser.add_argument("--before", help=f"earlier commit for comparison; none: without; {ROBOT}: {BEFORE}")
     parser.add_argument("--prove", type=float, default=0.0, metavar="SECONDS", help="time for searches for optima")
     parser.add_argument("--prove-expansions", type=int, default=20_000_000, help="limit of a search for an optimum")
     parser.add_argument("--arena", action="store_true", help="include times in the paper's arena")
@@ -55,8 +59,9 @@ def main(argv=None) -> dict:
     arguments = parser.parse_args(argv)
 
     cases, runs, absent = [], [], {}
-    out = arguments.out / f"seed_{arguments.seed}"
-    for case in make_cases(arguments.seed, arguments.maps, arguments.pairs, out, arguments.area):
+    robot = arguments.robot
+    out = arguments.out / f"{'' if robot == ROBOT else f'{robot}_'}seed_{arguments.seed}"
+    for case in make_cases(arguments.seed, arguments.maps, arguments.pairs, out, arguments.area, robot):
         cases.append(case)
         done = [f"{case.name}, {len(case.pairs)} pairs:"]
         for name in [name for name in arguments.heuristics if name not in absent]:
@@ -73,8 +78,9 @@ def main(argv=None) -> dict:
         print(" ".join(done), flush=True)
     earlier = None
     compared = [name for name in COMPARED if name in arguments.heuristics]
-    if arguments.before != "none" and compared and HARD_WEIGHT in arguments.weights:
-        earlier, found = run_earlier(arguments.before, cases, compared, [HARD_WEIGHT], arguments.expansions)
+    before = arguments.before or (BEFORE if robot == ROBOT else "none")
+    if before != "none" and compared and HARD_WEIGHT in arguments.weights:
+        earlier, found = run_earlier(before, cases, compared, [HARD_WEIGHT], arguments.expansions)
         runs += found
     results = gather(cases, runs, read_optima())
     if arguments.prove:
@@ -106,8 +112,10 @@ def main(argv=None) -> dict:
 def _command(arguments: argparse.Namespace) -> str:
     """The command for the same searches."""
     area = f" --area {arguments.area:g}" if math.isfinite(arguments.area) else ""
+    robot = "" if arguments.robot == ROBOT else f" --robot {arguments.robot}"
     return (
-        f"python -m benchmarks.planning --seed {arguments.seed} --maps {arguments.maps} --pairs {arguments.pairs}{area}"
+        f"python -m benchmarks.planning{robot} --seed {arguments.seed} --maps {arguments.maps} "
+        f"--pairs {arguments.pairs}{area}"
         f" --heuristics {' '.join(arguments.heuristics)} --weights {' '.join(f'{w:g}' for w in arguments.weights)}"
     )
 

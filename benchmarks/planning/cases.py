@@ -30,6 +30,7 @@ class Case:
         size: m.
         map_key: hash of the map.
         pairs: starts and goals.
+        robot: name of a preset.
     """
 
     folder: Path
@@ -38,6 +39,7 @@ class Case:
     size: tuple[float, float]
     map_key: str
     pairs: tuple[Pair, ...]
+    robot: str = "momaro"
 
     def terrain(self) -> HeightMap:
         return HeightMap.load(self.folder / MAP)
@@ -54,12 +56,12 @@ def make_cases(
         drawn = draw_pairs(planner, pairs, np.random.SeedSequence([seed, number, _PAIRS_STREAM]))
         size = tuple(round(float(side), 3) for side in planner.terrain.size)
         folder = out / made.name.replace(" ", "_")
-        case = Case(folder, made.name, made.kind, size, map_key(planner.terrain), tuple(drawn))
+        case = Case(folder, made.name, made.kind, size, map_key(planner.terrain), tuple(drawn), robot)
         with replacing(folder / MAP) as temporary:
             planner.terrain.save(temporary)
         write_json(folder / CASE, {
             "name": case.name, "kind": case.kind, "size": list(case.size), "map_key": case.map_key,
-            "pairs": [asdict(pair) for pair in drawn],
+            "robot": robot, "pairs": [asdict(pair) for pair in drawn],
         })  # fmt: skip
         yield case
 
@@ -70,7 +72,8 @@ def read_case(folder: Path) -> Case:
     pairs = tuple(
         Pair(**{**pair, "start": tuple(pair["start"]), "goal": tuple(pair["goal"])}) for pair in values["pairs"]
     )
-    return Case(folder, values["name"], values["kind"], tuple(values["size"]), values["map_key"], pairs)
+    size, robot = tuple(values["size"]), values.get("robot", "momaro")
+    return Case(folder, values["name"], values["kind"], size, values["map_key"], pairs, robot)
 
 
 def write_json(path: Path, values) -> None:

@@ -90,8 +90,8 @@ def planner_for(case: Case, name: str) -> Planner:
             raise TooLarge(f"oracle: only for maps of up to {ORACLE_AREA:g} m2")
         from hdsp.abstract.oracle_costs import OracleCosts
 
-        heuristic = OracleCosts("momaro")
-    return keep_edges(Planner(case.terrain(), "momaro", heuristic, conditioning=None))
+        heuristic = OracleCosts(case.robot)
+    return keep_edges(Planner(case.terrain(), case.robot, heuristic, conditioning=None))
 
 
 def read_runs(case: Case, name: str, weights: Sequence[float], expansions: int, label: str) -> list[dict]:

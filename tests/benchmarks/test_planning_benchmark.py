@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from benchmarks.planning import __main__ as benchmark
-from benchmarks.planning.cases import make_cases
+from benchmarks.planning.cases import make_cases, read_case
 from benchmarks.planning.edge_cache import KeptCosts
 from benchmarks.planning.maps import Map, maps
 from benchmarks.planning.optima import prove, read_optima
 from benchmarks.planning.pairs import draw_pairs, ground_pieces, map_key, pair_key
+from benchmarks.planning.runs import planner_for
 from benchmarks.planning.statistics import bootstrap_mean, geometric_mean_ratio
 from benchmarks.planning.summary import comparisons, counts, gather, rows
 from hdsp.abstract import ManualCosts
@@ -145,6 +146,14 @@ def test_a_small_run(tmp_path, monkeypatch, capsys):
     assert "| manual | 1.25 |" in page.read_text()
     # A further run takes all searches from the folder: times are the same to the last digit.
     assert benchmark.main(options) == result
+
+
+def test_cases_belong_to_a_robot(tmp_path, monkeypatch):
+    monkeypatch.setattr("benchmarks.planning.cases.maps", lambda *_: [Map("flat", "arena", HeightMap.flat((100, 100)))])
+    case = next(make_cases(1000, 1, 3, tmp_path, robot="go2w"))
+    assert read_case(case.folder) == case
+    assert planner_for(case, "manual").robot.name == "go2w"
+    assert case.pairs[0].key not in {pair.key for pair in next(make_cases(1000, 1, 3, tmp_path)).pairs}
 
 
 def test_optima_are_proved_once(tmp_path, monkeypatch):
