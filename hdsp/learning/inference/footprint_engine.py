@@ -34,6 +34,7 @@ from hdsp.learning.footprint_geometry import (
     FootprintOptions,
     farthest_read,
 )
+from hdsp.learning.inference.cell_layer import Layer
 from hdsp.learning.inference.dense_layers import Graph
 from hdsp.learning.inference.gather_kernels import (
     GroundMaps,
@@ -45,8 +46,6 @@ from hdsp.learning.inference.gather_kernels import (
     interpolate,
     mark,
     spread,
-    store,
-    store_codes,
     store_poses,
     way_rows,
 )
@@ -58,7 +57,7 @@ from hdsp.learning.inference.ground_kernels import (
     trunk_channels,
     weighted_sum,
 )
-from hdsp.learning.inference.pose_table import CORNERS, PoseTable, Ways, numbers, square
+from hdsp.learning.inference.pose_table import CORNERS, PoseTable, Ways, goal_features, numbers, square
 from hdsp.learning.judgements import Judgements
 from hdsp.learning.learning_settings import ModelSettings
 from hdsp.learning.saved_abstraction import WEIGHTS
@@ -68,8 +67,6 @@ from hdsp.terrain.scenes import CATEGORIES, random_map
 
 #: Cells of a window around the bases, on each side.
 MARGIN = PATCH_CENTER
-#: Values in the rows of one product; they stay in the cache of a core.
-VALUES = 1 << 17
 #: Poses judged at once.
 POSES_AT_ONCE = 192
 #: Largest feature with a code of its own, relative to the largest one on random ground of all published categories.
@@ -407,47 +404,6 @@ class FootprintEngine:
         return self.pose.run(None, {"local": local, "ground": ground})[0]
 
 
-class Layer:
-    """Linear layer with a rectifier, for the cells of a map.
-
-    Args:
-        weight: float32 [in, out].
-        bias: float32 [out].
-    """
-
-    def __init__(self, weight: np.ndarray, bias: np.ndarray):
-        graph = Graph(["rows"], "result")
-        graph.linear("rows", "result", weight, bias)
-        self._session, (self._width, self._outputs) = graph.session(), weight.shape
-
-    def convolved(
-        self, values: np.ndarray, cells: np.ndarray, offsets: np.ndarray, run: int, code: float | None = None
-    ) -> np.ndarray:
-        """Returns features [cells of the map, out], valid at ``cells``.
-
-        Args:
-            values: float32 [cells of the map, channels].
-            cells: int64 [n].
-            offsets: int64, where the pieces of a row begin, relative to its cell.
-            run: neighbouring cells in a piece.
-            code: value of one code, for a result with codes, uint8; None = float32.
-        """
-        flat, channels = values.reshape(-1), values.shape[1]
-        result = np.empty((len(values), self._outputs), np.float32 if code is None else np.uint8)
-        most = max(VALUES // self._width, 1)
-        rows = np.empty((min(len(cells), most), self._width), np.float32)
-        for start in range(0, len(cells), most):
-            part = cells[start : start + most]
-            inputs = rows[: len(part)]
-            gather(flat, channels, part, offsets, run * channels, inputs)
-            (features,) = self._session.run(None, {"rows": inputs})
-            if code is None:
-                store(features, part, result)
-            else:
-                store_codes(features, part, np.float32(code), result)
-        return result
-
-
 class _Goals(NamedTuple):
     """Constants of goals.
 
@@ -471,14 +427,6 @@ class _Needed(NamedTuple):
     line: np.ndarray
     near: np.ndarray
     local: list[np.ndarray]
-
-
-def goal_features(goals: np.ndarray) -> np.ndarray:
-    """See ``hdsp.learning.networks.goals.goal_features``."""
-    position = goals[:, :2]
-    distance = np.hypot(*position.T)[:, None]
-    direction = position / np.maximum(distance, np.float32(1e-6))
-    return np.concatenate([goals, distance, direction, distance < 1e-3], axis=1).astype(np.float32)
 
 
 def _spread_square(marks: np.ndarray, sides: tuple[int, int], step: int, across: int, result: np.ndarray) -> None:

@@ -124,3 +124,11 @@ class Ways:
         corners = self.lower[:, :, None] + CORNERS
         read = (self.weights != 0) & (self.turning < 0)[:, None, None]
         return np.unique(corners[read].reshape(-1, 2), axis=0)
+
+
+def goal_features(goals: np.ndarray) -> np.ndarray:
+    """See ``hdsp.learning.networks.goals.goal_features``."""
+    position = goals[:, :2]
+    distance = np.hypot(*position.T)[:, None]
+    direction = position / np.maximum(distance, np.float32(1e-6))
+    return np.concatenate([goals, distance, direction, distance < 1e-3], axis=1).astype(np.float32)

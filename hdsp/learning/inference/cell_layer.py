@@ -1,0 +1,52 @@
+"""Linear layer at cells of a map: kernels gather its rows, ONNX Runtime multiplies them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hdsp.learning.inference.dense_layers import Graph
+from hdsp.learning.inference.gather_kernels import gather, store, store_codes
+
+#: Values in the rows of one product; they stay in the cache of a core.
+VALUES = 1 << 17
+
+
+class Layer:
+    """Linear layer with a rectifier, for the cells of a map.
+
+    Args:
+        weight: float32 [in, out].
+        bias: float32 [out].
+    """
+
+    def __init__(self, weight: np.ndarray, bias: np.ndarray):
+        graph = Graph(["rows"], "result")
+        graph.linear("rows", "result", weight, bias)
+        self._session, (self._width, self._outputs) = graph.session(), weight.shape
+
+    def convolved(
+        self, values: np.ndarray, cells: np.ndarray, offsets: np.ndarray, run: int, code: float | None = None
+    ) -> np.ndarray:
+        """Returns features [cells of the map, out], valid at ``cells``.
+
+        Args:
+            values: float32 [cells of the map, channels].
+            cells: int64 [n].
+            offsets: int64, where the pieces of a row begin, relative to its cell.
+            run: neighbouring cells in a piece.
+            code: value of one code, for a result with codes, uint8; None = float32.
+        """
+        flat, channels = values.reshape(-1), values.shape[1]
+        result = np.empty((len(values), self._outputs), np.float32 if code is None else np.uint8)
+        most = max(VALUES // self._width, 1)
+        rows = np.empty((min(len(cells), most), self._width), np.float32)
+        for start in range(0, len(cells), most):
+            part = cells[start : start + most]
+            inputs = rows[: len(part)]
+            gather(flat, channels, part, offsets, run * channels, inputs)
+            (features,) = self._session.run(None, {"rows": inputs})
+            if code is None:
+                store(features, part, result)
+            else:
+                store_codes(features, part, np.float32(code), result)
+        return result
