@@ -29,6 +29,7 @@ def model_card(
     missing: Mapping[str, str],
     config: Config,
     name: str,
+    hours: Mapping[str, float],
 ) -> str:
     """Returns the card as Markdown.
 
@@ -41,12 +42,13 @@ def model_card(
         missing: for each set without data, the reason.
         config: contents of the training maps, and the recipe if the abstraction itself does not hold it.
         name: name in the package.
+        hours: effort from `pipeline.publish_model.hours`.
     """
     parts = [
         _head(robot, name),
         _model(abstraction, precision),
         _data(abstraction, robot, config),
-        _recipe(abstraction, config),
+        _recipe(abstraction, config, hours),
         _metrics(figures, missing),
         _calibration(abstraction, figures),
         _limits(abstraction, figures, config),
@@ -138,7 +140,13 @@ def _scanned(data: Mapping[str, Any]) -> list[str]:
     return [name for name, split in data["splits"].items() if "courses" in split]
 
 
-def _recipe(abstraction: LearnedAbstraction, config: Config) -> str:
+def effort(hours: Mapping[str, float]) -> str:
+    """Returns a sentence for each known effort from `pipeline.publish_model.hours`."""
+    said = {"labels": "Its labels took {:.1f} core hours.", "training": "Training took {:.1f} hours."}
+    return " ".join(sentence.format(hours[name]) for name, sentence in said.items() if name in hours)
+
+
+def _recipe(abstraction: LearnedAbstraction, config: Config, hours: Mapping[str, float]) -> str:
     notes = abstraction.provenance.notes
     recorded = notes.get("trainer")
     source = "as recorded with the model" if recorded else "as configured at publication"
@@ -153,7 +161,8 @@ def _recipe(abstraction: LearnedAbstraction, config: Config) -> str:
         if "epoch" in initial:
             first.insert(0, ("state", str(initial["epoch"])))
         table += "\n\nIt started from the weights of an earlier training:\n\n" + markdown(("setting", "value"), first)
-    return f"## Training recipe\n\nThe recipe is the section `trainer` of the configuration, {source}.\n\n{table}"
+    text = f"The recipe is the section `trainer` of the configuration, {source}. {effort(hours)}".strip()
+    return f"## Training recipe\n\n{text}\n\n{table}"
 
 
 def _settings(values: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -10,6 +10,7 @@ overrides, add `runtime.outputs=.`; otherwise the output lands in outputs/.
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,8 +23,10 @@ from hdsp.robot.robot import Robot
 from pipeline.config import plain
 from pipeline.config_types import Config
 from pipeline.label import shards_place
-from pipeline.model_card import model_card
-from pipeline.stage import Folders, run_stage
+from pipeline.model_card import effort, model_card
+from pipeline.report import put_between_markers
+from pipeline.stage import Folders, read_json, run_stage
+from pipeline.tables import markdown, percent
 from pipeline.task_sets import read_evaluation_set, read_set
 
 if TYPE_CHECKING:
@@ -31,6 +34,8 @@ if TYPE_CHECKING:
     from hdsp.learning import LearnedAbstraction
     from hdsp.learning.abstraction import Precision
 
+#: Page that shows effort and quality of a robot's shipped abstraction, if it has the markers.
+PAGE = Path("docs/own-robot.md")
 #: Weights above this number of bytes are rounded to half floats.
 LARGEST = 3_000_000
 #: File in the folder of an unfinished training.
@@ -74,13 +79,53 @@ def publish_model(config: Config, folders: Folders, source: str) -> None:
     variant = config.runtime.variant
     name = robot.name + (f"-{variant}" if variant else "")
     target = folders.write("hdsp", "learning", "shipped", name)
-    card = model_card(abstraction, robot, precision, figures, missing, config, name)
+    spent = hours(Path(source), abstraction, folders)
+    card = model_card(abstraction, robot, precision, figures, missing, config, name, spent)
     abstraction.save_pretrained(target, precision, beside={"README.md": card})
+    begin, end = markers(name)
+    if PAGE.is_file() and begin in PAGE.read_text(encoding="utf-8"):
+        put_between_markers(PAGE, f"{summary(abstraction, figures, spent)}\n", begin, end)
     size = (target / "model.safetensors").stat().st_size / 1e6
     print(f"{target}: {abstraction.model.architecture}, {precision}, {size:.2f} MB")
     for name, values in figures.items():
         error = "none" if values["cost_error"] is None else f"{values['cost_error']:.4f}"
         print(f"{name}: {100 * values['feasibility_accuracy']:.2f} %, cost error {error}, ECE {values['ece']:.4f}")
+
+
+def hours(source: Path, abstraction: LearnedAbstraction, folders: Folders) -> dict[str, float]:
+    """Returns `labels`, core hours, and `training`, hours without a training before it, where their records exist."""
+    trainer, found = abstraction.provenance.notes.get("trainer") or {}, {}
+    splits = [*trainer.get("splits", []), *trainer.get("val_splits", [])]
+    records = [folders.read("data", "label_runs", f"{name}.jsonl") for name in splits]
+    if records and all(path.is_file() for path in records):
+        lines = [json.loads(line) for path in records for line in path.read_text(encoding="utf-8").splitlines()]
+        found["labels"] = sum(line["seconds"] * line["workers"] for line in lines) / 3600
+    for folder in (source, source.parent, source.parent / "training"):
+        if (history := folder / "history.json").is_file():
+            found["training"] = sum(row["seconds"] for row in read_json(history)) / 3600
+    return found
+
+
+def markers(name: str) -> tuple[str, str]:
+    """Markers around the summary of an abstraction on `PAGE`."""
+    return f"<!-- {name}: written by `python -m pipeline.publish_model` -->", f"<!-- end of the network {name} -->"
+
+
+def summary(
+    abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, Any]], spent: Mapping[str, float]
+) -> str:
+    """Effort and quality as Markdown."""
+    rows = [
+        (name, f"{values['tasks']:,}", percent(values["feasibility_accuracy"]), *(
+            "–" if values[key] is None else f"{values[key]:.4f}" for key in ("cost_error", "planning_cost_error", "ece")
+        ))
+        for name, values in figures.items()
+    ]  # fmt: skip
+    header = ("set", "tasks", "feasibility correct", "cost error", "planning cost error", "ECE")
+    parts = []
+    if maps := abstraction.provenance.notes.get("maps"):
+        parts.append(f"The network learned from {maps:,} maps.")
+    return " ".join([*parts, effort(spent)]).strip() + "\n\n" + markdown(header, rows)
 
 
 def in_progress(source: Path, robot: Robot, config: Config, folders: Folders) -> LearnedAbstraction:

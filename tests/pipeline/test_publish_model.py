@@ -14,7 +14,7 @@ from hdsp.learning import LearnedAbstraction, Provenance, train
 from hdsp.learning.networks import build_network
 from hdsp.robot.robot import Robot
 from pipeline.config import configure
-from pipeline.publish_model import figures_of, publish_model
+from pipeline.publish_model import figures_of, markers, publish_model
 from pipeline.stage import Folders
 from pipeline.train import notes
 from tests.learning.synthetic import synthetic_tasks, tiny_config
@@ -27,13 +27,19 @@ def sets() -> dict[str, TaskSet]:
     return {"val": synthetic_tasks(32, seed=1), "random": synthetic_tasks(24, seed=2)}
 
 
-def test_the_folder_holds_a_calibrated_model_and_a_card_of_its_figures(sets, tmp_path, capsys):
+def test_the_folder_holds_a_calibrated_model_and_a_card_of_its_figures(sets, tmp_path, monkeypatch, capsys):
     for name, tasks in sets.items():
         write_shard(tmp_path / f"data/labels/{name}/0.h5", tasks, {"labels_hash": "0" * 64, "maps": len(tasks)})
-    config = configure(["profile=tiny", "trainer.epochs=5"])
+    config, folders = configure(["profile=tiny", "trainer.epochs=5"]), Folders(tmp_path, tmp_path)
     known = Provenance.of(config.robot, "", **notes(config, synthetic_tasks(64)))
     source = train(tiny_config(epochs=5), synthetic_tasks(64), sets, tmp_path, provenance=known, quiet=True).model_dir
-    publish_model(config, Folders(tmp_path, tmp_path), str(source))
+    for name in ("train", "val"):
+        record = folders.write("data", "label_runs", f"{name}.jsonl")
+        record.write_text(json.dumps({"seconds": 3600.0, "workers": 2}) + "\n")
+    page = tmp_path / "own-robot.md"
+    page.write_text("\n".join(["before", *markers("momaro"), "after"]))
+    monkeypatch.setattr("pipeline.publish_model.PAGE", page)
+    publish_model(config, folders, str(source))
     folder = tmp_path / "hdsp/learning/shipped/momaro"
     stored, card = json.loads((folder / "config.json").read_text()), (folder / "README.md").read_text()
     judged, _ = hdsp.load_abstraction(folder, "momaro").predict(sets["random"].heights, sets["random"].goals)
@@ -44,6 +50,10 @@ def test_the_folder_holds_a_calibrated_model_and_a_card_of_its_figures(sets, tmp
         assert part in card
     assert "dvc exp run -S profile=tiny -S robot=momaro -S model=compact -S trainer.epochs=5 " in card
     assert "random: " in capsys.readouterr().out
+    for text in (card, shown := page.read_text()):
+        assert "Its labels took 4.0 core hours. Training took 0.0 hours." in text
+    assert shown.startswith("before") and shown.endswith("after")
+    assert f"| random | {sets['random'].feasible.size} " in shown and f"{100 * accuracy:.2f} %" in shown
 
 
 def test_the_error_of_costs_for_planning_is_among_the_figures(sets):
