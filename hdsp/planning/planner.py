@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from hdsp.abstract.abstract_costs import AbstractCosts, Region
+from hdsp.abstract.manual import ManualCosts
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Gradual, now
 from hdsp.base.settings import shown
@@ -102,15 +104,13 @@ class Planner:
                 )
             return heuristic
         if isinstance(heuristic, AbstractCosts) and not isinstance(heuristic, type):
-            return AbstractHeuristic(self.world, self.terrain, heuristic, type(heuristic).__name__)
+            return self._guided_by(heuristic, type(heuristic).__name__)
         name = heuristic if isinstance(heuristic, str) else ""
         if name == "geometric":
             return GeometricHeuristic(self.world)
         if name == "grid":
             return GridHeuristic(self.world)
         if name == "manual":
-            from hdsp.abstract.manual import ManualCosts
-
             return AbstractHeuristic(self.world, self.terrain, ManualCosts(self.robot), "manual")
         if name == "learned" or (name.startswith("learned:") and name != "learned:"):
             folder = name.removeprefix("learned").removeprefix(":")
@@ -118,11 +118,16 @@ class Planner:
             from hdsp.learning.learned_costs import LearnedCosts
 
             costs = LearnedCosts(abstraction, robot=self.robot)
-            return AbstractHeuristic(self.world, self.terrain, costs, "learned")
+            return self._guided_by(costs, "learned")
         raise InputError(
             f"heuristic {shown(heuristic)}: need 'geometric', 'grid', 'manual', 'learned', 'learned:FOLDER', an "
             "AbstractCosts or a Heuristic"
         )
+
+    def _guided_by(self, costs: AbstractCosts, name: str) -> AbstractHeuristic:
+        """Returns the heuristic from an abstraction, with the manual one beside it."""
+        second = None if isinstance(costs, ManualCosts) else ManualCosts(self.robot)
+        return AbstractHeuristic(self.world, self.terrain, costs, name, second)
 
     @property
     def conditioning(self) -> ConditioningReport | None:
@@ -410,8 +415,8 @@ class Planner:
         found = preparation.result
         estimate = found if same else _on_ground(begin.world, found, ends)
 
-        def whole(until: float) -> Estimate | None:
-            steps = Gradual(self.heuristic.steps_to(ends.states, groups))
+        def estimate_of(heuristic: Heuristic, until: float) -> Estimate | None:
+            steps = Gradual(heuristic.steps_to(ends.states, groups))
             if not steps.run(until):
                 return None
             return steps.result if same else _on_ground(begin.world, steps.result, ends)
@@ -436,7 +441,8 @@ class Planner:
             assumed=begin.assumed,
             way=begin.way,
             measured=self.terrain if self.conditioning is None else None,
-            whole=None if self.heuristic.covers_map(found) else whole,
+            whole=None if self.heuristic.covers_map(found) else partial(estimate_of, self.heuristic),
+            others=tuple(partial(estimate_of, other) for other in self.heuristic.others()),
         )
 
     def _no_plan(

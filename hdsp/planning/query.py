@@ -7,8 +7,9 @@ twice, and the first plan or proof ends the query. They never disagree, so the c
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_foothold_regions
 from hdsp.detailed.relaxed.proofs import Unreachable, nearest_state, proof_steps
 from hdsp.detailed.search.estimate import Estimate, grid_estimate, least_foot_cost, with_step_efforts
-from hdsp.detailed.search.life_cycle import Hopeless, Progress, Search
+from hdsp.detailed.search.life_cycle import Hopeless, Progress, Search, Turn
 from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.search.reached import Reached, reached_by
@@ -37,8 +38,15 @@ from hdsp.terrain.height_map import HeightMap
 
 #: Budget of the backward search for bounds and hard searches, bytes: about a million poses.
 LITTLE = 16 << 20
-#: Expansions of a search whose guide covers a part of the map; a guide for the whole map then begins again.
-FIRST = 100_000
+#: Expansions of a search before another abstraction gets its turn; all turns of the second round are twice as long, and
+#: so on.
+TURN = 40_000
+#: Length of a turn for which costs-to-go of the whole map are worth their time.
+LONG = 80_000
+
+
+#: Computes a guide until a moment on the clock ``now``; returns None if the time is too short.
+Prepared = Callable[[float], Estimate | None]
 
 
 class ReachedStates:
@@ -79,8 +87,8 @@ class Query:
         limits: of the whole query; ``ends`` counts instead of the time.
         ends: moment on the clock ``now`` at which the time is over.
         progress: called now and then with (expansions, seconds).
-        whole: computes the guide for the whole map until a moment on the clock ``now``, or returns None; None where
-            ``estimate`` covers the map.
+        whole: computes the guide for the whole map; None where ``estimate`` covers the map.
+        others: compute the guides that take turns with ``estimate`` in a long search.
         bounds: the grid heuristic's estimate, shared by all searches of the query; empty before the first one.
     """
 
@@ -102,7 +110,8 @@ class Query:
     assumed: tuple[str, ...] = ()
     way: WayOut | None = None
     measured: HeightMap | None = None
-    whole: Callable[[float], Estimate | None] | None = None
+    whole: Prepared | None = None
+    others: tuple[Prepared, ...] = ()
     bounds: list[Estimate] = field(default_factory=list)
 
     @property
@@ -115,7 +124,13 @@ class Query:
         return max(0.0, self.ends - now())
 
     def weighted(
-        self, weight: float, hopeless: Hopeless | None = None, *, bounded: bool = True, hard: bool = False
+        self,
+        weight: float,
+        hopeless: Hopeless | None = None,
+        *,
+        bounded: bool = True,
+        hard: bool = False,
+        turns: Iterator[Turn] | None = None,
     ) -> Plan:
         """Searches with weighted A*.
 
@@ -127,6 +142,7 @@ class Query:
             hopeless: as in ``solve``.
             bounded: whether a plan from a heuristic that is not admissible gets a proved bound nevertheless.
             hard: whether the grid heuristic counts from the beginning, because an earlier search asked for it.
+            turns: turns of other guides, from ``TURN`` expansions on.
         """
         # No bound is lost without reopening: the heuristic proves none, or it is consistent. At W = 1, a consistent
         # heuristic leads to hardly any state twice, and reopening keeps the optimum up to rounding.
@@ -149,28 +165,16 @@ class Query:
             bounding=lower if bounded else None,
             guide=lower,
             guide_from=0 if hard else HARD,
+            turns=turns,
+            first_turn=TURN,
         )
         return self.plan_of(result, PlanStatistics(self.heuristic.name, float(weight)), reached)
 
     def guided(self, weight: float, hopeless: Hopeless | None = None) -> Plan:
-        """Searches with weighted A*, first with a guide for a part of the map; arguments as for ``weighted``.
-
-        Where the abstraction is wrong, a plan may leave this part. A search that takes long therefore begins again with
-        the guide for the whole map.
-        """
-        limits = self.limits
-        if self.whole is None or limits.expansions <= FIRST:
-            return self.weighted(weight, hopeless)
-        plan = replace(self, limits=replace(limits, expansions=FIRST)).weighted(weight, hopeless)
-        if plan.status != Status.EXPANSION_LIMIT:
-            return plan
-        began, estimate = now(), self.whole(self.ends)
-        if estimate is None:
-            return self.out_of_time(plan)
-        prepared, left = now() - began, replace(limits, expansions=limits.expansions - plan.stats.expansions)
-        again = replace(self, estimate=estimate, whole=None, limits=left).weighted(weight, hopeless, hard=True)
-        spent = {name: plan.stats[name] + again.stats[name] for name in ("expansions", "search_seconds")}
-        return again.renewed({**spent, "heuristic_seconds": prepared})
+        """Searches with weighted A*, a long search in turns with other guides; arguments as for ``weighted``."""
+        turns = _Turns(self)
+        plan = self.weighted(weight, hopeless, turns=iter(turns))
+        return plan.renewed({"heuristic_seconds": turns.seconds})
 
     def anchored(self, weight: float, anchor_weight: float, hopeless: Hopeless | None = None) -> Plan:
         """Searches with multi-heuristic A* and the grid heuristic as the anchor; ``hopeless`` as in ``solve``."""
@@ -312,6 +316,46 @@ class Query:
         # A search through all reachable states proves as much, but names no obstacle.
         proof.succeeds_by(self.ends)
         return self.without_way(plan, proof.found).renewed({"proof_seconds": proof.seconds})
+
+
+class _Turns:
+    """Turns of the guides in a long search, each round with turns twice as long.
+
+    An abstraction that is wrong in one place lets a search fill the ground before it. Another abstraction is seldom
+    wrong in the same place, so a search in turns takes little more than a small multiple of the better one's
+    expansions. The first guide covers the whole map once its turns are ``LONG``.
+
+    Attributes:
+        seconds: time in which guides were prepared.
+    """
+
+    def __init__(self, query: Query):
+        self.seconds = 0.0
+        self._query = query
+        self._prepared: dict[Prepared, Estimate] = {}
+
+    def __iter__(self) -> Iterator[Turn]:
+        query, length = self._query, TURN
+        if not query.others and query.whole is None:
+            return
+        while True:
+            for other in query.others:
+                yield Turn(partial(self._guide, other), length)
+            length *= 2
+            whole = query.whole if length >= LONG else None
+            yield Turn(partial(self._guide, whole), length)
+
+    def _guide(self, prepared: Prepared | None, until: float) -> Estimate | None:
+        if prepared is None:
+            return self._query.estimate
+        if prepared not in self._prepared:
+            began = now()
+            estimate = prepared(until)
+            self.seconds += now() - began
+            if estimate is None:
+                return None
+            self._prepared[prepared] = estimate
+        return self._prepared[prepared]
 
 
 #: A search for a query, with a proof to try during it.

@@ -9,7 +9,8 @@ without success ends soon (``heading_masks.PoseFlood``): a proof that goes on is
 between turns, so a proof takes at most 1 / PROOF_SHARE times its own time, or its time plus the search that ran alone.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,6 +46,19 @@ AtEnd = Callable[["Search"], object]
 #: Proof that no plan exists, continued until a moment on the clock ``now``. Returns True after a success, False after a
 #: failure, None before its end.
 Hopeless = Callable[[float], bool | None]
+
+
+class Turn(NamedTuple):
+    """A heuristic's turn to guide a search.
+
+    Attributes:
+        guide: returns the estimate before a moment on the clock ``now``; None if the time is too short.
+        expansions: length of the turn.
+    """
+
+    guide: Callable[[float], Estimate | None]
+    expansions: int
+
 
 #: Least number of expansions before a proof takes turns with a search; about a tenth of a second. On larger maps, the
 #: number of map cells counts.
@@ -100,6 +114,8 @@ class Search:
         self.nearest = nearest
         self.alone = max(FEW, world.nx * world.ny)
         self._later: tuple[int, Backward] | None = None
+        self._turns: Iterator[Turn] = iter(())
+        self._turn_ends: int | None = None
         self.invalid = self._invalid_ends()
 
     def _invalid_ends(self) -> list[Status | None]:
@@ -141,6 +157,33 @@ class Search:
         """
         self._later = after, back
 
+    def take_turns(self, first: int, turns: Iterator[Turn]) -> None:
+        """Lets several heuristics guide the search in turns, so that a search with one wrong heuristic gets on.
+
+        All turns share the states seen so far. A turn begins as a round (``begin_round``). Heuristics in turns have to
+        be of one kind: all admissible, or none.
+
+        Args:
+            first: length of the first turn, with the heuristic from ``begin``, in expansions.
+            turns: all further turns.
+        """
+        self._turns, self._turn_ends = turns, first
+
+    def _next_turn(self) -> Status | None:
+        """Begins the next turn; returns as ``begin``. After the last one, its heuristic guides to the end."""
+        turn, self._turn_ends = next(self._turns, None), None
+        if turn is None:
+            return None
+        began = now()
+        heuristic = turn.guide(self.began + self.limits.time)
+        self.paused += now() - began
+        if heuristic is None:
+            return Status.TIME_LIMIT
+        self._turn_ends = int(self.store.counts[EXPANDED]) + turn.expansions
+        if len(heuristic.back.place) == 0:
+            heuristic = heuristic._replace(back=self._heuristic.back)
+        return self.begin_round(heuristic, self._weight, self._admissible, self._reopen)
+
     def _first_f(self, heuristic: Estimate) -> np.float32:
         """The start's ``W h``."""
         return np.float32(self._weight * estimate(self.world, heuristic, self.start))
@@ -169,6 +212,7 @@ class Search:
 
     def _set_order(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool) -> None:
         self._heuristic, self._weight, self._reopen = heuristic, float(weight), reopen
+        self._admissible = admissible
         self._f_limit = weight * self.limits.cost if admissible else np.inf
 
     def _memory_limit(self) -> Status | None:
@@ -227,7 +271,11 @@ class Search:
         left = self.limits.expansions - done
         if left <= 0:
             return Status.EXPANSION_LIMIT
+        if done == self._turn_ends and (ended := self._next_turn()) is not None:
+            return ended
         slice_ = min(left, self._slice())
+        if self._turn_ends is not None:
+            slice_ = min(slice_, self._turn_ends - done)
         if self._later is not None:
             after, back = self._later
             if done < after:

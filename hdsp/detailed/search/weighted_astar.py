@@ -1,11 +1,13 @@
 """Weighted A*: plans that cost at most W times the optimum, for planning (one goal) and labels (many goals)."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.search.bounds import rounding, suboptimality
 from hdsp.detailed.search.estimate import Estimate, begin_from, settle_for
-from hdsp.detailed.search.life_cycle import AtEnd, Hopeless, Progress, Search
+from hdsp.detailed.search.life_cycle import AtEnd, Hopeless, Progress, Search, Turn
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.world.world import World
 
@@ -36,6 +38,8 @@ def solve(
     bounding: Estimate | None = None,
     guide: Estimate | None = None,
     guide_from: int = HARD,
+    turns: Iterator[Turn] | None = None,
+    first_turn: int = HARD,
 ) -> SearchResult:
     """Searches with weighted A* from one detailed state to one or several goals.
 
@@ -72,6 +76,8 @@ def solve(
         guide: admissible heuristic with a backward search, for a ``heuristic`` that has none. Its value counts where it
             is the larger one, from a number of expansions on.
         guide_from: this number.
+        turns: turns of other heuristics, see ``Search.take_turns``.
+        first_turn: length of the first turn, in expansions.
 
     Returns:
         A result with one status per goal, or with one status for ``nearest``, and the proven bounds if there is one
@@ -85,6 +91,8 @@ def solve(
     if guide is not None:
         begin_from(world, guide, search.start)
         search.guide_later(guide.back, guide_from)
+    if turns is not None:
+        search.take_turns(first_turn, turns)
     ended = search.begin(heuristic, weight, admissible, reopen)
     if ended is None:
         ended = search.run(hopeless)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -41,13 +42,22 @@ class AbstractHeuristic(Heuristic):
         terrain: the same terrain, for ``costs``.
         costs: the abstraction.
         name: its name in results.
+        second: another abstraction, in turns with the first one in long searches; prepared by the first of them.
     """
 
     admissible = False
 
-    def __init__(self, world: World, terrain: HeightMap, costs: AbstractCosts, name: str = "abstract"):
+    def __init__(
+        self,
+        world: World,
+        terrain: HeightMap,
+        costs: AbstractCosts,
+        name: str = "abstract",
+        second: AbstractCosts | None = None,
+    ):
         super().__init__(world)
-        self.name, self.costs, self.terrain = name, costs, terrain
+        self.name, self.costs, self.terrain, self.second = name, costs, terrain, second
+        self._other: AbstractHeuristic | None = None
         self._known: KnownEdges | None = None
         self._feet = np.empty(0, np.int32)  # feet at abstract states where the robot can stand, else -1
         self._uneven = np.empty(0, bool)  # abstract cells around which feet may step
@@ -100,6 +110,18 @@ class AbstractHeuristic(Heuristic):
         self._partial[id(estimate.to_go.values)] = estimate.to_go.values
         return estimate
 
+    def others(self) -> Sequence[Heuristic]:
+        if self.second is None:
+            return ()
+        if self._other is None:
+            other = AbstractHeuristic(self.world, self.terrain, self.second)
+            if self._known is not None and self._foothold_regions is not None:  # the same for any abstraction
+                other._known = KnownEdges(self.terrain, self.second, self._known.standing)
+                other._feet, other._uneven = self._feet, self._uneven
+                other._foothold_regions = self._foothold_regions
+            self._other = other
+        return (self._other,)
+
     def covers_map(self, estimate: Estimate) -> bool:
         return self._partial.get(id(estimate.to_go.values)) is not estimate.to_go.values
 
@@ -128,6 +150,8 @@ class AbstractHeuristic(Heuristic):
     def clear(self) -> None:
         super().clear()
         self._reached = self._outdated = None
+        if self._other is not None:
+            self._other.clear()
 
     def estimate_for(self, goal: np.ndarray) -> Estimate:
         return self.estimate_for_nearest(goal[None], np.zeros(1, dtype=np.int64))
@@ -184,6 +208,8 @@ class AbstractHeuristic(Heuristic):
         ``LocalCosts`` name the states that a change touches. Only their edges are evaluated again, when a query needs
         them, and the costs-to-go for the last goal that depend on them. Other costs start from nothing.
         """
+        if self._other is not None:
+            self._other.update(world, terrain, region)
         changed, before = changed_cells(self.terrain, terrain, region), self.world
         super().update(world, terrain, region)
         self.terrain, self._foothold_regions, self._preparation = terrain, None, None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -91,6 +92,10 @@ class Heuristic(ABC):
             goals, groups: as for ``steps_to``.
         """
         return (yield from self.steps_to(goals, groups))
+
+    def others(self) -> Sequence[Heuristic]:
+        """Heuristics that take turns with this one in a long search, in which this one may be wrong; here, none."""
+        return ()
 
     def covers_map(self, estimate: Estimate) -> bool:
         """Whether an estimate from ``steps_from`` is as good as from ``steps_to``; False after less work."""
