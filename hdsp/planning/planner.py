@@ -126,7 +126,7 @@ class Planner:
 
     def _guided_by(self, costs: AbstractCosts, name: str) -> AbstractHeuristic:
         """Returns the heuristic from an abstraction, with the manual one beside it."""
-        second = None if isinstance(costs, ManualCosts) else ManualCosts(self.robot)
+        second = None if type(costs) is ManualCosts else ManualCosts(self.robot)
         return AbstractHeuristic(self.world, self.terrain, costs, name, second)
 
     @property

@@ -131,6 +131,7 @@ class Query:
         bounded: bool = True,
         hard: bool = False,
         turns: Iterator[Turn] | None = None,
+        first_turn: int | None = None,
     ) -> Plan:
         """Searches with weighted A*.
 
@@ -142,7 +143,8 @@ class Query:
             hopeless: as in ``solve``.
             bounded: whether a plan from a heuristic that is not admissible gets a proved bound nevertheless.
             hard: whether the grid heuristic counts from the beginning, because an earlier search asked for it.
-            turns: turns of other guides, from ``TURN`` expansions on.
+            turns: turns of other guides.
+            first_turn: length of the turn before them, in expansions; None = ``TURN``.
         """
         # No bound is lost without reopening: the heuristic proves none, or it is consistent. At W = 1, a consistent
         # heuristic leads to hardly any state twice, and reopening keeps the optimum up to rounding.
@@ -166,7 +168,7 @@ class Query:
             guide=lower,
             guide_from=0 if hard else HARD,
             turns=turns,
-            first_turn=TURN,
+            first_turn=TURN if first_turn is None else first_turn,
         )
         return self.plan_of(result, PlanStatistics(self.heuristic.name, float(weight)), reached)
 
