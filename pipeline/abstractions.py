@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 #: Output folder of stage `train` for the trained abstraction.
 TRAINED_FOLDER = "models/abstraction"
+#: Patches that torch judges at once. Their features stay in the cache of a core; 128 take a quarter more time each.
+BATCH = 32
 
 
 def available(names: Iterable[str], robot: Robot) -> list[str]:
@@ -75,4 +77,4 @@ def abstract_costs(name: str, config: Config, folders: Folders) -> AbstractCosts
     from hdsp.learning import LearnedAbstraction, LearnedCosts
 
     assert isinstance(predictor, LearnedAbstraction)
-    return LearnedCosts(predictor, robot=config.robot)
+    return LearnedCosts(predictor, batch=BATCH, robot=config.robot)
