@@ -142,7 +142,11 @@ def _scanned(data: Mapping[str, Any]) -> list[str]:
 
 def effort(hours: Mapping[str, float]) -> str:
     """Returns a sentence for each known effort from `pipeline.publish_model.hours`."""
-    said = {"labels": "Its labels took {:.1f} core hours.", "training": "Training took {:.1f} hours."}
+    said = {
+        "labels": "Its labels took {:.1f} core hours.",
+        "training": "Training took {:.1f} hours.",
+        "last": "The last training took {:.1f} hours.",
+    }
     return " ".join(sentence.format(hours[name]) for name, sentence in said.items() if name in hours)
 
 

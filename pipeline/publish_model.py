@@ -93,16 +93,18 @@ def publish_model(config: Config, folders: Folders, source: str) -> None:
 
 
 def hours(source: Path, abstraction: LearnedAbstraction, folders: Folders) -> dict[str, float]:
-    """Returns `labels`, core hours, and `training`, hours without a training before it, where their records exist."""
-    trainer, found = abstraction.provenance.notes.get("trainer") or {}, {}
+    """Returns hours where their records exist: `labels`, core hours; `training`, `last` after an earlier training."""
+    notes = abstraction.provenance.notes
+    trainer, found = notes.get("trainer") or {}, {}
     splits = [*trainer.get("splits", []), *trainer.get("val_splits", [])]
     records = [folders.read("data", "label_runs", f"{name}.jsonl") for name in splits]
     if records and all(path.is_file() for path in records):
         lines = [json.loads(line) for path in records for line in path.read_text(encoding="utf-8").splitlines()]
         found["labels"] = sum(line["seconds"] * line["workers"] for line in lines) / 3600
+    kind = "last" if "initial" in notes else "training"
     for folder in (source, source.parent, source.parent / "training"):
         if (history := folder / "history.json").is_file():
-            found["training"] = sum(row["seconds"] for row in read_json(history)) / 3600
+            found[kind] = sum(row["seconds"] for row in read_json(history)) / 3600
     return found
 
 

@@ -34,12 +34,17 @@ print(feasible.shape, bool(np.isfinite(cost).all()))
 """
 
 
+ROBOTS = "momaro", "go2w"
+
+
 @pytest.fixture(scope="module")
 def abstraction():
     return hdsp.load_abstraction("momaro")
 
 
-def test_it_judges_flat_ground(abstraction):
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_it_judges_flat_ground(robot):
+    abstraction = hdsp.load_abstraction(robot)
     feasible, cost = abstraction.predict(np.zeros((1, 72, 72), np.float32), robot_frame_goals(0))
     assert feasible.mean() > 0.9
     assert cost[0, 0] == pytest.approx(0.1, abs=0.03)  # 10 cm ahead
@@ -88,13 +93,16 @@ def test_it_is_refused_for_another_robot():
         Planner(terrain, replace(wider, name="mine"), heuristic="learned")
 
 
-def test_plans_use_it_without_a_folder():
-    plan = Planner(HeightMap.flat((60, 60)), heuristic="learned").plan((0.7, 0.7, 0.0), (0.9, 0.8, 0.0), weight=1.5)
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_plans_use_it_without_a_folder(robot):
+    planner = Planner(HeightMap.flat((60, 60)), robot, heuristic="learned")
+    plan = planner.plan((0.7, 0.7, 0.0), (0.9, 0.8, 0.0), weight=1.5)
     assert plan.solved and plan.stats["heuristic"] == "learned"
 
 
-def test_its_card_states_what_the_configuration_states():
-    folder = ROOT / "hdsp/learning/shipped/momaro"
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_its_card_states_what_the_configuration_states(robot):
+    folder = ROOT / "hdsp/learning/shipped" / robot
     card, metrics = (folder / "README.md").read_text(), json.loads((folder / "config.json").read_text())["metrics"]
     for name in ("val", "random"):
         assert f"{100 * metrics[f'feasibility_accuracy/{name}']:.2f} %" in card
