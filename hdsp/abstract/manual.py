@@ -26,13 +26,14 @@ classes. The constants come from reasoning and a few maps; they were not fitted,
 from __future__ import annotations
 
 import math
-from functools import reduce
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from hdsp.abstract.abstract_costs import FlatCosts, Region, checked_region, checked_tasks, close_exits, close_states
+from hdsp.abstract.abstract_costs import FlatCosts, Region, checked_mask, checked_region, checked_tasks
+from hdsp.abstract.manual_kernels import Goals, Ground, Known, PoseCells, filled, find_costs
 from hdsp.abstract.oracle import CostKind
 from hdsp.base.gradual import Steps, finished
 from hdsp.base.settings import NotNegative, checked
@@ -41,6 +42,7 @@ from hdsp.robot.lattice import (
     ABSTRACT_ANCHOR,
     ABSTRACT_HEADINGS,
     CELLS_PER_ABSTRACT,
+    N_ABSTRACT_ACTIONS,
     PATCH_CENTER,
     abstract_shape,
     abstract_steps,
@@ -51,8 +53,6 @@ from hdsp.robot.lattice import (
 )
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
-
-_LONGEST = int(np.abs(ABSTRACT_ACTIONS[:, :2]).max())  # move of an action, abstract cells
 
 
 @checked
@@ -80,15 +80,6 @@ class Features(NamedTuple):
     height_range: np.ndarray
     ground: np.ndarray
     top: np.ndarray
-
-
-class _PoseTerrain(NamedTuple):
-    """Terrain at poses, each [...]; one row per foot where noted."""
-
-    blocked: np.ndarray
-    on_step: np.ndarray  # [4, ...]
-    on_wall: np.ndarray
-    unevenness: np.ndarray
 
 
 class ManualCosts:
@@ -123,42 +114,46 @@ class ManualCosts:
     ) -> Steps[np.ndarray]:
         """See `GradualCosts.edge_steps`."""
         first_x, first_y, end_x, end_y = checked_region(height_map, region)
-        reach = self._reach()
+        shape = (ABSTRACT_HEADINGS, end_x - first_x, end_y - first_y)
+        wanted = np.ones(shape, bool) if mask is None else checked_mask(mask, shape)
         # The region is enlarged by the reach of its states.
-        low_x, low_y = max(first_x - reach, 0), max(first_y - reach, 0)
-        features = _features_in(height_map.heights, (low_x, low_y, end_x + reach, end_y + reach))
-        poses = []
+        reach, end = self._reach(), abstract_shape(height_map.shape)
+        low = max(first_x - reach, 0), max(first_y - reach, 0)
+        features = _features_in(height_map.heights, (*low, end_x + reach, end_y + reach))
+        ground, known = _ground(features, self.robot), Known.nothing(*features.ground.shape)
+        yield
+        edges = np.full((*shape, N_ABSTRACT_ACTIONS), np.inf, np.float32)
+        end_of_map = end[0] - low[0], end[1] - low[1]
         for heading in range(ABSTRACT_HEADINGS):
-            poses.append(self._poses(features, heading))
+            states = np.argwhere(wanted[heading])
+            places, costs = states + (first_x - low[0], first_y - low[1]), edges[heading][wanted[heading]]
+            actions = np.arange(N_ABSTRACT_ACTIONS) + heading * N_ABSTRACT_ACTIONS
+            find_costs(
+                ground, self._cells, known, heading, places, end_of_map, self._actions, actions, *self._prices, costs
+            )
+            edges[heading][wanted[heading]] = costs
             yield
-        edges = np.empty((ABSTRACT_HEADINGS, *features.ground.shape, len(ABSTRACT_ACTIONS)), np.float32)
-        for heading in range(ABSTRACT_HEADINGS):
-            wrapped = _take(poses[heading], _wrapped)
-            for action, goal in enumerate(robot_frame_goals(heading)):
-                dx, dy, turn = ABSTRACT_ACTIONS[action].tolist()
-                # Values from the other side belong to actions off the map, closed below, or to states outside the
-                # region.
-                met = [_take(wrapped, _moved, x, y) for x, y in _cells_on_the_way(dx, dy)]
-                if turn:
-                    met.append(poses[(heading + turn) % ABSTRACT_HEADINGS])
-                edges[heading, :, :, action] = self._cost(self._flat.edge_table[heading, action], goal, met)
-            yield
-        edges = np.ascontiguousarray(edges[:, first_x - low_x : end_x - low_x, first_y - low_y : end_y - low_y])
-        close_states(edges, mask)
-        close_exits(edges, height_map, region)
         return edges
 
     def affected(self, changed: np.ndarray) -> np.ndarray:
         """See `LocalCosts.affected`: a square around the changed cells, for all headings."""
         from scipy.ndimage import maximum_filter  # half a second to import
 
-        size = CELLS_PER_ABSTRACT
-        nx, ny = abstract_shape(np.shape(changed))
-        # A cell's height range covers one height map cell beyond it.
-        near = maximum_filter(np.asarray(changed, bool), 3, mode="constant", cval=False)
-        touched = near[: nx * size, : ny * size].reshape(nx, size, ny, size).any(axis=(1, 3))
-        seen = maximum_filter(touched, 2 * self._reach() + 1, mode="constant", cval=False)
-        return np.repeat(seen[None], ABSTRACT_HEADINGS, axis=0)
+        changed, size, reach = np.asarray(changed, bool), CELLS_PER_ABSTRACT, self._reach()
+        nx, ny = abstract_shape(changed.shape)
+        result = np.zeros((ABSTRACT_HEADINGS, nx, ny), bool)
+        if changed.any():
+            # Only ground around the change is looked at.
+            (low_x, end_x), (low_y, end_y) = (_span(changed.any(axis=axis), reach) for axis in (1, 0))
+            part = changed[low_x * size : end_x * size, low_y * size : end_y * size]
+            # A cell's height range covers one height map cell beyond it.
+            near = maximum_filter(part, 3, mode="constant", cval=False)
+            end_x, end_y = min(end_x, nx), min(end_y, ny)
+            near = near[: (end_x - low_x) * size, : (end_y - low_y) * size]
+            touched = near.reshape(end_x - low_x, size, end_y - low_y, size).any(axis=(1, 3))
+            seen = maximum_filter(touched, 2 * reach + 1, mode="constant", cval=False)
+            result[:, low_x:end_x, low_y:end_y] = seen
+        return result
 
     def _reach(self) -> int:
         """Largest distance, in 10 cm cells, between a state and a cell that affects its actions."""
@@ -182,78 +177,51 @@ class ManualCosts:
         features = coarse_features(np.asarray(patches, np.float32)[:, first:, first:])
         distinct, which = np.unique(goals.reshape(-1, 3), axis=0, return_inverse=True)
         which = which.reshape(goals.shape[:2])
-        poses = {turn: self._poses(features, turn) for turn in {0, *(round(turn) for turn in distinct[:, 2].tolist())}}
-        cost = np.empty(goals.shape[:2], np.float32)
-        for index, goal in enumerate(distinct):
-            dx, dy, turn = goal.tolist()
-            met = [_take(poses[0], _one_cell, center + x, center + y) for x, y in _cells_on_the_way(dx, dy)]
-            if turn:
-                met.append(_take(poses[round(turn)], _one_cell, center, center))
-            cost = np.where(which == index, self._cost(self._flat.costs(goal), goal, met)[:, None], cost)
-        return np.isfinite(cost), cost.astype(np.float32)
+        tables = self._goals(distinct, distinct, self._flat.costs(distinct))
+        cost, place = np.full(goals.shape[:2], np.inf, np.float32), np.array([[center, center]])
+        for index, chosen in enumerate(which):
+            ground = _ground(Features(*(values[index] for values in features)), self.robot)
+            known, row = Known.nothing(*ground.tops.shape), cost[index : index + 1]
+            find_costs(ground, self._cells, known, 0, place, ground.tops.shape, tables, chosen, *self._prices, row)
+        return np.isfinite(cost), cost
 
-    def _cost(self, flat: np.ndarray, goal: np.ndarray, met: list[_PoseTerrain]) -> np.ndarray:
-        """Costs [...] for `goal` (robot frame, abstract steps) through poses [...]; inf = infeasible.
-
-        ``flat`` is its cost on flat ground.
-        """
-        settings = self.settings
-        dx, dy, turn = goal
-        deviation = abs(np.arctan2(dy, dx))
-        may_step = turn == 0 and min(deviation, np.pi - deviation) <= settings.step_deviation
-        stepping = np.any([poses.on_step for poses in met], axis=0)
-        infeasible = np.any([poses.blocked for poses in met], axis=0)
-        infeasible |= np.any([poses.on_wall for poses in met], axis=(0, 1))
-        if not may_step:
-            infeasible |= stepping.any(axis=0)
-        uneven = np.mean([poses.unevenness for poses in met], axis=0)
-        cost = flat * (1 + settings.unevenness_cost * uneven)
-        return np.where(infeasible, np.inf, cost + settings.step_cost * stepping.sum(axis=0))
-
-    def _poses(self, features: Features, heading: int) -> _PoseTerrain:
-        """Terrain under the robot with its base in each cell, at one heading (index of 16)."""
+    @cached_property
+    def _cells(self) -> PoseCells:
         robot, settings = self.robot, self.settings
-        rotated = rotation(float(heading_angle(heading, ABSTRACT_HEADINGS)))
-        margin = _Margin(features, self._pose_reach())
-
-        walls = margin.of(_is_wall(features, robot), outside=True)
-        edges = margin.of(features.height_range > robot.drive.highest_edge, outside=True)
-        ranges = margin.of(np.nan_to_num(features.height_range), outside=0.0)
-        tops = margin.of(features.top, outside=np.nan)
-
-        feet = robot.neutral_feet()
-        ground, ahead, left = self._ground_plane(margin.of(features.ground, outside=np.nan), margin, rotated)
-        blocked = np.zeros(features.ground.shape, bool)
-        for box in robot.body.boxes:
-            for cell in _cells_in(box.x_min, box.x_max, box.half_width, rotated):
-                x, y, _ = abstract_steps_to_world([*(rotated.T @ cell), 0.0])
-                blocked |= margin.shifted(tops, cell) - (ground + x * ahead + y * left) > box.above
-        on_wall, on_step = [], []
-        reach = np.array([settings.foot_reach, 0.0])
-        for foot in feet:
-            here, *near = (_cell(rotated @ place) for place in (foot, foot + reach, foot - reach))
-            on_wall.append(margin.shifted(walls, here))
-            on_step.append(margin.shifted(edges, here) & ~on_wall[-1])
-            blocked |= on_step[-1] & np.all([margin.shifted(edges, cell) for cell in near], axis=0)
-        length, width = np.abs(feet).max(axis=0) + settings.margin
-        around = _cells_in(-length, length, width, rotated)
-        uneven = reduce(np.add, (margin.shifted(ranges, cell) for cell in around)) / len(around)
-        return _PoseTerrain(blocked, np.array(on_step), np.array(on_wall), uneven)
-
-    def _ground_plane(self, grounds: np.ndarray, margin: _Margin, rotated: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Plane through the ground under the neutral feet, as in `hdsp.detailed.base_pose`.
-
-        Returns:
-            Height under the base centre (m), gradient ahead, gradient to the left, each [nx, ny].
-        """
-        feet = self.robot.neutral_feet()
-        steepest_ahead, steepest_left = self.robot.slope.steepest()
+        feet, reach = robot.neutral_feet(), np.array([settings.foot_reach, 0.0])
         length, width = np.abs(feet).max(axis=0)
-        z = [margin.shifted(grounds, _cell(rotated @ foot)) for foot in feet]
-        ahead = (z[0] + z[3] - z[1] - z[2]) / (4 * length)
-        left = (z[0] + z[1] - z[2] - z[3]) / (4 * width)
-        ahead, left = np.clip(ahead, -steepest_ahead, steepest_ahead), np.clip(left, -steepest_left, steepest_left)
-        return (z[0] + z[1] + z[2] + z[3]) / 4, ahead, left
+        under, around, body, places = [], [], [], []
+        for heading in range(ABSTRACT_HEADINGS):
+            rotated = rotation(float(heading_angle(heading, ABSTRACT_HEADINGS)))
+            under.append([[_cell(rotated @ place) for place in (foot, foot + reach, foot - reach)] for foot in feet])
+            longer, wider = length + settings.margin, width + settings.margin
+            around.append(_cells_in(-longer, longer, wider, rotated))
+            below = [(box.above, _cells_in(box.x_min, box.x_max, box.half_width, rotated)) for box in robot.body.boxes]
+            body.append([cell for _, each in below for cell in each])
+            places.append([(*_place(cell, rotated), above) for above, each in below for cell in each])
+        limits = np.array([length, width, *robot.slope.steepest()])
+        (around, arounds), (body, bodies) = filled(around, 2, np.int64), filled(body, 2, np.int64)
+        return PoseCells(
+            np.array(under, np.int64), around, arounds, body, filled(places, 3, np.float64)[0], bodies, limits
+        )
+
+    @cached_property
+    def _actions(self) -> Goals:
+        """All actions, heading by heading."""
+        goals = np.concatenate([robot_frame_goals(heading) for heading in range(ABSTRACT_HEADINGS)])
+        return self._goals(np.tile(ABSTRACT_ACTIONS, (ABSTRACT_HEADINGS, 1)), goals, self._flat.edge_table.ravel())
+
+    def _goals(self, moves: np.ndarray, goals: np.ndarray, flat: np.ndarray) -> Goals:
+        """Tables of goals [n, 3] with ``moves`` [n, 3] in the map frame and costs [n] on flat ground."""
+        met, counts = filled([_cells_on_the_way(dx, dy) for dx, dy, _ in moves.tolist()], 2, np.int64)
+        deviation = np.abs(np.arctan2(goals[:, 1], goals[:, 0]))
+        along = np.minimum(deviation, np.pi - deviation) <= self.settings.step_deviation
+        turns = np.rint(moves[:, 2]).astype(np.int64)
+        return Goals(met, counts, turns, along & (goals[:, 2] == 0), np.ascontiguousarray(flat, np.float32))
+
+    @cached_property
+    def _prices(self) -> tuple[np.float32, float]:
+        return np.float32(self.settings.unevenness_cost), float(self.settings.step_cost)
 
 
 def coarse_features(heights: np.ndarray) -> Features:
@@ -287,8 +255,11 @@ def _features_in(heights: np.ndarray, region: Region) -> Features:
     return Features(*(values[x, y] for values in coarse_features(heights[part])))
 
 
-def _is_wall(features: Features, robot: Robot) -> np.ndarray:
-    return np.isnan(features.ground) | (features.height_range > robot.step.max_height)
+def _ground(features: Features, robot: Robot) -> Ground:
+    ranges, wall, edge = features.height_range, np.float32(robot.step.max_height), np.float32(robot.drive.highest_edge)
+    walls = np.isnan(features.ground) | (ranges > wall)
+    tops, heights = np.ascontiguousarray(features.top), np.ascontiguousarray(features.ground)
+    return Ground(walls, ranges > edge, np.nan_to_num(ranges), tops, heights)
 
 
 def _cells_on_the_way(dx: float, dy: float) -> list[tuple[int, int]]:
@@ -319,19 +290,15 @@ def _cell(position: np.ndarray) -> tuple[int, int]:
     return x, y
 
 
-def _one_cell(values: np.ndarray, x: int, y: int) -> np.ndarray:
-    return values[..., x, y]
+def _place(cell: tuple[int, int], rotated: np.ndarray) -> list[float]:
+    """Place of a relative cell in the robot frame, m."""
+    return abstract_steps_to_world([*(rotated.T @ cell), 0.0])[:2].tolist()
 
 
-def _wrapped(values: np.ndarray) -> np.ndarray:
-    """Values [..., nx, ny] with a border of values from the other side, as wide as the longest move."""
-    return np.pad(values, [(0, 0)] * (values.ndim - 2) + [(_LONGEST, _LONGEST)] * 2, mode="wrap")
-
-
-def _moved(wrapped: np.ndarray, x: int, y: int) -> np.ndarray:
-    """Values at an offset from each cell, a view, from ``_wrapped`` ones."""
-    nx, ny = wrapped.shape[-2] - 2 * _LONGEST, wrapped.shape[-1] - 2 * _LONGEST
-    return wrapped[..., _LONGEST + x : _LONGEST + x + nx, _LONGEST + y : _LONGEST + y + ny]
+def _span(rows: np.ndarray, reach: int) -> tuple[int, int]:
+    """First and end coarse row within ``reach`` of marked height map rows, and one more on each side; not before 0."""
+    at = np.flatnonzero(rows)
+    return max(int(at[0]) // CELLS_PER_ABSTRACT - reach - 1, 0), int(at[-1]) // CELLS_PER_ABSTRACT + reach + 2
 
 
 def _in_cells(length: float) -> float:
@@ -340,24 +307,3 @@ def _in_cells(length: float) -> float:
 
 def _margin_cells(reach: float) -> int:
     return math.ceil(_in_cells(reach)) + 1
-
-
-def _take(poses: _PoseTerrain, take, *arguments) -> _PoseTerrain:
-    return _PoseTerrain(*(take(values, *arguments) for values in poses))
-
-
-class _Margin:
-    """Reads maps at an offset from each cell; a margin supplies values outside the map."""
-
-    def __init__(self, features: Features, reach: float):
-        self.cells = _margin_cells(reach)
-        self.shape = features.ground.shape[-2:]
-
-    def of(self, values: np.ndarray, outside) -> np.ndarray:
-        around = [(0, 0)] * (values.ndim - 2)
-        return np.pad(values, [*around, (self.cells,) * 2, (self.cells,) * 2], constant_values=outside)
-
-    def shifted(self, values: np.ndarray, cell: tuple[int, int]) -> np.ndarray:
-        """Returns, for each cell, the value at offset `cell`."""
-        x, y = (self.cells + step for step in cell)
-        return values[..., x : x + self.shape[0], y : y + self.shape[1]]

@@ -36,6 +36,7 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
 if TYPE_CHECKING:
+    from hdsp.abstract.manual import ManualCosts
     from hdsp.learning.learned_costs import LearnedCosts
 
 
@@ -45,7 +46,7 @@ class QueryKind:
 
     Attributes:
         abstract: the heuristic comes from an abstraction.
-        learned: a network computes its costs.
+        costs: class of costs with kernels of their own, by name; empty for others.
         grid: the heuristic is the grid heuristic.
         admissible: the heuristic is admissible.
         anchored: the search is multi-heuristic A*.
@@ -54,7 +55,7 @@ class QueryKind:
     """
 
     abstract: bool = False
-    learned: bool = False
+    costs: str = ""
     grid: bool = False
     admissible: bool = True
     anchored: bool = False
@@ -79,10 +80,10 @@ def compile_for(
         refinable: the query refines its plans.
     """
     abstract = isinstance(heuristic, AbstractHeuristic)
-    learned = _learned(heuristic)
+    costs = _with_kernels(heuristic)
     kind = QueryKind(
         abstract=abstract,
-        learned=learned is not None,
+        costs="" if costs is None else type(costs).__name__,
         grid=isinstance(heuristic, GridHeuristic),
         admissible=heuristic.admissible,
         anchored=anchored and not heuristic.admissible,
@@ -96,28 +97,27 @@ def compile_for(
             return
         # A robot that cannot do the trial fails in the query too, with its reason.
         with suppress(InputError, RefinementError):
-            _try(robot, kind, learned)
+            _try(robot, kind, costs)
         _DONE.add(kind)
 
 
-def _learned(heuristic: Heuristic) -> LearnedCosts | None:
-    """Costs of a network; only a planner with such costs has loaded the network."""
+def _with_kernels(heuristic: Heuristic) -> LearnedCosts | ManualCosts | None:
+    """Costs with kernels of their own; only a planner with learned costs has loaded the network."""
     costs = heuristic.costs if isinstance(heuristic, AbstractHeuristic) else None
-    if type(costs).__module__ != "hdsp.learning.learned_costs":
-        return None
-    return costs  # type: ignore[return-value]
+    known = "hdsp.learning.learned_costs", "hdsp.abstract.manual"
+    return costs if type(costs).__module__ in known else None  # type: ignore[return-value]
 
 
-def _try(robot: Robot, kind: QueryKind, learned: LearnedCosts | None) -> None:
+def _try(robot: Robot, kind: QueryKind, costs: LearnedCosts | ManualCosts | None) -> None:
     terrain = _ground(robot)
     world, grid = build_world(terrain, robot), Grid(terrain.origin, terrain.shape)
     heuristic: Heuristic = GridHeuristic(world) if kind.grid else GeometricHeuristic(world)
     if kind.abstract:
         heuristic = AbstractHeuristic(world, terrain, _EvenCosts())
-    if learned is not None:
+    if costs is not None:
         mask = np.zeros((ABSTRACT_HEADINGS, *(n // 4 for n in terrain.shape)), bool)
         mask[1, mask.shape[1] // 4, mask.shape[2] // 2] = True
-        learned.edges(terrain, mask=mask)
+        costs.edges(terrain, mask=mask)
     middle = terrain.size[0] / 4, terrain.size[1] / 2
     start, _ = locate(world, grid, robot, (*middle, 0.0), "start")
     locate(world, grid, robot, (metres(1.0), metres(1.0), 0.0), "start")

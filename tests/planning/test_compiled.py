@@ -107,7 +107,7 @@ def test_q3_compilation_is_said_once_and_only_if_there_is_any(caplog, monkeypatc
 def test_q3_a_process_compiles_once_for_each_kind(monkeypatch):
     tried = []
     monkeypatch.setattr(compiled, "_DONE", set())
-    monkeypatch.setattr(compiled, "_try", lambda robot, kind, learned: tried.append(kind))
+    monkeypatch.setattr(compiled, "_try", lambda robot, kind, costs: tried.append(kind))
     planner = Planner(HeightMap.flat((80, 80)))
     for _ in range(2):
         planner.plan((0.9, 0.9, 0.0), (1.0, 0.9, 0.0))

@@ -55,9 +55,11 @@ def updated_standing(before: World, world: World, feet: np.ndarray) -> np.ndarra
         feet: result before the change.
     """
     changed = np.zeros(len(world.standable), bool)
-    for name in ("standable", "uneven", "height", "window_height", "steep"):
+    # Neither S nor the highest ground around the body decides where the robot can stand.
+    for name in ("standable", "height", "steep"):
         old, new = getattr(before, name), getattr(world, name)
-        changed |= (old != new).reshape(-1, len(changed)).any(axis=0)  # some have several layers
+        if len(old) > 0:  # slopes with one limit have no map
+            changed |= old != new
     feet = feet.copy()
     cells = np.argwhere(changed.reshape(-1, world.stride)) - world.pad
     if len(cells) == 0:
@@ -86,13 +88,14 @@ def uneven_cells(world: World) -> np.ndarray:
     return maximum_filter(blocks, width, mode="constant", cval=True)
 
 
-@njit()
+@njit(allocates=False)
 def _find_standing(world, result, k, first, end, left, right):
     """Fills rows ``first`` to ``end`` and columns ``left`` to ``right`` of ``result`` at one abstract heading."""
     standable, feet, samples, n = world.standable, world.tables.feet, world.tables.n_samples, world.tables.n_offsets
     apart = 2 * world.constants.neutral_x - world.constants.min_separation
     heading = k * HEADINGS_PER_ABSTRACT
-    left_front, left_rear, right_rear, right_front = [foot_row(world.tables, heading, i, 0) for i in range(4)]
+    left_front, left_rear = foot_row(world.tables, heading, 0, 0), foot_row(world.tables, heading, 1, 0)
+    right_rear, right_front = foot_row(world.tables, heading, 2, 0), foot_row(world.tables, heading, 3, 0)
     for a in range(first, end):
         for b in range(left, right):
             ix, iy = CELLS_PER_ABSTRACT * a + ABSTRACT_ANCHOR, CELLS_PER_ABSTRACT * b + ABSTRACT_ANCHOR
