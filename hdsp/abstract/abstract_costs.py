@@ -7,7 +7,7 @@ no other interface. `TaskPredictor` covers single tasks and serves evaluation.
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -86,6 +86,27 @@ class GradualCosts(AbstractCosts, Protocol):
         self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None
     ) -> Steps[np.ndarray]:
         """Computes ``edges``: yields None after each step, and returns the result; arguments as for ``edges``."""
+        ...
+
+
+class Memory(Protocol):
+    """Parts of the work on a map that later evaluations reuse; results are the same without."""
+
+    def after(self, changed: np.ndarray) -> Self:
+        """Returns the parts that a change leaves as they are, and takes them from this object.
+
+        Args:
+            changed: bool [nx, ny], height map cells with changed heights.
+        """
+        ...
+
+
+@runtime_checkable
+class RememberingCosts(AbstractCosts, Protocol):
+    """Gradual costs that keep parts of their work on a map: ``edge_steps`` has a further argument ``memory``."""
+
+    def new_memory(self, height_map: HeightMap) -> Memory | None:
+        """Returns an empty memory for a map; None if the costs have no use for one."""
         ...
 
 
@@ -192,14 +213,23 @@ def checked_region(height_map: HeightMap, region: Region | None) -> Region:
 
 
 def edge_steps(
-    costs: AbstractCosts, height_map: HeightMap, mask: np.ndarray, region: Region | None = None
+    costs: AbstractCosts,
+    height_map: HeightMap,
+    mask: np.ndarray,
+    region: Region | None = None,
+    memory: Memory | None = None,
 ) -> Steps[np.ndarray]:
-    """Computes edges, in steps if the costs are ``GradualCosts``; arguments as for ``edges``."""
+    """Computes edges, in steps if the costs are ``GradualCosts``; arguments as for ``edges``.
+
+    ``memory`` comes from ``RememberingCosts``.
+    """
     classes = type(costs).__mro__
     whole = next((i for i, cls in enumerate(classes) if "edges" in vars(cls)), len(classes))
     gradual = next((i for i, cls in enumerate(classes) if "edge_steps" in vars(cls)), len(classes))
     # A subclass with other edges has inherited the steps for the edges of its parent.
     if isinstance(costs, GradualCosts) and gradual <= whole and "edges" not in getattr(costs, "__dict__", ()):
+        if memory is not None:
+            return (yield from costs.edge_steps(height_map, region, mask, memory=memory))  # type: ignore[call-arg]
         return (yield from costs.edge_steps(height_map, region, mask))
     return costs.edges(height_map, region, mask)
 

@@ -31,13 +31,15 @@ from hdsp.base.jit import njit
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
 
 #: Cost above the cheapest way that a way in the corridor may have, at least and at most.
-NARROW, WIDE = 0.3, 2.0
+NARROW, WIDE = 0.1, 2.0
 #: States of a corridor that is wider than necessary.
-MOST = 8_000
-#: Cost on even ground within which a start without an abstract way is connected to states that have one.
+MOST = 3_000
+#: Cost on even ground within which a start or a goal without an abstract way is connected to states that have one.
 NEAR = 1.0
 
-_FRINGE = 0.1  # states around a corridor that are evaluated with it, relative; otherwise, single ones follow one by one
+_FRINGE = (
+    0.25  # states around a corridor that are evaluated with it, relative; otherwise, single ones follow one by one
+)
 _BUCKETS = 1 << 13
 _FAR = _BUCKETS - 1  # a state in a later bucket waits in this one, and comes again
 _OUT = np.int32(-(2**31))
@@ -73,9 +75,33 @@ def least_costs_from(states: np.ndarray, open_states: np.ndarray, least: np.ndar
         least: float64 [16, 22], least cost of an action by the heading of its start.
     """
     headings, nx, ny = open_states.shape
+    flat = _flat(states, nx, ny)
     costs, queue = np.full(open_states.size, np.inf), _Queue.empty(open_states.size)
-    _spread(_flat(states, nx, ny), open_states.ravel(), nx, ny, least, costs, *queue, 1.0 / _width(least))
+    _spread(
+        flat, np.zeros(len(flat)), open_states.ravel(), nx, ny, least, 1, np.inf, costs, *queue, 1.0 / _width(least)
+    )
     return costs.reshape(headings, nx, ny)
+
+
+def connected(
+    goals: np.ndarray, costs: np.ndarray, open_states: np.ndarray, prices: np.ndarray, most: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns states around goals, int64 [n, 3], and the cost from each to a goal at given prices, float64 [n].
+
+    Args:
+        goals: int64 [m, 3], states (ix, iy, heading).
+        costs: float64 [m], >= 0, cost that is left at each of them.
+        open_states: bool [16, nx, ny], states that a way may pass.
+        prices: float64 [16, 22], price of an action by the heading of its start.
+        most: largest cost.
+    """
+    shape, queue = open_states.shape, _Queue.empty(open_states.size)
+    found, flat = np.full(open_states.size, np.inf), _flat(goals, *shape[1:])
+    per_width = 1.0 / _width(prices)
+    _spread(flat, costs, open_states.ravel(), *shape[1:], prices, -1, most, found, *queue, per_width)
+    near = np.flatnonzero(found < np.inf)
+    heading, ix, iy = np.unravel_index(near, shape)
+    return np.stack([ix, iy, heading], axis=1), found[near]
 
 
 def find_corridor(
@@ -199,11 +225,12 @@ def _take(after, ahead, heads, counts, state):
 
 
 @njit(allocates=False)
-def _spread(sources, open_states, nx, ny, least, cost, after, ahead, heads, counts, per_width):
-    """Forward Dijkstra search; fills ``cost``."""
+def _spread(sources, costs, open_states, nx, ny, least, direction, most, cost, after, ahead, heads, counts, per_width):
+    """Dijkstra search with the same edges everywhere, forward (direction 1) or backward (-1); fills ``cost``."""
     for i in range(len(sources)):
-        cost[sources[i]] = 0.0
-        _queue(after, ahead, heads, counts, sources[i], 0)
+        if costs[i] <= most and costs[i] < cost[sources[i]]:
+            cost[sources[i]] = costs[i]
+            _queue(after, ahead, heads, counts, sources[i], np.int64(costs[i] * per_width))
     while counts[1] > 0:
         slot = counts[0] % _BUCKETS
         while heads[slot] >= 0:
@@ -212,12 +239,13 @@ def _spread(sources, open_states, nx, ny, least, cost, after, ahead, heads, coun
             k, a, b = state // (nx * ny), state // ny % nx, state % ny
             so_far = cost[state]
             for m in range(len(ABSTRACT_ACTIONS)):
-                x, y = a + ABSTRACT_ACTIONS[m, 0], b + ABSTRACT_ACTIONS[m, 1]
+                x, y = a + direction * ABSTRACT_ACTIONS[m, 0], b + direction * ABSTRACT_ACTIONS[m, 1]
                 if not (0 <= x < nx and 0 <= y < ny):
                     continue
-                other = ((k + ABSTRACT_ACTIONS[m, 2]) % ABSTRACT_HEADINGS * nx + x) * ny + y
-                further = so_far + least[k, m]
-                if further < cost[other] and open_states[other]:
+                z = (k + direction * ABSTRACT_ACTIONS[m, 2]) % ABSTRACT_HEADINGS
+                other = (z * nx + x) * ny + y
+                further = so_far + least[k if direction > 0 else z, m]
+                if further < cost[other] and further <= most and open_states[other]:
                     cost[other] = further
                     _queue(after, ahead, heads, counts, other, np.int64(further * per_width))
         counts[0] += 1

@@ -15,7 +15,7 @@ from scipy.special import expit
 
 from hdsp.base.errors import InputError
 from hdsp.learning.calibration import MINIMUM_COST, Calibration, calibration_figures, fit_calibration
-from hdsp.learning.inference.footprint_engine import FootprintEngine, engine_options
+from hdsp.learning.inference.footprint_engine import FootprintEngine, Place, engine_options
 from hdsp.learning.judgements import Judgements
 from hdsp.learning.learning_settings import HardwareSettings, ModelSettings
 from hdsp.learning.saved_abstraction import (
@@ -248,11 +248,11 @@ class LearnedAbstraction:
             yield None if group is None else (group[0], *self._judged(group[1], goals))
 
     def predict_bases(
-        self, heights: np.ndarray, bases: np.ndarray, goals: np.ndarray
+        self, heights: np.ndarray, bases: np.ndarray, goals: np.ndarray, place: Place | None = None
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray] | None]:
         """Like ``predict_windows``, with the engine; arguments are as for ``FootprintEngine.evaluate``."""
         assert self.engine is not None
-        for group in self.engine.evaluate(heights, bases, goals):
+        for group in self.engine.evaluate(heights, bases, goals, place):
             yield None if group is None else (group[0], *self._judged(group[1], goals))
 
     def _judged(self, judged: Judgements, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

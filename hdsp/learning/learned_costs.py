@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -12,7 +13,8 @@ from hdsp.abstract.oracle import CostKind, checked_kind
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps, finished
 from hdsp.learning.abstraction import LearnedAbstraction
-from hdsp.learning.inference.footprint_engine import MARGIN
+from hdsp.learning.inference.footprint_engine import MARGIN, Place
+from hdsp.learning.inference.kept_features import KeptFeatures
 from hdsp.learning.rotated_maps import RotatedMap, rotated_cells, rotated_window
 from hdsp.learning.saved_abstraction import Provenance
 from hdsp.robot import lattice
@@ -133,14 +135,20 @@ class LearnedCosts:
         region: Region | None = None,
         mask: np.ndarray | None = None,
         progress: Callable[[int, int], None] | None = None,
+        memory: KeptFeatures | None = None,
     ) -> Steps[np.ndarray]:
-        """See ``GradualCosts.edge_steps``; a step evaluates the trunk on one tile, or some patches."""
+        """See ``GradualCosts.edge_steps`` and ``RememberingCosts``.
+
+        A step evaluates the trunk on one tile, or some patches.
+        """
         first_x, first_y, end_x, end_y = checked_region(height_map, region)
         shape = (lattice.ABSTRACT_HEADINGS, end_x - first_x, end_y - first_y)
         wanted = np.ones(shape, bool) if mask is None else checked_mask(mask, shape)
         edges = np.full((*shape, lattice.N_ABSTRACT_ACTIONS), np.inf, np.float32)
         done, total = 0, int(wanted.sum())
-        evaluate = self._by_windows if self._by_engine else self._by_patches if self._trunk is None else self._by_tiles
+        evaluate = self._by_patches if self._trunk is None else self._by_tiles
+        if self._by_engine:
+            evaluate = partial(self._by_windows, memory=memory)
         for heading in range(lattice.ABSTRACT_HEADINGS):
             if not wanted[heading].any():
                 continue
@@ -156,6 +164,11 @@ class LearnedCosts:
                 yield
         close_exits(edges, height_map, region)
         return edges
+
+    def new_memory(self, height_map: HeightMap) -> KeptFeatures | None:
+        """See ``RememberingCosts.new_memory``."""
+        engine = self._of_edges.engine
+        return engine.new_memory(height_map.shape) if self._by_engine and engine is not None else None
 
     def affected(self, changed: np.ndarray) -> np.ndarray:
         """See ``LocalCosts.affected``."""
@@ -176,7 +189,7 @@ class LearnedCosts:
                 seen = crop_patches(marks, near, heading * lattice.HEADINGS_PER_ABSTRACT)
                 touched = (seen > 0).any(axis=(1, 2))
             else:
-                touched = _touched(RotatedMap(marks, heading), near, margin)
+                touched = _touched(marks, cells, heading, near, margin)
             result[heading, near[touched, 0] // size, near[touched, 1] // size] = True
         return result
 
@@ -197,18 +210,25 @@ class LearnedCosts:
             yield part, self._costs(patches, goals)
 
     def _by_windows(
-        self, height_map: HeightMap, heading: int, wanted: np.ndarray, first: tuple[int, int]
+        self,
+        height_map: HeightMap,
+        heading: int,
+        wanted: np.ndarray,
+        first: tuple[int, int],
+        memory: KeptFeatures | None,
     ) -> Iterator[tuple[np.ndarray, np.ndarray] | None]:
         """Like ``_by_patches``, with the engine in windows around the wanted states; None between its steps."""
         goals = lattice.robot_frame_goals(heading)
         heights = np.ascontiguousarray(height_map.heights, np.float32)
         states = np.argwhere(wanted)
         cells = rotated_cells(_anchors(states + first, heading), heading)
-        for _, members in _grouped(cells // WINDOW):
+        # Counted from the first cell, so that states around a small change share one window.
+        for _, members in _grouped((cells - cells.min(axis=0)) // WINDOW):
             low = cells[members].min(axis=0) - MARGIN
             end = cells[members].max(axis=0) + MARGIN + 1
             window = rotated_window(heights, heading, low, tuple(end - low))
-            for group in self._of_edges.predict_bases(window, cells[members] - low, goals):
+            place = None if memory is None else Place(memory, heading, low)
+            for group in self._of_edges.predict_bases(window, cells[members] - low, goals, place):
                 if group is None:
                     yield None
                     continue
@@ -273,13 +293,25 @@ def _grouped(keys: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         yield keys[members[0]], members
 
 
-def _touched(marks: RotatedMap, bases: np.ndarray, margin: int) -> np.ndarray:
-    """Whether each base's patch, enlarged by a margin, holds a cell marked above zero; bool [n]."""
-    sums = np.zeros(np.add(marks.heights.shape, 1), np.int64)
-    sums[1:, 1:] = (marks.heights > 0).cumsum(axis=0).cumsum(axis=1)
-    first = marks.cells(bases) - lattice.PATCH_CENTER - margin - marks.first
-    x, y = np.clip(first, 0, marks.heights.shape).T
-    end_x, end_y = np.clip(first + lattice.PATCH_CELLS + 2 * margin, 0, marks.heights.shape).T
+def _touched(marks: np.ndarray, cells: np.ndarray, heading: int, bases: np.ndarray, margin: int) -> np.ndarray:
+    """Whether each base's patch, enlarged by a margin, holds a marked cell; bool [n].
+
+    Args:
+        marks: float32 [nx, ny], cells above zero are marked.
+        cells: int64 [m, 2], marked cells.
+        heading: abstract heading of the patches.
+        bases: int64 [n, 2], map cells.
+        margin: of the patches, in cells.
+    """
+    (low_x, low_y), (high_x, high_y) = cells.min(axis=0).tolist(), cells.max(axis=0).tolist()
+    corners = rotated_cells(np.array([(x, y) for x in (low_x, high_x) for y in (low_y, high_y)]), heading)
+    low = corners.min(axis=0) - 1
+    around = rotated_window(marks, heading, low, tuple(corners.max(axis=0) + 2 - low))
+    sums = np.zeros(np.add(around.shape, 1), np.int64)
+    sums[1:, 1:] = (around > 0).cumsum(axis=0).cumsum(axis=1)
+    first = rotated_cells(bases, heading) - lattice.PATCH_CENTER - margin - low
+    x, y = np.clip(first, 0, around.shape).T
+    end_x, end_y = np.clip(first + lattice.PATCH_CELLS + 2 * margin, 0, around.shape).T
     return sums[end_x, end_y] - sums[x, end_y] - sums[end_x, y] + sums[x, y] > 0
 
 

@@ -24,20 +24,26 @@ class Layer:
         graph.linear("rows", "result", weight, bias)
         self._session, (self._width, self._outputs) = graph.session(), weight.shape
 
-    def convolved(
-        self, values: np.ndarray, cells: np.ndarray, offsets: np.ndarray, run: int, code: float | None = None
-    ) -> np.ndarray:
-        """Returns features [cells of the map, out], valid at ``cells``.
+    def convolve(
+        self,
+        values: np.ndarray,
+        cells: np.ndarray,
+        offsets: np.ndarray,
+        run: int,
+        result: np.ndarray,
+        code: float | None = None,
+    ) -> None:
+        """Computes features at some cells.
 
         Args:
             values: float32 [cells of the map, channels].
             cells: int64 [n].
             offsets: int64, where the pieces of a row begin, relative to its cell.
             run: neighbouring cells in a piece.
-            code: value of one code, for a result with codes, uint8; None = float32.
+            result: [cells of the map, out], float32, or codes, uint8.
+            code: value of one code.
         """
         flat, channels = values.reshape(-1), values.shape[1]
-        result = np.empty((len(values), self._outputs), np.float32 if code is None else np.uint8)
         most = max(VALUES // self._width, 1)
         rows = np.empty((min(len(cells), most), self._width), np.float32)
         for start in range(0, len(cells), most):
@@ -45,8 +51,7 @@ class Layer:
             inputs = rows[: len(part)]
             gather(flat, channels, part, offsets, run * channels, inputs)
             (features,) = self._session.run(None, {"rows": inputs})
-            if code is None:
-                store(features, part, result)
-            else:
+            if result.dtype == np.uint8:
                 store_codes(features, part, np.float32(code), result)
-        return result
+            else:
+                store(features, part, result)

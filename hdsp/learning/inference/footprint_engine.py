@@ -57,6 +57,7 @@ from hdsp.learning.inference.ground_kernels import (
     trunk_channels,
     weighted_sum,
 )
+from hdsp.learning.inference.kept_features import ALONG, LOCAL, POSE, KeptFeatures, Place, WindowFeatures, not_kept
 from hdsp.learning.inference.pose_table import CORNERS, PoseTable, Ways, goal_features, numbers, square
 from hdsp.learning.judgements import Judgements
 from hdsp.learning.learning_settings import ModelSettings
@@ -72,7 +73,7 @@ POSES_AT_ONCE = 192
 #: Largest feature with a code of its own, relative to the largest one on random ground of all published categories.
 CLIPPED = 1.25
 #: Bases whose goals are judged together.
-STATES = 24
+STATES = 64
 #: Patches evaluated in one window.
 STACK = 16
 #: Channels of the first convolution, as ``trunk_channels`` numbers them.
@@ -129,6 +130,8 @@ class FootprintEngine:
         self._cone = self._unevenness_cone()
         self._clearance = np.argwhere(disc_mask(cells(self.stance.clearance))) - self.stance.clearance_cells
         self._weights = _checked(tensors, _shapes(options, len(self._kinds)))
+        # Pose features have trailing zeros, so their weights have too.
+        self.features = -(-(options.features + POSE_FEATURES) // _ALIGNED) * _ALIGNED
         self._build_local()
         self.code: float | None = None
         if codes:
@@ -166,10 +169,11 @@ class FootprintEngine:
         """Returns the value of a code for the last local features, from the largest one on random ground."""
         largest, side = 0.0, PATCH_CELLS + 2 * MARGIN
         bases = numbers(np.argwhere(np.ones((PATCH_CELLS, PATCH_CELLS), bool)) + MARGIN, side)
-        needed = self._needed(side * side, side, bases, self.table.context)
+        known = self._known_features(side * side)
+        needed, local = self._needed(side, bases, self.table.context, known), known.local
         for category in CATEGORIES:
             channels = self._ground(random_map(1, category, 0, cells=side).heights)[1]
-            local = self._near_and_local(channels, needed, side)[1]
+            self._near_and_local(channels, needed, side, local)
             largest = max(largest, float(local[needed.local[-1]].max()))
         # Rounded, because the last bits of the features depend on the processor.
         return max(math.ceil(16 * CLIPPED * largest), 1) / 16 / 255
@@ -188,9 +192,7 @@ class FootprintEngine:
     def _build_judges(self) -> None:
         """Makes the layers for the start and for its goals."""
         options, weights, linear = self.options, self._weights, self._linear
-        # Pose features have trailing zeros, so their weights have too.
         seen = options.features + POSE_FEATURES
-        self.features = -(-seen // _ALIGNED) * _ALIGNED
         *ways, rest = np.split(weights["rest.0.weight"].T, [seen * k for k in range(1, SAMPLES + 3)])
         mean, greatest = ways[SAMPLES] / np.float32(SAMPLES), ways[SAMPLES + 1]
         of_start, *of_samples = (self._padded(way + mean) for way in ways[:SAMPLES])
@@ -224,8 +226,14 @@ class FootprintEngine:
         missing = self.features - weight.shape[-2]
         return np.pad(weight, [(0, 0)] * (weight.ndim - 2) + [(0, missing), (0, 0)])
 
+    def new_memory(self, shape: tuple[int, int]) -> KeptFeatures:
+        """Returns a place for the features of a map with ``shape`` cells, empty."""
+        local = sum(self.options.dilations) + NEAR_RADIUS + 1  # an edge lies between two cells
+        line = LINE_RADIUS + NEAR_RADIUS + 1
+        return KeptFeatures(shape, (local, line, farthest_read(self.encoding, self.options) - REACH))
+
     def evaluate(
-        self, heights: np.ndarray, bases: np.ndarray, goals: np.ndarray
+        self, heights: np.ndarray, bases: np.ndarray, goals: np.ndarray, place: Place | None = None
     ) -> Iterator[tuple[slice, Judgements] | None]:
         """Evaluates the goals of some bases in a window, in short steps.
 
@@ -233,6 +241,7 @@ class FootprintEngine:
             heights: float32 [nx, ny], metres, NaN = unknown.
             bases: int64 [n, 2], cells of ``heights`` under the bases, with ``MARGIN`` cells beyond, on each side.
             goals: float32 [G, 3] in abstract steps in the robot frame.
+            place: place of the window in a map whose features are kept; None = none are kept.
 
         Yields:
             None after each layer of the whole window. Then, for each group of bases, its slice of ``bases``, and the
@@ -241,17 +250,21 @@ class FootprintEngine:
         to = self._known(goals)
         across = heights.shape[1]
         cells = numbers(bases, across)
-        needed = self._needed(heights.size, across, cells, to.poses)
+        known = self._known_features(heights.size)
+        needed = self._needed(across, cells, to.poses, known, place)
         maps, channels = self._ground(heights)
 
         yield None
-        near, local = self._near_and_local(channels, needed, across)
+        near = self._near_and_local(channels, needed, across, known.local)
         yield None
         line_offsets = numbers(square(LINE_RADIUS), across)[:: 2 * LINE_RADIUS + 1]
-        line = self.line.convolved(near, needed.line, line_offsets, 2 * LINE_RADIUS + 1)
+        self.line.convolve(near, needed.line, line_offsets, 2 * LINE_RADIUS + 1, known.line)
         yield None
-        poses = self._poses(local, maps, needed.poses, self.table.straight(across))
+        self._poses(known.local, maps, needed.poses, self.table.straight(across), known.poses)
+        if place is not None:
+            place.keep(across, (needed.local[-1], needed.line, needed.poses), known)
         yield None
+        local, line, poses = known
         turned, turned_lower = self.table.turned(across), numbers(self.table.lower, across)
         context = numbers(self.table.context, across)
         along, profile, footholds = (
@@ -304,29 +317,40 @@ class FootprintEngine:
             self._goals[key] = _Goals(ways, poses, costs.T, features @ self._of_goal)
         return self._goals[key]
 
-    def _needed(self, size: int, across: int, cells: np.ndarray, read: np.ndarray) -> _Needed:
-        """Finds the cells at which some base needs a feature, layer by layer.
+    def _known_features(self, size: int) -> WindowFeatures:
+        """Places for the features of a window with ``size`` cells."""
+        kind, width = np.float32 if self.code is None else np.uint8, self.options.width
+        widths = (width, kind), (width, np.float32), (self.features, np.float32)
+        return WindowFeatures(*(np.empty((size, channels), kind) for channels, kind in widths))
+
+    def _needed(
+        self, across: int, cells: np.ndarray, read: np.ndarray, known: WindowFeatures, place: Place | None = None
+    ) -> _Needed:
+        """Finds the cells at which some base needs a feature that is not kept, layer by layer.
 
         Args:
-            size: cells of the window.
             across: cells along y.
             cells: int64 [n], under the bases.
             read: int64 [n, 2], poses with the start heading that a base reads, relative to it.
+            known: receives kept features.
+            place: as for ``evaluate``.
         """
-        poses, local, line = np.zeros((3, size), bool)
+        poses, local, line = np.zeros((3, len(known.local)), bool)
         mark(poses, cells, numbers(read, across))
+        found_poses = not_kept(poses, POSE, known.poses, across, place)
         _spread_square(poses, self.options.taps, self.options.spacing, across, local)
         mark(local, cells, numbers(self.table.turned_local, across))
         mark(line, cells, numbers(self.table.along, across))
+        found_line = not_kept(line, ALONG, known.line, across, place)
+        found_local = [not_kept(local, LOCAL, known.local, across, place)]
         marks = [local]
         for dilation in self.options.dilations[::-1]:
-            marks.append(np.zeros(size, bool))
+            marks.append(np.zeros_like(local))
             _spread_square(marks[-2], (3, 3), dilation, across, marks[-1])
-        near, *local_marks = marks[::-1]
+        near, *before = marks[:0:-1]
         side = 2 * LINE_RADIUS + 1
         _spread_square(line, (side, side), 1, across, near)
-        found_poses, found_line, found_near, *found_local = map(np.flatnonzero, (poses, line, near, *local_marks))
-        return _Needed(found_poses, found_line, found_near, found_local)
+        return _Needed(found_poses, found_line, np.flatnonzero(near), [*map(np.flatnonzero, before), *found_local])
 
     def _ground(self, heights: np.ndarray) -> tuple[GroundMaps, np.ndarray]:
         """Encodes the ground; also returns the channels of the first convolution."""
@@ -349,19 +373,21 @@ class FootprintEngine:
         flat = (np.ascontiguousarray(values.ravel(), np.float32) for values in (rough, barred, is_barred))
         return GroundMaps(height.ravel(), np.stack(nearby, axis=-1).reshape(-1, len(nearby)), *flat), channels
 
-    def _near_and_local(self, channels: np.ndarray, needed: _Needed, across: int) -> tuple[np.ndarray, np.ndarray]:
-        """The first convolution's features, float32 [cells, width], and the last local features or their codes."""
+    def _near_and_local(self, channels: np.ndarray, needed: _Needed, across: int, result: np.ndarray) -> np.ndarray:
+        """Computes the last local features, or their codes; returns features of the first convolution."""
         offsets = numbers(square(NEAR_RADIUS), across)[:: 2 * NEAR_RADIUS + 1]
-        local = near = self.near.convolved(channels, needed.near, offsets, 2 * NEAR_RADIUS + 1)
-        last = len(self.local) - 1
+        size, last = len(channels), len(self.local) - 1
+        local = near = np.empty((size, self.options.width), np.float32)
+        self.near.convolve(channels, needed.near, offsets, 2 * NEAR_RADIUS + 1, near)
         for k, (layer, dilation) in enumerate(zip(self.local, self.options.dilations, strict=True)):
-            code = self.code if k == last else None
-            local = layer.convolved(local, needed.local[k], numbers(square(dilation, dilation), across), 1, code)
-        return near, local
+            to = result if k == last else np.empty_like(near)
+            layer.convolve(local, needed.local[k], numbers(square(dilation, dilation), across), 1, to, self.code)
+            local = to
+        return near
 
-    def _poses(self, local: np.ndarray, maps: GroundMaps, at: np.ndarray, cells: PoseCells) -> np.ndarray:
-        """Features of the poses with the start heading, float32 [cells, features]."""
-        poses, taps, channels = np.empty((len(local), self.features), np.float32), cells.taps[0], local.shape[1]
+    def _poses(self, local: np.ndarray, maps: GroundMaps, at: np.ndarray, cells: PoseCells, poses: np.ndarray) -> None:
+        """Computes features of the poses with the start heading at some cells, float32 [cells, features]."""
+        taps, channels = cells.taps[0], local.shape[1]
         words = local.reshape(-1).view(np.uint64) if local.dtype == np.uint8 and channels % 8 == 0 else None
         rows, ground = self._pose_rows(min(len(at), POSES_AT_ONCE), local.dtype)
         for start in range(0, len(at), POSES_AT_ONCE):
@@ -373,7 +399,6 @@ class FootprintEngine:
                 gather_words(words, channels // 8, part, taps, inputs.view(np.uint64))
             ground_rows(part, maps, cells, ground[: len(part)])
             store_poses(self._judged_poses(inputs, ground[: len(part)]), ground, part, poses)
-        return poses
 
     def _turned(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hdsp.abstract.corridor import costs_around, find_corridor, least_costs_from
+from hdsp.abstract.corridor import NEAR, connected, costs_around, find_corridor, least_costs_from
 from hdsp.base.gradual import Steps
 from hdsp.planning.heuristics.goal_sources import Sources
 from hdsp.planning.heuristics.known_edges import KnownEdges
@@ -19,7 +19,8 @@ def corridor_steps(
 ) -> Steps[np.ndarray | None]:
     """Computes costs-to-go in and around the corridor of a query (`hdsp.abstract.corridor`), in steps.
 
-    They depend neither on edges that other queries have evaluated, nor on the steps.
+    They depend neither on edges that other queries have evaluated, nor on the steps. A goal that the abstraction cuts
+    off is connected to states around it, at the prices of infeasible actions.
 
     Args:
         known: edges of ``BoundedCosts``; missing ones are evaluated.
@@ -28,17 +29,22 @@ def corridor_steps(
         prices: float64 [16, 22], price of an action that the abstraction judges infeasible.
 
     Returns:
-        Float64 [16, nx, ny], inf outside; None if the abstraction knows no way from the start.
+        Float64 [16, nx, ny], inf outside; None if no abstract way leads from around the start to around a goal.
     """
     least, standing = known.least, known.standing
     assert least is not None
     open_states = standing.copy()
     open_states[sources.states[:, 2], sources.states[:, 0], sources.states[:, 1]] = True
     behind = least_costs_from(_states_around(start, standing), open_states, least)
+    goals, costs, cut_off = sources.states, sources.costs, False
     while True:
         version = known.version
         # No step ends before some edges are evaluated, so that queries with little time get on.
-        found = find_corridor(known.incoming, behind, sources.states, sources.costs, least, DOUBT)
+        found = find_corridor(known.incoming, behind, goals, costs, least, DOUBT)
+        if found is None and not cut_off:
+            goals, costs = connected(goals, costs, open_states, prices, NEAR * DOUBT)
+            cut_off = True
+            continue
         if found is None:
             return None
         missing = found.around & standing & ~known.evaluated

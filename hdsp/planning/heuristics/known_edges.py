@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hdsp.abstract.abstract_costs import AbstractCosts, BoundedCosts, LocalCosts, edge_steps
+from hdsp.abstract.abstract_costs import AbstractCosts, BoundedCosts, LocalCosts, RememberingCosts, edge_steps
 from hdsp.abstract.prepared_graph import PreparedGraph, least_incoming, replace_edges
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Gradual, Steps
@@ -38,6 +38,7 @@ class KnownEdges:
         bounds = np.full(N_ABSTRACT_ACTIONS, np.inf, np.float32) if self.least is None else self.least
         bounds = np.broadcast_to(bounds, (len(standing), N_ABSTRACT_ACTIONS))
         self.incoming = least_incoming(standing, np.ascontiguousarray(bounds), ABSTRACT_ACTIONS)
+        self._memory = costs.new_memory(terrain) if isinstance(costs, RememberingCosts) else None
         self._cheapest, self._most_expensive = np.inf, 0.0
         self._graph: PreparedGraph | None = None
         self._running: Gradual[None] | None = None
@@ -78,7 +79,7 @@ class KnownEdges:
             (_, *first), (_, *last) = states.min(axis=0).tolist(), states.max(axis=0).tolist()
             region = (*first, last[0] + 1, last[1] + 1)
             part = mask[:, region[0] : region[2], region[1] : region[3]]
-        edges = yield from edge_steps(self.costs, self.terrain, part, region)
+        edges = yield from edge_steps(self.costs, self.terrain, part, region, self._memory)
         expected = (*part.shape, N_ABSTRACT_ACTIONS)
         if np.shape(edges) != expected:
             raise InputError(f"abstract edges have shape {np.shape(edges)}, expected {expected}")
@@ -115,6 +116,7 @@ class KnownEdges:
             return None
         result = object.__new__(KnownEdges)
         result.__dict__.update(self.__dict__, terrain=terrain, standing=standing, _graph=None, _running=None)
+        result._memory = None if self._memory is None else self._memory.after(changed)
         # States at which the robot could not stand before have no edges yet.
         result.evaluated = self.evaluated & standing & ~self.costs.affected(changed)
         result.incoming = self.incoming.copy()
