@@ -95,7 +95,7 @@ def connected(
         prices: float64 [16, 22], price of an action by the heading of its start.
         most: largest cost.
     """
-    shape, queue = open_states.shape, _Queue.empty(open_states.size)
+    shape, queue, prices = open_states.shape, _Queue.empty(open_states.size), np.array(prices, np.float32, order="C")
     found, flat = np.full(open_states.size, np.inf), _flat(goals, *shape[1:])
     per_width = 1.0 / _width(prices)
     _spread(flat, costs, open_states.ravel(), *shape[1:], prices, -1, most, found, *queue, per_width)

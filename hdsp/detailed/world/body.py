@@ -102,12 +102,25 @@ def body_is_free(world, heading, p, o0, o1, o2, o3):
     feet = o0 + t.lowest, o1 + t.lowest, o2 + t.lowest, o3 + t.lowest
     ground, ahead, left = _plane(world, feet, (height[p0], height[p1], height[p2], height[p3]))
     lower = abs(ahead) * t.corner[0] + abs(left) * t.corner[1]
-    least = level_ground(world, heading, p)
+    least = world.level_ground[heading * len(world.standable) + p]
+    if least == 0:  # not yet computed
+        if _all_below(world, p, ground - lower):
+            return True
+        least = level_ground(world, heading, p)
     if ground - lower >= least:
         return True
     if ground + lower < least - _TOUCH:
         return False
     return not _touches(world, heading, p, ground, ahead, left)
+
+
+@njit(inline="always")
+def _all_below(world, p, ground):
+    """Whether all ground around the base at flat cell ``p`` lies below a level body over ``ground`` (m)."""
+    highest, least = world.window_height[p] + _TOUCH, np.inf
+    for b in range(len(world.tables.box_above)):
+        least = min(least, world.tables.box_above[b])
+    return ground + least >= highest
 
 
 @njit(allocates=False)

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from hdsp.abstract.abstract_costs import AbstractCosts, BoundedCosts, LocalCosts, RememberingCosts, edge_steps
+from hdsp.abstract.abstract_costs import (
+    AbstractCosts,
+    BoundedCosts,
+    LocalCosts,
+    Region,
+    RememberingCosts,
+    edge_steps,
+)
 from hdsp.abstract.prepared_graph import PreparedGraph, least_incoming, replace_edges
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Gradual, Steps
-from hdsp.robot.lattice import ABSTRACT_ACTIONS, N_ABSTRACT_ACTIONS
+from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS
 from hdsp.terrain.height_map import HeightMap
+
+_PART = 1 << 20  # states whose edges are evaluated at once
 
 
 class KnownEdges:
@@ -73,13 +82,21 @@ class KnownEdges:
         yield
 
     def _evaluation(self, mask: np.ndarray) -> Steps[None]:
-        states = np.ascontiguousarray(np.argwhere(mask))
-        region, part = None, mask
-        if not np.array_equal(mask, self.standing):
-            (_, *first), (_, *last) = states.min(axis=0).tolist(), states.max(axis=0).tolist()
-            region = (*first, last[0] + 1, last[1] + 1)
+        low_x, low_y, end_x, end_y = _rectangle(mask)
+        # Edges of a part at once, because those of a large map take as much memory as the graph.
+        rows = max(_PART // (ABSTRACT_HEADINGS * (end_y - low_y)), 1)
+        for first in range(low_x, end_x, rows):
+            region = first, low_y, min(first + rows, end_x), end_y
             part = mask[:, region[0] : region[2], region[1] : region[3]]
-        edges = yield from edge_steps(self.costs, self.terrain, part, region, self._memory)
+            if part.any():
+                yield from self._part(part, region)
+
+    def _part(self, part: np.ndarray, region: Region) -> Steps[None]:
+        """Evaluates the edges of some states, bool [16, nx, ny], in a region."""
+        states = np.argwhere(part) + (0, region[0], region[1])
+        # Edges of a whole map may come from a file, or take less time than by regions.
+        whole = part.shape == self.standing.shape
+        edges = yield from edge_steps(self.costs, self.terrain, part, None if whole else region, self._memory)
         expected = (*part.shape, N_ABSTRACT_ACTIONS)
         if np.shape(edges) != expected:
             raise InputError(f"abstract edges have shape {np.shape(edges)}, expected {expected}")
@@ -91,7 +108,7 @@ class KnownEdges:
         self._enter(states, values)
         # A search that saw the former edges finds another version before it finds these states evaluated.
         self.version = object()
-        self.evaluated[mask] = True
+        self.evaluated[tuple(states.T)] = True
 
     def _enter(self, states: np.ndarray, values: np.ndarray) -> None:
         finite = values[np.isfinite(values)]
@@ -127,3 +144,10 @@ class KnownEdges:
             bounds[known] = self.least[states[known, 0]]
         replace_edges(result.incoming, states, bounds, ABSTRACT_ACTIONS)
         return result
+
+
+def _rectangle(mask: np.ndarray) -> Region:
+    """Smallest region with all marked states, bool [16, nx, ny]."""
+    cells = mask.any(axis=0)
+    x, y = np.flatnonzero(cells.any(axis=1)), np.flatnonzero(cells.any(axis=0))
+    return int(x[0]), int(y[0]), int(x[-1]) + 1, int(y[-1]) + 1
