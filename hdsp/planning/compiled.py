@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hdsp.abstract.abstract_costs import checked_region, close_exits, close_states
+from hdsp.abstract.abstract_costs import RememberingCosts, checked_region, close_exits, close_states, edge_steps
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.base.gradual import finished
 from hdsp.detailed.relaxed.heading_masks import missing_feet
@@ -46,7 +46,7 @@ class QueryKind:
 
     Attributes:
         abstract: the heuristic comes from an abstraction.
-        costs: class of costs with kernels of their own, by name; empty for others.
+        costs: classes of costs with kernels of their own, by name.
         grid: the heuristic is the grid heuristic.
         admissible: the heuristic is admissible.
         anchored: the search is multi-heuristic A*.
@@ -55,7 +55,7 @@ class QueryKind:
     """
 
     abstract: bool = False
-    costs: str = ""
+    costs: tuple[str, ...] = ()
     grid: bool = False
     admissible: bool = True
     anchored: bool = False
@@ -83,7 +83,7 @@ def compile_for(
     costs = _with_kernels(heuristic)
     kind = QueryKind(
         abstract=abstract,
-        costs="" if costs is None else type(costs).__name__,
+        costs=tuple(type(each).__name__ for each in costs),
         grid=isinstance(heuristic, GridHeuristic),
         admissible=heuristic.admissible,
         anchored=anchored and not heuristic.admissible,
@@ -101,23 +101,25 @@ def compile_for(
         _DONE.add(kind)
 
 
-def _with_kernels(heuristic: Heuristic) -> LearnedCosts | ManualCosts | None:
+def _with_kernels(heuristic: Heuristic) -> list[LearnedCosts | ManualCosts]:
     """Costs with kernels of their own; only a planner with learned costs has loaded the network."""
-    costs = heuristic.costs if isinstance(heuristic, AbstractHeuristic) else None
+    costs = (heuristic.costs, heuristic.second) if isinstance(heuristic, AbstractHeuristic) else ()
     known = "hdsp.learning.learned_costs", "hdsp.abstract.manual"
-    return costs if type(costs).__module__ in known else None  # type: ignore[return-value]
+    return [each for each in costs if type(each).__module__ in known]  # type: ignore[misc]
 
 
-def _try(robot: Robot, kind: QueryKind, costs: LearnedCosts | ManualCosts | None) -> None:
+def _try(robot: Robot, kind: QueryKind, costs: list[LearnedCosts | ManualCosts]) -> None:
     terrain = _ground(robot)
     world, grid = build_world(terrain, robot), Grid(terrain.origin, terrain.shape)
     heuristic: Heuristic = GridHeuristic(world) if kind.grid else GeometricHeuristic(world)
     if kind.abstract:
         heuristic = AbstractHeuristic(world, terrain, _EvenCosts())
-    if costs is not None:
+    for each in costs:
         mask = np.zeros((ABSTRACT_HEADINGS, *(n // 4 for n in terrain.shape)), bool)
         mask[1, mask.shape[1] // 4, mask.shape[2] // 2] = True
-        costs.edges(terrain, mask=mask)
+        memory = each.new_memory(terrain) if isinstance(each, RememberingCosts) else None
+        for _ in range(2):  # features are kept, then loaded
+            finished(edge_steps(each, terrain, mask, memory=memory))
     middle = terrain.size[0] / 4, terrain.size[1] / 2
     start, _ = locate(world, grid, robot, (*middle, 0.0), "start")
     locate(world, grid, robot, (metres(1.0), metres(1.0), 0.0), "start")

@@ -12,11 +12,17 @@ from hdsp.abstract.abstract_costs import close_states
 from hdsp.base.gradual import finished
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning import query as queries
-from hdsp.planning.heuristics import AbstractHeuristic
+from hdsp.planning.heuristics import AbstractHeuristic, corridor_steps, known_edges
 from hdsp.planning.heuristics.corridor_steps import DOUBT
 from hdsp.planning.heuristics.goal_sources import goal_sources
 from hdsp.planning.planner import Planner
-from hdsp.robot.lattice import ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS, abstract_shape, surrounding_abstract
+from hdsp.robot.lattice import (
+    ABSTRACT_ACTIONS,
+    ABSTRACT_HEADINGS,
+    N_ABSTRACT_ACTIONS,
+    abstract_shape,
+    surrounding_abstract,
+)
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import random_map
@@ -161,7 +167,8 @@ def test_an_update_evaluates_only_what_a_query_needs_of_the_change(terrain):
     assert asked < lazy.heuristic.costs.asked
 
 
-def test_a_start_without_an_abstract_way_asks_for_all_edges(terrain):
+def test_a_start_without_an_abstract_way_asks_for_all_edges(monkeypatch, terrain):
+    monkeypatch.setattr(corridor_steps, "NEAR", 0.0)  # the goal is near the start
     planner = Planner(terrain, MOMARO, Expensive(6, share=1.0))
     start, goal = poses(planner, np.random.default_rng(10), 2)
     lattice = [np.array(planner.grid.to_lattice(pose)) for pose in (start, goal)]
@@ -169,6 +176,43 @@ def test_a_start_without_an_abstract_way_asks_for_all_edges(terrain):
     whole = AbstractHeuristic(planner.world, planner.terrain, Expensive(6, share=1.0)).set_goal(lattice[1])
     np.testing.assert_array_equal(values, whole.to_go.values)
     assert planner.heuristic.known.share == 1
+
+
+def test_edges_of_parts_are_those_of_the_map(monkeypatch, terrain):
+    whole, parts = (Planner(terrain, MOMARO, Expensive(7)) for _ in range(2))
+    whole.prepare()
+    monkeypatch.setattr(known_edges, "_PART", 16 * 30 * 7)
+    parts.prepare()
+    np.testing.assert_array_equal(parts.heuristic.graph.incoming, whole.heuristic.graph.incoming)
+    assert parts.heuristic.known.share == 1
+
+
+class CutOff(Expensive):
+    """No action leads into the abstract cells around one cell."""
+
+    cell = (0, 0)
+
+    def edges(self, height_map, region=None, mask=None):
+        found = super().edges(height_map, region, mask)
+        first_x, first_y, _, _ = region or (0, 0, 0, 0)
+        x, y = (np.arange(n) + first for n, first in zip(found.shape[1:3], (first_x, first_y), strict=True))
+        for action, (dx, dy, _) in enumerate(ABSTRACT_ACTIONS.tolist()):
+            near_x, near_y = (abs(at + by - c) <= 1 for at, by, c in zip((x, y), (dx, dy), self.cell, strict=True))
+            found[:, near_x[:, None] & near_y, action] = np.inf
+        return found
+
+
+def test_a_goal_that_the_abstraction_cuts_off_is_approached(terrain):
+    lazy, prepared = (Planner(terrain, MOMARO, CutOff(6)) for _ in range(2))
+    start, goal = poses(lazy, np.random.default_rng(12), 2)
+    lattice = np.array(lazy.grid.to_lattice(goal))
+    lazy.heuristic.costs.cell = prepared.heuristic.costs.cell = tuple((lattice[:2] // 4).tolist())
+    prepared.prepare()
+    found = table(lazy, start, goal)
+    np.testing.assert_array_equal(found, table(prepared, start, goal))
+    assert lazy.heuristic.known.share < 1
+    x, y, heading = np.array(lazy.grid.to_lattice(start))[:3] // 4
+    assert np.isfinite(found[heading, x, y])
 
 
 def test_a_query_without_time_leaves_its_edges_to_the_next(terrain):
