@@ -141,6 +141,7 @@ class Evaluation:
         watched: sets evaluated after every training epoch.
         methods: abstractions, see `pipeline.abstractions`.
         examples: patches in the figure of labels and predictions.
+        edges_threshold: probability from which edges of a published abstraction count an action as feasible.
     """
 
     model: Name
@@ -148,6 +149,7 @@ class Evaluation:
     watched: tuple[Name, ...]
     methods: Annotated[tuple[Method, ...], Field(min_length=1)]
     examples: Count
+    edges_threshold: Annotated[float, Field(gt=0, lt=1)]
 
     @model_validator(mode="after")
     def _check(self) -> Self:

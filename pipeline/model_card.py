@@ -20,6 +20,9 @@ from pipeline.train import data_notes
 if TYPE_CHECKING:
     from hdsp.learning import LearnedAbstraction
 
+#: Probability from which an action is feasible, where nothing else is said.
+EVEN = 0.5
+
 
 def model_card(
     abstraction: LearnedAbstraction,
@@ -89,6 +92,7 @@ def _model(abstraction: LearnedAbstraction, precision: str) -> str:
             f"{360 / lattice.ABSTRACT_HEADINGS:g} degrees",
         ),
         ("output", "probability of feasibility, and cost (unitless) where feasible"),
+        ("edges", f"an action is feasible from a probability of {abstraction.edges_threshold:g}"),
         ("height limits", f"{encoding.clip[0]:g} and {encoding.clip[1]:g} m; heights beyond are clipped to them"),
     ]
     return "## Model\n\n" + markdown(("property", "value"), rows)
@@ -265,6 +269,8 @@ def _again(abstraction: LearnedAbstraction, config: Config, robot: Robot) -> str
     notes = abstraction.provenance.notes
     chosen = [f"profile={notes.get('profile', config.profile)}", f"robot={robot.name}"]
     variant = f" runtime.variant={config.runtime.variant}" if config.runtime.variant else ""
+    threshold = abstraction.edges_threshold
+    border = f" evaluation.edges_threshold={threshold:g}" if threshold != EVEN else ""
     composed, settings = configure(chosen), chosen
     if composed.model != abstraction.model:
         settings = [*chosen, f"model={abstraction.model.architecture}"]
@@ -282,7 +288,7 @@ These commands use the model and the recipe above.
 
 ```sh
 dvc exp run {overrides}      # includes the labels: hours{then}
-python -m pipeline.publish_model models/abstraction {" ".join(chosen)} runtime.outputs=.{variant}
+python -m pipeline.publish_model models/abstraction {" ".join(chosen)} runtime.outputs=.{variant}{border}
 ```"""
 
 

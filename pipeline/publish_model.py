@@ -62,6 +62,7 @@ def publish_model(config: Config, folders: Folders, source: str) -> None:
 
     val = _validation(trained.provenance.notes.get("trainer") or plain(config.trainer), config, folders)
     abstraction = abstraction.calibrated(val)
+    abstraction.edges_threshold = config.evaluation.edges_threshold
     figures = {"val": figures_of(abstraction, val)}
     missing = {}
     for name, entry in config.evaluation.sets.items():

@@ -56,6 +56,7 @@ class LearnedAbstraction:
         calibration: corrects probabilities and holds cost quantiles.
         quantile: level of predicted costs, see ``at_quantile``; None = the network's own costs.
         threshold: probability above which an action counts as feasible, see ``at_threshold``.
+        edges_threshold: the same for edges (``LearnedCosts``), part of a saved abstraction.
     """
 
     def __init__(
@@ -70,7 +71,7 @@ class LearnedAbstraction:
         self.model, self.provenance, self.metrics = model, provenance or Provenance(), dict(metrics or {})
         self.calibration = calibration or Calibration()
         self.quantile: float | None = None
-        self.threshold = 0.5
+        self.threshold = self.edges_threshold = 0.5
         self._for_planning = False
         self._flat: dict[bytes, np.ndarray] = {}
         self.hardware = hardware or HardwareSettings()
@@ -156,7 +157,7 @@ class LearnedAbstraction:
         if not 0 < probability < 1:
             raise InputError(f"feasibility threshold {probability!r}: a probability between 0 and 1 is allowed")
         other = copy(self)
-        other.threshold = float(probability)
+        other.threshold = other.edges_threshold = float(probability)
         return other
 
     def for_planning(self) -> "LearnedAbstraction":
@@ -298,6 +299,7 @@ class LearnedAbstraction:
             "metrics": {key: value for key, value in self.metrics.items() if math.isfinite(value)},
             "calibration": self.calibration.to_dict(),
             "precision": precision,
+            "edges_threshold": self.edges_threshold,
             "weights_sha256": hashlib.sha256(weights).hexdigest(),
         }
         text = json.dumps(config, indent=2) + "\n"
@@ -340,7 +342,7 @@ class LearnedAbstraction:
         except InputError as error:
             raise InputError(f"{folder}/{error}") from None
         abstraction = cls(network, saved.model, saved.provenance, saved.metrics, hardware, saved.calibration)
-        abstraction._weights = weights
+        abstraction._weights, abstraction.edges_threshold = weights, saved.edges_threshold
         return abstraction
 
 

@@ -56,8 +56,8 @@ class LearnedCosts:
         kind: kind of costs of the edges. For planning, a network that predicts costs for planning gives them; the label
             costs of any other network are multiplied by the ratio of both costs on flat ground
             (``hdsp.abstract.flat_table.planning_factors``). Predictions of single tasks are label costs in any case.
-        threshold: probability from which edges count an action as feasible; None = that of the abstraction, one half.
-            Predictions of single tasks keep the abstraction's.
+        threshold: probability from which edges count an action as feasible; None = the abstraction's
+            ``edges_threshold``. Predictions of single tasks keep its ``threshold``.
         quantile: cost level, see ``LearnedAbstraction.at_quantile``. A low level makes overestimates rare, for better
             plans and longer searches. None = predicted costs.
 
@@ -77,7 +77,7 @@ class LearnedCosts:
         threshold: float | None = None,
     ):
         self.abstraction = abstraction if quantile is None else abstraction.at_quantile(quantile)
-        self._of_edges = self.abstraction if threshold is None else self.abstraction.at_threshold(threshold)
+        self._of_edges = self.abstraction.at_threshold(abstraction.edges_threshold if threshold is None else threshold)
         self.batch = batch
         #: Float32 [16, 22], factors on predicted costs by heading and action; None = costs as predicted.
         self.factors = None

@@ -71,6 +71,7 @@ class SavedAbstraction:
         weights_sha256: checksum of ``model.safetensors``.
         calibration: corrections fitted after training.
         precision: precision of the trained values in the file.
+        edges_threshold: see ``LearnedAbstraction``.
     """
 
     format_version: int
@@ -81,6 +82,7 @@ class SavedAbstraction:
     weights_sha256: str
     calibration: Calibration = field(default_factory=Calibration)
     precision: Precision = "float32"
+    edges_threshold: float = 0.5
 
 
 def _never_feasible(robot: Robot) -> tuple[tuple[float, float, float], ...]:

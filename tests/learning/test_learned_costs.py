@@ -50,7 +50,7 @@ def test_it_fulfils_both_contracts(costs):
     assert isinstance(costs, TaskPredictor)
 
 
-def test_a_threshold_opens_actions_that_are_probably_infeasible(costs, terrain):
+def test_a_threshold_opens_actions_that_are_probably_infeasible(costs, terrain, tmp_path):
     network = costs.abstraction
     patches, goals = np.zeros((1, 72, 72), np.float32), robot_frame_goals(3)[None]
     probability, cost = network.predict_probability(patches, goals)
@@ -64,6 +64,12 @@ def test_a_threshold_opens_actions_that_are_probably_infeasible(costs, terrain):
     for kind in ("planning", "label"):
         found = LearnedCosts(network, kind=kind).edges(terrain, box)
         np.testing.assert_array_equal(found, LearnedCosts(network, kind=kind, threshold=0.5).edges(terrain, box))
+    other = copy(network)
+    other.edges_threshold = 0.01
+    other.save_pretrained(tmp_path / "mine")
+    saved = LearnedAbstraction.from_pretrained(tmp_path / "mine", hardware=network.hardware)
+    np.testing.assert_array_equal(np.isfinite(LearnedCosts(saved).edges(terrain, box)), opened[0])
+    np.testing.assert_array_equal(saved.predict(patches, goals)[0], probability > 0.5)
     with pytest.raises(InputError, match=r"feasibility threshold 1: a probability between 0 and 1"):
         LearnedCosts(network, threshold=1)
 
