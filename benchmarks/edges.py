@@ -1,6 +1,6 @@
 """Costs of all abstract actions on a 10 x 10 m map: dense against per patch, and an update of 1 m2.
 
-    python -m benchmarks.edges [--size 10] [--sample 0.01] [--threads 2] [--precision 32]
+    python -m benchmarks.edges [--size 10] [--sample 0.01] [--threads 2] [--precision 32] [--large]
 
 The last line is JSON. `whole_map_cpu_s` are the processor seconds of the shipped network on an arena of this size, for
 all `standing_states`, as `heuristic="learned"` evaluates it. `before_over_now` compares processor seconds for one
@@ -20,6 +20,10 @@ the machine; `cpu_ratio` and `update_cpu_ratio` compare them.
 the compilation of the terrain; `share_evaluated` is the median share of the states at which the robot can stand whose
 edges this query evaluated. `update_cpu_s` and `manual_update_cpu_s` are medians over changes, learned and manual: a
 block of 30 cm appears beside the way, and the last query follows again.
+
+With `--large`, `large` lists first queries from corner to corner of random arenas with sides of 20 and 50 m, and the
+preparation of a map of 100 m with manual edges, of equal arenas side by side: `cpu_s`, and `gb`, the most memory of a
+process of its own, libraries included.
 
 `padded_*` compare dense evaluation of the published network, an approximation, with its exact evaluation in the middle
 of the map. Dense evaluation sees the map where a patch has zeros, and the base is off by up to half a cell. The figures
@@ -49,6 +53,7 @@ def main(argv=None) -> dict:
     parser.add_argument("--precision", choices=("32", "bf16"), default="32")
     parser.add_argument("--device", choices=("cpu", "gpu"), default="cpu")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--large", action="store_true", help="also maps of 20, 50 and 100 m; takes minutes more")
     arguments = parser.parse_args(argv)
 
     from hdsp.abstract import PreparedGraph
@@ -105,6 +110,8 @@ def main(argv=None) -> dict:
         **shipped(hardware, arguments.size, arguments.seed),
         **queries(),
     }
+    if arguments.large:
+        result["large"] = large(arguments.seed)
     print(json.dumps({key: round(value, 7) if isinstance(value, float) else value for key, value in result.items()}))
     return result
 
@@ -163,6 +170,63 @@ def queries() -> dict:
         "update_cpu_s": median(updates(planner("learned"), terrain, tasks[0])),
         "manual_update_cpu_s": median(updates(planner("manual"), terrain, tasks[0])),
     }
+
+
+def large(seed: int) -> list[dict]:
+    """First queries with learned edges, and the preparation with manual edges, each in a process of its own."""
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    def alone(task, *arguments):
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            return pool.submit(task, *arguments).result()
+
+    return [*(alone(first_query, side, seed) for side in (20.0, 50.0)), alone(preparation, 100.0, seed)]
+
+
+def first_query(side: float, seed: int) -> dict:
+    """The first query from corner to corner of an arena."""
+    from hdsp.planning.planner import Planner
+    from hdsp.terrain.random_arenas import ArenaSettings, random_arena
+
+    usual, more = ArenaSettings(), (side / 5.0) ** 2
+    settings = ArenaSettings(blocks=round(usual.blocks * more), bumps=round(usual.bumps * more))
+    terrain = random_arena(seed, side, settings)
+    compiled_on(random_arena(seed, 5.0), "learned")
+    planner = Planner(terrain, heuristic="learned", conditioning=None)
+    start, goal = (planner.nearest((at, at, 0.7), 2.0) for at in (2.0, side - 2.0))
+    _, cpu_s, plan = timed(lambda: planner.plan(start, goal, weight=WEIGHT, polish=0.0))
+    share = planner.heuristic.known.share
+    return {"side": side, "cpu_s": cpu_s, "gb": most_memory(), "status": str(plan.status), "share_evaluated": share}
+
+
+def preparation(side: float, seed: int) -> dict:
+    """A planner with manual edges, prepared."""
+    from hdsp.planning.planner import Planner
+    from hdsp.terrain.height_map import HeightMap
+    from hdsp.terrain.random_arenas import random_arena
+
+    part, count = random_arena(seed, 10.0), round(side / 10.0)
+    terrain = HeightMap(np.tile(part.heights, (count, count)))
+    compiled_on(part, "manual")
+    _, cpu_s, _ = timed(lambda: Planner(terrain, heuristic="manual", conditioning=None).prepare())
+    return {"side": side, "cpu_s": cpu_s, "gb": most_memory()}
+
+
+def compiled_on(terrain, heuristic: str) -> None:
+    """Compiles the kernels of a query on a small map."""
+    from hdsp.planning.planner import Planner
+
+    planner = Planner(terrain, heuristic=heuristic, conditioning=None)
+    start = planner.nearest((2.0, 2.0, 0.0), 2.0)
+    planner.plan(start, start, weight=WEIGHT)
+
+
+def most_memory() -> float:
+    """Most memory of this process so far, GB."""
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 
 
 def updates(planner, terrain, ends) -> list[float]:

@@ -96,9 +96,9 @@ def connected(
         most: largest cost.
     """
     shape, queue, prices = open_states.shape, _Queue.empty(open_states.size), np.array(prices, np.float32, order="C")
-    found, flat = np.full(open_states.size, np.inf), _flat(goals, *shape[1:])
-    per_width = 1.0 / _width(prices)
-    _spread(flat, costs, open_states.ravel(), *shape[1:], prices, -1, most, found, *queue, per_width)
+    found, flat = np.full(open_states.size, np.inf), _flat(goals, shape[1], shape[2])
+    per_width, (_, nx, ny) = 1.0 / _width(prices), shape
+    _spread(flat, costs, open_states.ravel(), nx, ny, prices, -1, most, found, *queue, per_width)
     near = np.flatnonzero(found < np.inf)
     heading, ix, iy = np.unravel_index(near, shape)
     return np.stack([ix, iy, heading], axis=1), found[near]

@@ -144,7 +144,7 @@ class ManualCosts:
         result = np.zeros((ABSTRACT_HEADINGS, nx, ny), bool)
         if changed.any():
             # Only ground around the change is looked at.
-            (low_x, end_x), (low_y, end_y) = (_span(changed.any(axis=axis), reach) for axis in (1, 0))
+            (low_x, end_x), (low_y, end_y) = (_span(np.asarray(changed.any(axis=axis)), reach) for axis in (1, 0))
             part = changed[low_x * size : end_x * size, low_y * size : end_y * size]
             # A cell's height range covers one height map cell beyond it.
             near = maximum_filter(part, 3, mode="constant", cval=False)
@@ -200,10 +200,8 @@ class ManualCosts:
             body.append([cell for _, each in below for cell in each])
             places.append([(*_place(cell, rotated), above) for above, each in below for cell in each])
         limits = np.array([length, width, *robot.slope.steepest()])
-        (around, arounds), (body, bodies) = filled(around, 2, np.int64), filled(body, 2, np.int64)
-        return PoseCells(
-            np.array(under, np.int64), around, arounds, body, filled(places, 3, np.float64)[0], bodies, limits
-        )
+        feet_cells, (near, nears), (low, lows) = np.array(under), filled(around, 2, np.int64), filled(body, 2, np.int64)
+        return PoseCells(feet_cells, near, nears, low, filled(places, 3, np.float64)[0], lows, limits)
 
     @cached_property
     def _actions(self) -> Goals:

@@ -114,12 +114,12 @@ def _try(robot: Robot, kind: QueryKind, costs: list[LearnedCosts | ManualCosts])
     heuristic: Heuristic = GridHeuristic(world) if kind.grid else GeometricHeuristic(world)
     if kind.abstract:
         heuristic = AbstractHeuristic(world, terrain, _EvenCosts())
-    for each in costs:
+    for abstraction in costs:
         mask = np.zeros((ABSTRACT_HEADINGS, *(n // 4 for n in terrain.shape)), bool)
         mask[1, mask.shape[1] // 4, mask.shape[2] // 2] = True
-        memory = each.new_memory(terrain) if isinstance(each, RememberingCosts) else None
+        memory = abstraction.new_memory(terrain) if isinstance(abstraction, RememberingCosts) else None
         for _ in range(2):  # features are kept, then loaded
-            finished(edge_steps(each, terrain, mask, memory=memory))
+            finished(edge_steps(abstraction, terrain, mask, memory=memory))
     middle = terrain.size[0] / 4, terrain.size[1] / 2
     start, _ = locate(world, grid, robot, (*middle, 0.0), "start")
     locate(world, grid, robot, (metres(1.0), metres(1.0), 0.0), "start")

@@ -148,6 +148,6 @@ class KnownEdges:
 
 def _rectangle(mask: np.ndarray) -> Region:
     """Smallest region with all marked states, bool [16, nx, ny]."""
-    cells = mask.any(axis=0)
+    cells = np.asarray(mask.any(axis=0))
     x, y = np.flatnonzero(cells.any(axis=1)), np.flatnonzero(cells.any(axis=0))
     return int(x[0]), int(y[0]), int(x[-1]) + 1, int(y[-1]) + 1
