@@ -157,7 +157,8 @@ def _try(robot: Robot, kind: QueryKind, costs: list[LearnedCosts | ManualCosts])
     for limits in (Limits(expansions=1), Limits()):
         each = replace(query, limits=limits)
         turns = iter([Turn(lambda _: query.estimate, 1)]) if kind.abstract else None
-        plan = each.anchored(1.5, 1.5) if kind.anchored else each.weighted(1.5, turns=turns, first_turn=1)
+        # At a bound of 1, the anchor goes on after the guide.
+        plan = each.anchored(1.0, 1.0) if kind.anchored else each.weighted(1.5, turns=turns, first_turn=1)
         Polish(DEFAULT).of(each, plan)
         if kind.refinable and plan.solved:
             refinable_plan(each, lambda again, _: again.weighted(1.5), plan)

@@ -8,8 +8,9 @@ each cell of a shift also counts the least cost for four feet to follow (``follo
 ``cost(layer, pose) - follow * sum(offsets)``, with offsets counted from the lowest.
 
 The search is reverse resumable A* (Silver, Cooperative pathfinding, AIIDE 2005). It runs from the goals toward the
-start of the forward search, whose geometric cost ``c`` to a pose makes up the keys ``f = cost + c``. It settles poses
-in buckets of equal f, and stops as soon as the answer is known. The forward search then resumes it.
+start of the forward search, whose cost ``c`` to a pose on even ground (``free_space``) makes up the keys
+``f = cost + c``. It settles poses in buckets of equal f, and stops as soon as the answer is known. The forward search
+then resumes it.
 
 A pose without an answer has f >= F, the first bucket that is not yet empty. Its cost is therefore at least F - c. This
 bound rises with F, and it is final at the budget of memory. Final values are consistent: c is consistent in the forward
@@ -26,6 +27,7 @@ from hdsp.base.jit import njit
 from hdsp.detailed.actions.action import ARCS, DRIVES, TURN_LEFT, TURN_RIGHT, arc_turn
 from hdsp.detailed.actions.any_feet import can_step_from_neutral, least_pose_cost
 from hdsp.detailed.actions.successors import arc_cost, neutral_rows
+from hdsp.detailed.search.free_space import FreeSpace, free_cost, new_free_space, no_free_space
 from hdsp.detailed.world.body import FREE, look_at_body, on_slope
 from hdsp.detailed.world.world import World, cell_index
 from hdsp.robot.lattice import HEADINGS
@@ -59,6 +61,7 @@ class Backward(NamedTuple):
         width: range of f per bucket.
         distance, turn: least cost per cell and per heading step, as in the geometric heuristic.
         follow: cost per cell for a foot to follow a base shift.
+        free: costs from ``guide`` on even ground; empty for a robot without, for which ``distance`` and ``turn`` count.
     """
 
     place: np.ndarray
@@ -75,20 +78,27 @@ class Backward(NamedTuple):
     distance: float
     turn: float
     follow: float
+    free: FreeSpace
+
+    def within(self, memory: int) -> "Backward":
+        """Returns the same search with a budget in bytes, unless its budget is smaller; work so far stays."""
+        blocks = max(2, int(self.counts[USED]) if len(self.counts) else 2, int(memory // (12 * _NODES)))
+        return self._replace(where=self.where[:blocks])
 
     def nbytes(self) -> int:
         """Bytes of all parts in use."""
         if len(self.place) == 0:
             return 0
         used = int(self.counts[USED]) * _NODES
-        return 12 * used + self.place.nbytes + self.where.nbytes + self.heads.nbytes
+        free = self.free.nbytes()
+        return 12 * used + self.place.nbytes + self.where.nbytes + self.heads.nbytes + free
 
 
 def no_backward() -> Backward:
     """The empty search, for heuristics without one."""
     return Backward(
         _NONE, _NONE, _NO_COST, _NONE, _NONE, _NONE, _NO_COUNT, _NO_SOURCE, _NO_INITIAL, _NO_COUNT,
-        0.0, 0.0, 0.0, 0.0,
+        0.0, 0.0, 0.0, 0.0, no_free_space(),
     )  # fmt: skip
 
 
@@ -127,6 +137,7 @@ def new_backward(world: World, goals: np.ndarray, distance: float, turn: float, 
         distance=distance,
         turn=turn,
         follow=follow,
+        free=new_free_space(world, follow),
     )
 
 
@@ -168,30 +179,43 @@ def is_final(world, b, layer, ix, iy, heading):
 
 
 @njit(allocates=False)
-def advance(world, b, layer, ix, iy, heading):
-    """Continues until the lower bound of a pose in a layer is final or clearly larger, or for ``_NODES`` nodes."""
+def advance(world, b, layer, ix, iy, heading, wanted):
+    """Continues until the lower bound of a pose in a layer is final or clearly larger, or for ``_NODES`` nodes.
+
+    A bound below ``wanted`` rises to this value at least.
+    """
     from_start = _from_start(b, ix, iy, heading)
     least = b.counts[BUCKET] * b.width - from_start
-    f = from_start + least + 8 * b.width + abs(least) / 64
+    f = from_start + max(least + 8 * b.width + abs(least) / 64, wanted + b.width)
     until = b.counts[SETTLED] + _NODES
     while (
         not is_final(world, b, layer, ix, iy, heading) and b.counts[BUCKET] * b.width < f and b.counts[SETTLED] < until
     ):
-        _empty_bucket(world, b)
+        _empty_bucket(world, b, until)
 
 
 @njit(allocates=False)
 def settle(world, b, layer, ix, iy, heading, nodes):
-    """Continues until the lower bound of a pose in a layer is final, or until at least ``nodes`` nodes are settled."""
+    """Continues until the lower bound of a pose in a layer is final, or until ``nodes`` nodes are settled."""
     begin_toward(world, b, ix, iy, heading)
     until = b.counts[SETTLED] + nodes
     while b.counts[SETTLED] < until and not is_final(world, b, layer, ix, iy, heading):
-        _empty_bucket(world, b)
+        _empty_bucket(world, b, until)
+
+
+@njit(allocates=False)
+def settle_any(world, b, nodes):
+    """Continues a begun search until ``nodes`` nodes are settled, or until no more can be."""
+    until = b.counts[SETTLED] + nodes
+    while b.counts[SETTLED] < until and b.counts[WAITING] > 0 and not b.counts[FULL]:
+        _empty_bucket(world, b, until)
 
 
 @njit(inline="always")
 def _from_start(b, ix, iy, heading):
-    """Least cost from the forward search's start to a pose, by distance and turns."""
+    """Least cost from the forward search's start to a pose on even ground."""
+    if len(b.free.norm) > 0:
+        return free_cost(b.free, b.turn, ix - b.guide[0], iy - b.guide[1], b.guide[2], heading)
     dx, dy = np.float64(ix - b.guide[0]), np.float64(iy - b.guide[1])
     turned = abs((heading - b.guide[2] + HEADINGS // 2) % HEADINGS - HEADINGS // 2)
     return b.distance * np.sqrt(dx * dx + dy * dy) + b.turn * turned
@@ -275,12 +299,18 @@ def _take(b, node):
 
 
 @njit(allocates=False)
-def _empty_bucket(world, b):
-    """Settles all nodes in the first bucket, and moves on to the next one; stops without memory."""
+def _empty_bucket(world, b, until):
+    """Settles the nodes in the first bucket, and moves on to the next one.
+
+    Stops without memory, and when ``until`` nodes are settled in total: on even ground, all nodes on the cheapest ways
+    lie in one bucket.
+    """
     slot = b.counts[BUCKET] % _BUCKETS
     across = (world.ny + _SIDE - 1) // _SIDE
     heads = b.heads
     while heads[slot] >= 0:
+        if b.counts[SETTLED] >= until:
+            return
         node = np.int64(heads[slot])
         _take(b, node)
         b.counts[SETTLED] += 1

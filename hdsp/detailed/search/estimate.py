@@ -162,22 +162,31 @@ def _bound(world, back, layer, ix, iy, heading):
 
 
 @njit(allocates=False)
-def _advanced(world, back, layer, ix, iy, heading):
+def _advanced(world, back, layer, ix, iy, heading, wanted):
     """Continues the backward search a little for a pose; returns whether its lower bound is final."""
     begin_toward(world, back, ix, iy, heading)
     if not is_final(world, back, layer, ix, iy, heading):
-        advance(world, back, layer, ix, iy, heading)
+        advance(world, back, layer, ix, iy, heading, wanted)
     return is_final(world, back, layer, ix, iy, heading)
 
 
 @njit(inline="always")
-def resume(world, e, key):
+def resume(world, e, key, wanted):
     """Continues the backward search a little for a state; returns whether ``estimate`` is final.
 
     Several calls lead to a final estimate. Final estimates depend on the first state asked, and on no other.
+
+    Args:
+        world: terrain and robot.
+        e: the estimate.
+        key: packed state.
+        wanted: an estimate below this value rises to it with few calls, unless it becomes final.
     """
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
-    return _advanced(world, e.back, _layer(e, o0, o1, o2, o3), ix, iy, heading)
+    wanted += e.back.follow * (o0 + o1 + o2 + o3)
+    if len(e.effort) > 0:
+        wanted -= _steps(e, ix, iy, heading, o0, o1, o2, o3)
+    return _advanced(world, e.back, _layer(e, o0, o1, o2, o3), ix, iy, heading, wanted)
 
 
 @njit()
@@ -200,7 +209,7 @@ def final_estimates(world, e, keys):
     result = np.empty(len(keys))
     for i in range(len(keys)):
         if len(e.back.place) > 0:
-            while not resume(world, e, keys[i]):
+            while not resume(world, e, keys[i], 0.0):
                 pass
         result[i] = estimate(world, e, keys[i])
     return result

@@ -80,12 +80,21 @@ def offer(world, open_list, store, heuristic, weight, key, node):
 
 
 @njit(inline="always")
-def rises(world, open_list, store, heuristic, weight, key, node, f):
+def rises(world, open_list, store, heuristic, weight, key, node, f, wanted):
     """Whether a node came out of an open list too early: its heuristic rises, or may rise, with more backward search.
 
     The node then goes back into the list with its new f, unless h is infinite. A node that may be expanded has its
     final h, and no other node in the list has a smaller final f. The order is thus the same as with final values from
     the beginning, and only states that are next to be expanded need them.
+
+    Args:
+        world: terrain and robot.
+        open_list: the list; changed in place.
+        store: states seen so far.
+        heuristic, weight: the order of the list.
+        key, node: the packed state and its node.
+        f: its value in the list.
+        wanted: value with which the node need not come out again soon.
 
     Returns:
         Work for the answer, in expansions; 0 if the node may be expanded.
@@ -93,9 +102,15 @@ def rises(world, open_list, store, heuristic, weight, key, node, f):
     if len(heuristic.back.place) == 0:
         return 0
     before = heuristic.back.counts[SETTLED]
-    final = resume(world, heuristic, key)
+    so_far = np.float64(store.g[node])
     h = estimate(world, heuristic, key)
-    new = np.float32(np.float64(store.g[node]) + weight * h)
+    # The value may have risen since the node entered the list. More backward search then waits until it is needed.
+    if h < np.inf and np.float32(so_far + weight * h) > f:
+        push(open_list, np.float32(so_far + weight * h), node)
+        return 1
+    final = resume(world, heuristic, key, (wanted - so_far) / weight)
+    h = estimate(world, heuristic, key)
+    new = np.float32(so_far + weight * h)
     if final and new <= f:
         return 0
     if h < np.inf:

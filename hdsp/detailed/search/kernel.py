@@ -126,7 +126,7 @@ def run(world, rules, heuristic, store, open_list, weight, goals, goal_cost, cos
         if flags[node] & CLOSED:
             continue
         key = key_of(store, node)
-        work = rises(world, open_list, store, heuristic, weight, key, node, f)
+        work = rises(world, open_list, store, heuristic, weight, key, node, f, 0.0)
         if work > 0:
             until -= work
             continue

@@ -19,7 +19,7 @@ from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import state_cost, state_costs
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, successors
 from hdsp.detailed.search import kernel, open_list
-from hdsp.detailed.search.backward import Backward
+from hdsp.detailed.search.backward import Backward, no_backward
 from hdsp.detailed.search.bounds import rounding
 from hdsp.detailed.search.estimate import Estimate, estimate
 from hdsp.detailed.search.open_list import OpenList
@@ -116,6 +116,7 @@ class Search:
         self._later: tuple[int, Backward] | None = None
         self._turns: Iterator[Turn] = iter(())
         self._turn_ends: int | None = None
+        self._back = no_backward()
         self.invalid = self._invalid_ends()
 
     def _invalid_ends(self) -> list[Status | None]:
@@ -155,7 +156,12 @@ class Search:
                 asks.
             after: number of expansions.
         """
-        self._later = after, back
+        self._later = after, back.within(self.limits.memory // 2)
+
+    def _within_memory(self, heuristic: Estimate) -> Estimate:
+        """Returns the heuristic with a backward search that takes half of the memory at most; counts this memory."""
+        self._back = heuristic.back.within(self.limits.memory // 2)
+        return heuristic._replace(back=self._back)
 
     def take_turns(self, first: int, turns: Iterator[Turn]) -> None:
         """Lets several heuristics guide the search in turns, so that a search with one wrong heuristic gets on.
@@ -211,7 +217,7 @@ class Search:
         self.store.counts[GOALS_LEFT] = 1 if self.nearest else valid.sum()
 
     def _set_order(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool) -> None:
-        self._heuristic, self._weight, self._reopen = heuristic, float(weight), reopen
+        self._heuristic, self._weight, self._reopen = self._within_memory(heuristic), float(weight), reopen
         self._admissible = admissible
         self._f_limit = weight * self.limits.cost if admissible else np.inf
 
@@ -281,11 +287,12 @@ class Search:
             if done < after:
                 slice_ = min(slice_, after - done)
             else:
-                self._later, self._heuristic = None, self._heuristic._replace(back=back)
+                self._later, self._back, self._heuristic = None, back, self._heuristic._replace(back=back)
         code = self._run(min(slice_, pause - done) if pause is not None and pause > done else slice_)
         if code in _ENDS:
             return _ENDS[code]
-        if code == kernel.FULL and not self._grow():
+        # The backward search of a heuristic grows in the kernel.
+        if (code == kernel.FULL and not self._grow()) or self.nbytes() > self.limits.memory:
             return Status.MEMORY_LIMIT
         elapsed = now() - self.began
         if self.progress is not None:
@@ -315,11 +322,14 @@ class Search:
         if self.nbytes() + growth_nbytes(self.store) > self.limits.memory:
             return False
         self.store = grown(self.store)
-        for i in range(len(self.lists)):
-            more = open_list.growth_nbytes(self.lists[i], self.store.flags, entries)
-            if self.nbytes() + more > self.limits.memory:
-                return False
-            self.lists[i] = open_list.with_room(self.lists[i], self.store.flags, entries)
+        return all(self._make_room(i, entries) for i in range(len(self.lists)))
+
+    def _make_room(self, i: int, entries: int) -> bool:
+        """Makes room for entries in an open list; returns False at the memory limit."""
+        more = open_list.growth_nbytes(self.lists[i], self.store.flags, entries)
+        if self.nbytes() + more > self.limits.memory:
+            return False
+        self.lists[i] = open_list.with_room(self.lists[i], self.store.flags, entries)
         return True
 
     def least_cost(self, admissible: Estimate) -> float:
@@ -334,8 +344,8 @@ class Search:
         return least * max(0.0, 1 - rounding(self.world) * least) if np.isfinite(least) else least
 
     def nbytes(self) -> int:
-        """Total size of all arrays in bytes."""
-        return self.store.nbytes() + self._open_nbytes()
+        """Total size of all arrays in bytes, a backward search of the heuristic included."""
+        return self.store.nbytes() + self._open_nbytes() + self._back.nbytes()
 
     def _open_nbytes(self) -> int:
         return sum(entries.nbytes() for entries in self.lists)
