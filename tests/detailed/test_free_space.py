@@ -37,13 +37,15 @@ def from_pose(robot, first, poses):
 
 
 def edges(robot, twin, heading):
-    """Drives, turns and base shifts on even ground: (dx, dy, heading, cost)."""
+    """Drives, turns, and base shifts with the feet that follow, on even ground: (dx, dy, heading, cost)."""
     for dx, dy in MOVES:
         yield dx, dy, heading, math.hypot(dx, dy) * CELL * twin.deviation(heading, dx, dy)
     for way in (1, -1):
         yield 0, 0, (heading + way) % HEADINGS, robot.turn.cost
-    _, dx, dy = twin.shift(heading)
-    yield dx, dy, heading, math.hypot(dx, dy) * CELL * robot.base_shift.cost_per_metre
+    steps, dx, dy = twin.shift(heading)
+    step, longest = robot.step, twin.longest_step()
+    follow = min(robot.foot_move.cost_per_metre * CELL, step.cost_per_metre * CELL + step.cost / longest)
+    yield dx, dy, heading, math.hypot(dx, dy) * CELL * robot.base_shift.cost_per_metre + 4 * steps * follow
 
 
 def textbook(robot, first):
