@@ -51,7 +51,7 @@ def test_profile_paper_has_the_counts_and_recipe_of_the_paper():
 def test_sets_may_be_added_without_a_plus_and_sections_of_others_not():
     sets = compose(["evaluation.sets.mine.scans=somewhere"]).evaluation.sets
     assert sets.mine == {"scans": "somewhere"} and "random" in sets
-    with pytest.raises(InputError, match=r"^evaluation: unknown key 'mine'; allowed are examples, "):
+    with pytest.raises(InputError, match=r"^evaluation: unknown key 'mine'; allowed are edges_threshold, examples, "):
         compose(["evaluation.mine=1"])
 
 
