@@ -5,8 +5,9 @@ search for this path knows a good cost limit, the window's present cost, and is 
 than short ones and cost more, so sweeps with longer and longer windows follow each other; windows of one sweep overlap
 by half. A window whose cost equals its lower bound is skipped.
 
-No window sees another way round. A fast search with a large weight therefore gets a *second plan*, from a short search
-with a smaller weight. The cheaper one of both is polished.
+No window sees another way round. A fast search with a large weight therefore gets other plans beside it: from a short
+search with a smaller weight, and from a short search with another abstraction, where the heuristic has one for long
+searches. The cheapest of all is polished.
 
 The plan never gets more expensive, and it stays between start and goal. The work is counted in expansions: equal
 queries give equal plans, unless the time ends before the expansions.
@@ -39,8 +40,10 @@ WIDTHS = 0.6, 1.0, 1.6, 2.4
 MOST = 40_000
 #: Weight of a search that the polish makes good; docs/heuristics.md has the figures.
 FAST = 1.25
-#: Weights and most expansions of the searches for a second plan; the first one that ends with a plan counts.
-SECOND = (1.03, 5_000), (1.1, 20_000), (1.25, 30_000)
+#: Weights and most expansions of the searches for another plan; the first one that ends with a plan counts.
+OWN = (1.03, 5_000), (1.1, 20_000), (1.25, 30_000)
+#: The same for the search with another abstraction.
+OTHER = 1.25, 15_000
 
 
 def polish_seconds(asked: object, default: float) -> float:
@@ -74,14 +77,14 @@ class Polish:
 
     Attributes:
         seconds: time for one plan; 0 switches the polish off.
-        second: whether a plan from a search with a large weight gets a second plan beside it.
+        second: whether a plan from a search with a large weight gets other plans beside it.
     """
 
     seconds: float
     second: bool = False
 
     def of(self, query: Query, plan: Plan) -> Plan:
-        """Returns a plan that costs at most as much; only a second plan may end at another goal.
+        """Returns a plan that costs at most as much; only one of the other plans may end at another goal.
 
         Args:
             query: the query; its world, its time and its limits hold.
@@ -93,9 +96,9 @@ class Polish:
             return plan
         windows = Windows(query.world, query.limits.memory)
         ends = min(began + self.seconds, query.ends)
-        second, windows.expansions = self._second(query, plan, most, left, ends)
+        others, windows.expansions = self._others(query, plan, most, left, ends)
         most = min(windows.expansions + most, left)
-        better = plan if second is None or second.cost >= plan.cost else second
+        better = min([plan, *others], key=lambda each: each.cost)
         course = _Course.of(query, better)
         for width in WIDTHS:
             course = _swept(course, windows, width, most, ends)
@@ -113,26 +116,37 @@ class Polish:
             bound=min(plan.bound, suboptimality(cost, plan.stats.lower_bound, rounding(query.world))),
         )
 
-    def _second(self, query: Query, plan: Plan, most: int, left: int, ends: float) -> tuple[Plan | None, int]:
-        """Returns a plan from a search with a smaller weight, None without one, and the expansions for it.
+    def _others(self, query: Query, plan: Plan, most: int, left: int, ends: float) -> tuple[list[Plan], int]:
+        """Returns plans from other searches, and the expansions for them.
 
         Args:
             query, plan: as in ``of``.
             most, left: expansions of one search and of all, at most.
             ends: moment on the clock ``now`` at which the searches end.
         """
+        found: list[Plan] = []
         spent, hard = 0, plan.stats.expansions >= HARD
         if not self.second or query.admissible or plan.stats.anchor_weight:
-            return None, spent
-        for weight, limit in SECOND:
+            return found, spent
+
+        def search(query: Query, weight: float, limit: int) -> bool:
+            nonlocal spent
             limits = replace(query.limits, expansions=min(limit, most, left - spent))
-            if weight >= plan.stats.weight or limits.expansions <= 0:
-                break
+            if limits.expansions <= 0 or now() >= ends:
+                return False
             other = replace(query, limits=limits, ends=ends, progress=None).weighted(weight, bounded=False, hard=hard)
             spent += other.stats.expansions
             if other.solved:
-                return other, spent
-        return None, spent
+                found.append(other)
+            return other.solved
+
+        for weight, limit in OWN:
+            if weight >= plan.stats.weight or search(query, weight, limit):
+                break
+        for prepared in query.others:
+            if (estimate := prepared(ends)) is not None:
+                search(replace(query, estimate=estimate, whole=None, others=()), *OTHER)
+        return found, spent
 
 
 class _Course(NamedTuple):

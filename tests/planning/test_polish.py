@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 import hdsp.planning.answers.plans
 from hdsp import HeightMap, InputError, Planner, RefinementError
+from hdsp.abstract import ManualCosts
 from hdsp.detailed.actions.action import ActionKind
 from hdsp.detailed.search import windows
 from hdsp.detailed.search.outcome import Limits
@@ -36,7 +37,7 @@ def test_a_polished_plan_is_cheaper_keeps_its_ends_and_says_how_much_it_took(are
     np.testing.assert_array_equal(polished.states[[0, -1]], plain.states[[0, -1]])
     assert polished.action_costs.sum() == pytest.approx(polished.cost)
     assert len(polished.states) == len(polished.actions) + 1 == len(polished.action_costs) + 1
-    most = polish.DEFAULT * polish.PER_SECOND + sum(limit for _, limit in polish.SECOND)
+    most = polish.DEFAULT * polish.PER_SECOND + sum(limit for _, limit in polish.OWN)
     assert 0 < polished.stats.polish_expansions <= most
     assert polished.stats.expansions == plain.stats.expansions
     again = arena.plan(*ENDS, 2.0)
@@ -62,11 +63,34 @@ def test_the_default_is_a_fast_search_that_the_polish_makes_good(arena):
 def test_a_second_plan_leaves_a_way_round(arena, monkeypatch):
     """Windows of single actions find nothing, so only the second plan can be cheaper."""
     monkeypatch.setattr(polish, "WIDTHS", (0.0,))
-    monkeypatch.setattr(polish, "SECOND", ((1.03, 10), (1.25, 30_000)))
+    monkeypatch.setattr(polish, "OWN", ((1.03, 10), (1.25, 30_000)))
     first, both = arena.plan(*ENDS, 3.0, polish=0), arena.plan(*ENDS, 3.0)
     second = arena.plan(*ENDS, 1.25, polish=0)
     assert both.cost <= second.cost < first.cost == both.stats.unpolished_cost
     assert both.stats.polish_expansions >= 10 + second.stats.expansions
+
+
+def test_another_abstraction_finds_a_way_that_the_first_one_judges_dear(monkeypatch):
+    """Windows of single actions find nothing, so only the plan of the other abstraction can be cheaper."""
+    heights = np.zeros((160, 240), np.float32)
+    heights[78:82, [*range(60), *range(100, 170), *range(210, 240)]] = 1.0  # two doors
+    terrain, ends = HeightMap(heights), ((1.2, 2.0, 0.0), (2.8, 2.0, 0.0))
+    planner, manual = (Planner(terrain, heuristic=costs, conditioning=None) for costs in (DearDoor(), "manual"))
+    monkeypatch.setattr(polish, "WIDTHS", (0.0,))
+    monkeypatch.setattr(polish, "OWN", ())
+    plain, polished = (planner.plan(*ends, 1.25, polish=seconds) for seconds in (0.0, None))
+    other = manual.plan(*ends, 1.25, polish=0.0)
+    assert polished.cost <= other.cost < 0.9 * plain.cost
+    assert polished.stats.polish_expansions >= other.stats.expansions
+
+
+class DearDoor:
+    """Manual costs, several times as high around the near door."""
+
+    def edges(self, height_map, region=None, mask=None):
+        edges = ManualCosts("momaro").edges(height_map, region, mask)
+        edges[:, 17:23, 13:28] *= 40
+        return edges
 
 
 def test_a_lower_cost_proves_a_smaller_bound_and_an_optimal_plan_stays():
