@@ -113,10 +113,11 @@ def _command(arguments: argparse.Namespace) -> str:
     """The command for the same searches."""
     area = f" --area {arguments.area:g}" if math.isfinite(arguments.area) else ""
     robot = "" if arguments.robot == ROBOT else f" --robot {arguments.robot}"
+    before = f" --before {arguments.before}" if arguments.before else ""
     return (
         f"python -m benchmarks.planning{robot} --seed {arguments.seed} --maps {arguments.maps} "
         f"--pairs {arguments.pairs}{area}"
-        f" --heuristics {' '.join(arguments.heuristics)} --weights {' '.join(f'{w:g}' for w in arguments.weights)}"
+        f" --heuristics {' '.join(arguments.heuristics)} --weights {' '.join(f'{w:g}' for w in arguments.weights)}{before}"
     )
 
 
