@@ -117,7 +117,8 @@ def _command(arguments: argparse.Namespace) -> str:
     return (
         f"python -m benchmarks.planning{robot} --seed {arguments.seed} --maps {arguments.maps} "
         f"--pairs {arguments.pairs}{area}"
-        f" --heuristics {' '.join(arguments.heuristics)} --weights {' '.join(f'{w:g}' for w in arguments.weights)}{before}"
+        f" --heuristics {' '.join(arguments.heuristics)} --weights {' '.join(f'{w:g}' for w in arguments.weights)}"
+        f"{before}"
     )
 
 

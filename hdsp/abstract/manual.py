@@ -33,7 +33,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from hdsp.abstract.abstract_costs import FlatCosts, Region, checked_mask, checked_region, checked_tasks
-from hdsp.abstract.manual_kernels import Goals, Ground, Known, PoseCells, filled, find_costs
+from hdsp.abstract.manual_kernels import CoarseGround, CoarsePoseCells, Goals, Known, filled, find_costs
 from hdsp.abstract.oracle import CostKind
 from hdsp.base.gradual import Steps, finished
 from hdsp.base.settings import NotNegative, checked
@@ -186,7 +186,7 @@ class ManualCosts:
         return np.isfinite(cost), cost
 
     @cached_property
-    def _cells(self) -> PoseCells:
+    def _cells(self) -> CoarsePoseCells:
         robot, settings = self.robot, self.settings
         feet, reach = robot.neutral_feet(), np.array([settings.foot_reach, 0.0])
         length, width = np.abs(feet).max(axis=0)
@@ -201,7 +201,7 @@ class ManualCosts:
             places.append([(*_place(cell, rotated), above) for above, each in below for cell in each])
         limits = np.array([length, width, *robot.slope.steepest()])
         feet_cells, (near, nears), (low, lows) = np.array(under), filled(around, 2, np.int64), filled(body, 2, np.int64)
-        return PoseCells(feet_cells, near, nears, low, filled(places, 3, np.float64)[0], lows, limits)
+        return CoarsePoseCells(feet_cells, near, nears, low, filled(places, 3, np.float64)[0], lows, limits)
 
     @cached_property
     def _actions(self) -> Goals:
@@ -253,11 +253,11 @@ def _features_in(heights: np.ndarray, region: Region) -> Features:
     return Features(*(values[x, y] for values in coarse_features(heights[part])))
 
 
-def _ground(features: Features, robot: Robot) -> Ground:
+def _ground(features: Features, robot: Robot) -> CoarseGround:
     ranges, wall, edge = features.height_range, np.float32(robot.step.max_height), np.float32(robot.drive.highest_edge)
     walls = np.isnan(features.ground) | (ranges > wall)
     tops, heights = np.ascontiguousarray(features.top), np.ascontiguousarray(features.ground)
-    return Ground(walls, ranges > edge, np.nan_to_num(ranges), tops, heights)
+    return CoarseGround(walls, ranges > edge, np.nan_to_num(ranges), tops, heights)
 
 
 def _cells_on_the_way(dx: float, dy: float) -> list[tuple[int, int]]:

@@ -16,7 +16,7 @@ _STEPS = np.uint8(_CLOSED - 1)
 _ZERO, _ONE = np.float32(0), np.float32(1)
 
 
-class Ground(NamedTuple):
+class CoarseGround(NamedTuple):
     """Coarse terrain, all [nx, ny]; beyond it, the ground is unknown.
 
     Attributes:
@@ -34,7 +34,7 @@ class Ground(NamedTuple):
     heights: np.ndarray
 
 
-class PoseCells(NamedTuple):
+class CoarsePoseCells(NamedTuple):
     """Cells that a pose reads at each heading, relative to its base cell; rows of ``around`` and ``body`` end early.
 
     Attributes:
@@ -106,8 +106,8 @@ def find_costs(ground, cells, known, heading, places, shape, goals, which, uneve
     """Computes costs of actions.
 
     Args:
-        ground: ``Ground``.
-        cells: ``PoseCells``.
+        ground: ``CoarseGround``.
+        cells: ``CoarsePoseCells``.
         known: ``Known`` for this ground; completed.
         heading: of all starts.
         places: int64 [n, 2], start cells.

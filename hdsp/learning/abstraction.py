@@ -15,7 +15,7 @@ from scipy.special import expit
 
 from hdsp.base.errors import InputError
 from hdsp.learning.calibration import MINIMUM_COST, Calibration, calibration_figures, fit_calibration
-from hdsp.learning.inference.footprint_engine import FootprintEngine, Place, engine_options
+from hdsp.learning.inference.footprint_engine import FootprintEngine, KeptPlace, engine_options
 from hdsp.learning.judgements import Judgements
 from hdsp.learning.learning_settings import HardwareSettings, ModelSettings
 from hdsp.learning.saved_abstraction import (
@@ -249,7 +249,7 @@ class LearnedAbstraction:
             yield None if group is None else (group[0], *self._judged(group[1], goals))
 
     def predict_bases(
-        self, heights: np.ndarray, bases: np.ndarray, goals: np.ndarray, place: Place | None = None
+        self, heights: np.ndarray, bases: np.ndarray, goals: np.ndarray, place: KeptPlace | None = None
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray] | None]:
         """Like ``predict_windows``, with the engine; arguments are as for ``FootprintEngine.evaluate``."""
         assert self.engine is not None

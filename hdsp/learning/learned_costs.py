@@ -13,7 +13,7 @@ from hdsp.abstract.oracle import CostKind, checked_kind
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps, finished
 from hdsp.learning.abstraction import LearnedAbstraction
-from hdsp.learning.inference.footprint_engine import MARGIN, Place
+from hdsp.learning.inference.footprint_engine import MARGIN, KeptPlace
 from hdsp.learning.inference.kept_features import KeptFeatures
 from hdsp.learning.rotated_maps import RotatedMap, rotated_cells, rotated_window
 from hdsp.learning.saved_abstraction import Provenance
@@ -227,7 +227,7 @@ class LearnedCosts:
             low = cells[members].min(axis=0) - MARGIN
             end = cells[members].max(axis=0) + MARGIN + 1
             window = rotated_window(heights, heading, low, tuple(end - low))
-            place = None if memory is None else Place(memory, heading, low)
+            place = None if memory is None else KeptPlace(memory, heading, low)
             for group in self._of_edges.predict_bases(window, cells[members] - low, goals, place):
                 if group is None:
                     yield None

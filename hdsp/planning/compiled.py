@@ -20,7 +20,7 @@ from hdsp.base.gradual import finished
 from hdsp.detailed.relaxed.heading_masks import missing_feet
 from hdsp.detailed.relaxed.proofs import why_unreachable
 from hdsp.detailed.search.leaving import leave
-from hdsp.detailed.search.life_cycle import FEW, Turn
+from hdsp.detailed.search.life_cycle import FEW, GuideTurn
 from hdsp.detailed.search.outcome import Limits
 from hdsp.detailed.search.windows import Windows
 from hdsp.detailed.world.world import build_world, cell_index
@@ -156,7 +156,7 @@ def _try(robot: Robot, kind: QueryKind, costs: list[LearnedCosts | ManualCosts])
         return
     for limits in (Limits(expansions=1), Limits()):
         each = replace(query, limits=limits)
-        turns = iter([Turn(lambda _: query.estimate, 1)]) if kind.abstract else None
+        turns = iter([GuideTurn(lambda _: query.estimate, 1)]) if kind.abstract else None
         # At a bound of 1, the anchor goes on after the guide.
         plan = each.anchored(1.0, 1.0) if kind.anchored else each.weighted(1.5, turns=turns, first_turn=1)
         Polish(DEFAULT).of(each, plan)

@@ -20,7 +20,7 @@ from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_foothold_regions
 from hdsp.detailed.relaxed.proofs import Unreachable, nearest_state, proof_steps
 from hdsp.detailed.search.estimate import Estimate, grid_estimate, least_foot_cost, with_step_efforts
-from hdsp.detailed.search.life_cycle import Hopeless, Progress, Search, Turn
+from hdsp.detailed.search.life_cycle import GuideTurn, Hopeless, Progress, Search
 from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.search.reached import Reached, reached_by
@@ -130,7 +130,7 @@ class Query:
         *,
         bounded: bool = True,
         hard: bool = False,
-        turns: Iterator[Turn] | None = None,
+        turns: Iterator[GuideTurn] | None = None,
         first_turn: int | None = None,
     ) -> Plan:
         """Searches with weighted A*.
@@ -336,16 +336,16 @@ class _Turns:
         self._query = query
         self._prepared: dict[Prepared, Estimate] = {}
 
-    def __iter__(self) -> Iterator[Turn]:
+    def __iter__(self) -> Iterator[GuideTurn]:
         query, length = self._query, TURN
         if not query.others and query.whole is None:
             return
         while True:
             for other in query.others:
-                yield Turn(partial(self._guide, other), length)
+                yield GuideTurn(partial(self._guide, other), length)
             length *= 2
             whole = query.whole if length >= LONG else None
-            yield Turn(partial(self._guide, whole), length)
+            yield GuideTurn(partial(self._guide, whole), length)
 
     def _guide(self, prepared: Prepared | None, until: float) -> Estimate | None:
         if prepared is None:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from hdsp import HeightMap, Planner, Status
 from hdsp.abstract import FlatCosts
-from hdsp.detailed.search.life_cycle import Turn
+from hdsp.detailed.search.life_cycle import GuideTurn
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.planning import query
 from hdsp.planning.heuristics import AbstractHeuristic
@@ -71,7 +71,7 @@ def test_turns_lose_no_plan(category, number, seed, length):
 
     def turns():
         for number in range(8):
-            yield Turn(lambda _, number=number: guesses[(number + 1) % 2], length)
+            yield GuideTurn(lambda _, number=number: guesses[(number + 1) % 2], length)
 
     settings = {"weight": 1.5, "admissible": False, "reopen": False}
     alone = solve(planner.world, start, goal, guesses[0], **settings)
@@ -85,6 +85,6 @@ def test_turns_lose_no_plan(category, number, seed, length):
         np.testing.assert_allclose(path.costs.sum(), turned.cost[0], rtol=1e-5)
         np.testing.assert_array_equal(path.states[[0, -1]], [start, goal[0]])
     late = solve(
-        planner.world, start, goal, guesses[0], **settings, turns=iter([Turn(lambda _: None, 1)]), first_turn=1
+        planner.world, start, goal, guesses[0], **settings, turns=iter([GuideTurn(lambda _: None, 1)]), first_turn=1
     )
     assert late.status[0] == (Status.TIME_LIMIT if alone.expansions > 0 else alone.status[0])

@@ -48,7 +48,7 @@ AtEnd = Callable[["Search"], object]
 Hopeless = Callable[[float], bool | None]
 
 
-class Turn(NamedTuple):
+class GuideTurn(NamedTuple):
     """A heuristic's turn to guide a search.
 
     Attributes:
@@ -114,7 +114,7 @@ class Search:
         self.nearest = nearest
         self.alone = max(FEW, world.nx * world.ny)
         self._later: tuple[int, Backward] | None = None
-        self._turns: Iterator[Turn] = iter(())
+        self._turns: Iterator[GuideTurn] = iter(())
         self._turn_ends: int | None = None
         self._back = no_backward()
         self.invalid = self._invalid_ends()
@@ -163,7 +163,7 @@ class Search:
         self._back = heuristic.back.within(self.limits.memory // 2)
         return heuristic._replace(back=self._back)
 
-    def take_turns(self, first: int, turns: Iterator[Turn]) -> None:
+    def take_turns(self, first: int, turns: Iterator[GuideTurn]) -> None:
         """Lets several heuristics guide the search in turns, so that a search with one wrong heuristic gets on.
 
         All turns share the states seen so far. A turn begins as a round (``begin_round``). Heuristics in turns have to

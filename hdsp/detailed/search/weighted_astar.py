@@ -7,7 +7,7 @@ import numpy as np
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.search.bounds import rounding, suboptimality
 from hdsp.detailed.search.estimate import Estimate, begin_from, settle_for
-from hdsp.detailed.search.life_cycle import AtEnd, Hopeless, Progress, Search, Turn
+from hdsp.detailed.search.life_cycle import AtEnd, GuideTurn, Hopeless, Progress, Search
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.world.world import World
 
@@ -38,7 +38,7 @@ def solve(
     bounding: Estimate | None = None,
     guide: Estimate | None = None,
     guide_from: int = HARD,
-    turns: Iterator[Turn] | None = None,
+    turns: Iterator[GuideTurn] | None = None,
     first_turn: int = HARD,
 ) -> SearchResult:
     """Searches with weighted A* from one detailed state to one or several goals.

@@ -57,7 +57,7 @@ from hdsp.learning.inference.ground_kernels import (
     trunk_channels,
     weighted_sum,
 )
-from hdsp.learning.inference.kept_features import ALONG, LOCAL, POSE, KeptFeatures, Place, WindowFeatures, not_kept
+from hdsp.learning.inference.kept_features import ALONG, LOCAL, POSE, KeptFeatures, KeptPlace, WindowFeatures, not_kept
 from hdsp.learning.inference.pose_table import CORNERS, PoseTable, Ways, goal_features, numbers, square
 from hdsp.learning.judgements import Judgements
 from hdsp.learning.learning_settings import ModelSettings
@@ -233,7 +233,7 @@ class FootprintEngine:
         return KeptFeatures(shape, (local, line, farthest_read(self.encoding, self.options) - REACH))
 
     def evaluate(
-        self, heights: np.ndarray, bases: np.ndarray, goals: np.ndarray, place: Place | None = None
+        self, heights: np.ndarray, bases: np.ndarray, goals: np.ndarray, place: KeptPlace | None = None
     ) -> Iterator[tuple[slice, Judgements] | None]:
         """Evaluates the goals of some bases in a window, in short steps.
 
@@ -324,7 +324,7 @@ class FootprintEngine:
         return WindowFeatures(*(np.empty((size, channels), kind) for channels, kind in widths))
 
     def _needed(
-        self, across: int, cells: np.ndarray, read: np.ndarray, known: WindowFeatures, place: Place | None = None
+        self, across: int, cells: np.ndarray, read: np.ndarray, known: WindowFeatures, place: KeptPlace | None = None
     ) -> _Needed:
         """Finds the cells at which some base needs a feature that is not kept, layer by layer.
 

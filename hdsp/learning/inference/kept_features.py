@@ -116,7 +116,7 @@ class KeptFeatures:
         return result
 
 
-class Place(NamedTuple):
+class KeptPlace(NamedTuple):
     """Place of a window in a rotated map.
 
     Attributes:
@@ -135,7 +135,7 @@ class Place(NamedTuple):
             self.memory.keep(kind, self.heading, self.low, across, at, values)
 
 
-def not_kept(marks: np.ndarray, kind: int, values: np.ndarray, across: int, place: Place | None) -> np.ndarray:
+def not_kept(marks: np.ndarray, kind: int, values: np.ndarray, across: int, place: KeptPlace | None) -> np.ndarray:
     """Loads kept features at marked cells into ``values``, and takes their marks away; returns the other cells."""
     cells = np.flatnonzero(marks)
     if place is None:
