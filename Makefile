@@ -7,7 +7,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 export MLFLOW_DISABLE_TELEMETRY := true
 # Data sets that others published are taken from this folder if it lies beside the checkout; else they are fetched.
 export HDSP_DATA_DIR ?= $(abspath $(wildcard ../shared/data))
-# Threads of torch that wait give their core away: on a busy machine, training is several times as fast.
+# Threads of torch that wait give their core away: beside another process, training loses less time.
 export OMP_WAIT_POLICY ?= passive
 TEST_ARGS ?=
 # Tests of all kernels, without the slow ones that run no kernel of their own.

@@ -37,9 +37,8 @@ MOST = 3_000
 #: Cost on even ground within which a start or a goal without an abstract way is connected to states that have one.
 NEAR = 1.0
 
-_FRINGE = (
-    0.25  # states around a corridor that are evaluated with it, relative; otherwise, single ones follow one by one
-)
+# States around a corridor that are evaluated with it, relative; otherwise, single ones follow one by one.
+_FRINGE = 0.25
 _BUCKETS = 1 << 13
 _FAR = _BUCKETS - 1  # a state in a later bucket waits in this one, and comes again
 _OUT = np.int32(-(2**31))

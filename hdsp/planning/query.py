@@ -324,8 +324,9 @@ class _Turns:
     """Turns of the guides in a long search, each round with turns twice as long.
 
     An abstraction that is wrong in one place lets a search fill the ground before it. Another abstraction is seldom
-    wrong in the same place, so a search in turns takes little more than a small multiple of the better one's
-    expansions. The first guide covers the whole map once its turns are ``LONG``.
+    wrong in the same place, so a search in turns often takes a small multiple of the better one's expansions. Nothing
+    bounds this multiple: all guides share the states, and one guide may open ground on which the other one is wrong.
+    The first guide covers the whole map once its turns are ``LONG``.
 
     Attributes:
         seconds: time in which guides were prepared.
