@@ -168,6 +168,9 @@ class FlatCosts:
         #: The same, costs of the edges.
         self.edge_table = flat_table(self.robot, None, checked_kind(kind))
 
+    def __repr__(self) -> str:
+        return f"FlatCosts({self.robot.name})"
+
     def edges(self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None) -> np.ndarray:
         """See `AbstractCosts.edges`."""
         first_x, first_y, end_x, end_y = checked_region(height_map, region)

@@ -105,6 +105,9 @@ class ManualCosts:
         self.settings = settings or ManualSettings()
         self._flat = FlatCosts(self.robot, kind)
 
+    def __repr__(self) -> str:
+        return f"ManualCosts({self.robot.name})"
+
     def edges(self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None) -> np.ndarray:
         """See `AbstractCosts.edges`."""
         return finished(self.edge_steps(height_map, region, mask))

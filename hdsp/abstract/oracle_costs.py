@@ -91,6 +91,9 @@ class OracleCosts:
         self.cost_limit = cost_limit(self.robot, self.settings)
         self._base_reach = base_reach(self.robot, self.cost_limit)
 
+    def __repr__(self) -> str:
+        return f"OracleCosts({self.robot.name})"
+
     def edges(self, height_map: HeightMap, region: Region | None = None, mask: np.ndarray | None = None) -> np.ndarray:
         """See `AbstractCosts.edges`."""
         return finished(self.edge_steps(height_map, region, mask))

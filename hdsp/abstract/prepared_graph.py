@@ -13,6 +13,7 @@ from hdsp.abstract.repair import repair
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps, finished
 from hdsp.base.jit import njit
+from hdsp.base.short_repr import short_repr
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
 
 _ENTRIES = 50_000  # queue entries between two looks at the clock
@@ -51,6 +52,9 @@ class PreparedGraph:
     incoming: np.ndarray
     cheapest: float
     most_expensive: float
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
     @classmethod
     def from_edges(cls, edges: np.ndarray) -> PreparedGraph:

@@ -1,7 +1,7 @@
 """Definitions in a module's source: statements that define a name, with all names they refer to.
 
 This module imports no analysed code. A definition's normal form keeps the code that decides results, without comments,
-docstrings, layout, type annotations, imports and error messages.
+docstrings, layout, type annotations, imports, error messages and ``__repr__``.
 """
 
 import ast
@@ -22,6 +22,8 @@ PURE_DECORATORS = {
     "intrinsic", "lru_cache", "njit", "override", "property", "runtime_checkable", "setter", "staticmethod",
     "total_ordering", "wraps",
 }  # fmt: skip
+#: Methods that show a value to a person; no result depends on their text.
+SHOWING = {"__repr__"}
 #: Base classes whose code only calls methods with double underscores.
 PASSIVE_BASES = {"ABC", "Enum", "Exception", "Generic", "IntEnum", "NamedTuple", "Protocol", "ValueError", "object"}
 
@@ -169,7 +171,7 @@ def _split_methods(definition: Definition, node: ast.ClassDef) -> None:
     rest.body = [statement for statement in node.body if not isinstance(statement, _FUNCTIONS)]
     definition.node = rest
     for method in node.body:
-        if isinstance(method, _FUNCTIONS):
+        if isinstance(method, _FUNCTIONS) and method.name not in SHOWING:
             own = Definition(definition.module, definition.package, f"{node.name}.{method.name}", method)
             definition.methods.setdefault(method.name, []).append(own)
 

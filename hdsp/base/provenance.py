@@ -2,7 +2,7 @@
 
 A function's fingerprint covers its body and all project definitions it reaches: names in its body, names in their
 bodies, and so on. A method counts if its class is reached and its name is mentioned. The fingerprint ignores module
-names, positions in files, imports, docstrings, comments, layout, type annotations and error messages
+names, positions in files, imports, docstrings, comments, layout, type annotations, error messages and ``__repr__``
 (`hdsp.base.definitions`), and all code out of reach. Moved code keeps its fingerprint. Modules under `EXEMPT` are left
 out.
 
@@ -31,6 +31,7 @@ EXEMPT = {
     "hdsp.base.kernel_cache": "decides when a kernel is compiled, not its code",
     "hdsp.base.provenance": "decides which results are still valid, not their values",
     "hdsp.base.settings": "checks settings; their checked values are part of each hash",
+    "hdsp.base.short_repr": "shows values to people",
     "hdsp.base.storage": "moves bytes to and from folders and URLs",
     "hdsp.base.workers": "decides which process works; a map is a function of its number",
     "hdsp.labels.run.cluster": "decides which process works; a map is a function of its number",

@@ -26,6 +26,7 @@ from pydantic_core import ArgsKwargs, ErrorDetails, PydanticCustomError
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
+from hdsp.base.short_repr import short_repr
 
 T = TypeVar("T")
 Path = Sequence[str | int]
@@ -137,6 +138,8 @@ def checked(cls: type[T]) -> type[T]:
     added = {"_prepared": before(classmethod(prepared)), "__get_pydantic_core_schema__": classmethod(schema)}
     for name, value in {**added, "__pydantic_config__": _CONFIG}.items():
         setattr(cls, name, value)
+    if cls.__repr__ is object.__repr__:
+        setattr(cls, "__repr__", lambda self: short_repr(self))  # noqa: B010, mypy allows no other way
     made = dataclass(frozen=True)(cls)
     made.__init__ = functools.wraps(made.__init__)(init)  # type: ignore[method-assign]
     return made

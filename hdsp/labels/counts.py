@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from hdsp.base.short_repr import short_repr
 from hdsp.labels.tasks import REASON_UNKNOWN, TaskSet
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, HEADINGS_PER_ABSTRACT, N_ABSTRACT_ACTIONS
 
@@ -31,6 +32,9 @@ class LabelCounts:
     cost_squares: float = 0.0
     compared: np.ndarray = field(default_factory=lambda: np.zeros((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), np.int64))
     ratios: np.ndarray = field(default_factory=lambda: np.zeros((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS)))
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
     @classmethod
     def of(cls, feasible: np.ndarray, cost: np.ndarray, reason: np.ndarray, dropped: int = 0) -> "LabelCounts":

@@ -20,6 +20,7 @@ from pydantic import Field
 from hdsp.abstract.transform import feet_at
 from hdsp.base.provenance import ROOT, code_fingerprint
 from hdsp.base.settings import Count, Natural, checked
+from hdsp.base.short_repr import short_repr
 from hdsp.base.workers import ClusterSettings, connected
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.rules import LabelSettings, MapTasks, label_map
@@ -70,6 +71,9 @@ class PatchRun:
     robot: Robot
     labels: LabelSettings
 
+    def __repr__(self) -> str:
+        return short_repr(self)
+
     def inputs(self) -> dict[str, Any]:
         """Plain values by name; a fingerprint represents the code."""
         return {**asdict(self), "robot": self.robot.to_dict(), "code": courses_code()}
@@ -97,6 +101,9 @@ class ScannedCourse(NamedTuple):
     course: Course
     terrain: HeightMap
     patches: list[Patch]
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 def simulated_courses(

@@ -7,6 +7,7 @@ import numpy as np
 from hdsp.abstract.flat_table import cost_limit
 from hdsp.abstract.oracle import LabelSettings, task_costs
 from hdsp.abstract.transform import feet_at
+from hdsp.base.short_repr import short_repr
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.causes import Cause, Obstacle, faults_of, find_obstacle
 from hdsp.detailed.causes.gap import obstacle_of_foot
@@ -35,6 +36,9 @@ class LabelReason(NamedTuple):
     words: str
     causes: tuple[Cause, ...] = ()
     restricted: bool = False
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 def label_reasons(

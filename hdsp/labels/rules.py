@@ -11,6 +11,7 @@ from hdsp.abstract.flat_table import cost_limit
 from hdsp.abstract.oracle import CostKind, LabelSettings, task_costs
 from hdsp.abstract.transform import feet_at
 from hdsp.base.errors import InputError
+from hdsp.base.short_repr import short_repr
 from hdsp.detailed.search.outcome import Status
 from hdsp.detailed.world.world import build_world
 from hdsp.robot.lattice import (
@@ -53,6 +54,9 @@ class MapTasks(NamedTuple):
     start: np.ndarray
     goal: np.ndarray
     planning_cost: np.ndarray | None = None
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 def label_map(

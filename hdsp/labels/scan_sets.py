@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 from hdsp.base.errors import InputError
 from hdsp.base.settings import read_yaml
+from hdsp.base.short_repr import short_repr
 from hdsp.labels.rules import LabelSettings
 from hdsp.labels.scan_patches import ScanPatchSettings, label_scan
 from hdsp.labels.shards import is_shard, read_shard
@@ -51,6 +52,9 @@ class ScanFolder(NamedTuple):
     tasks: TaskSet
     used: dict[str, int]
     skipped: dict[str, str]
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 def read_scan_folder(

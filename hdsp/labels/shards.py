@@ -16,6 +16,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
+from hdsp.base.short_repr import short_repr
 from hdsp.base.storage import Place, is_folder, is_url, open_folder, split_place
 from hdsp.labels.tasks import FIELDS, OPTIONAL_FIELDS, TaskSet
 
@@ -53,6 +54,9 @@ class Shard(NamedTuple):
 
     tasks: TaskSet
     attributes: dict[str, str | int | float]
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 def write_shard(path: Place, tasks: TaskSet, attributes: Attributes) -> Place:

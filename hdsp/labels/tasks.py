@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.short_repr import shortened
 from hdsp.robot.lattice import N_ABSTRACT_ACTIONS, PATCH_CELLS
 
 #: `TaskSet.reason` for labels without a reason. `hdsp.detailed.search.outcome.Status` defines the other values.
@@ -88,6 +89,15 @@ class TaskSet:
                 raise InputError(
                     f"task set: {name} is not finite somewhere; infeasible tasks have feasible False and cost 0"
                 )
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return "TaskSet(no maps)"
+        names, counts = np.unique(self.category, return_counts=True)
+        kinds = [f"{count} {name}" for name, count in zip(names[:3], counts[:3], strict=True)]
+        if len(names) > len(kinds):
+            kinds.append(f"{counts[3:].sum()} in {len(names) - 3} other categories")
+        return shortened(f"TaskSet({len(self)} maps: {', '.join(kinds)}; {self.feasible.mean():.0%} of tasks feasible)")
 
     def __len__(self) -> int:
         return len(self.category)

@@ -83,6 +83,10 @@ class LearnedAbstraction:
 
             self._torch = torch_evaluation.TorchEvaluation(network, self.hardware)
 
+    def __repr__(self) -> str:
+        robot = self.provenance.robot or "an unknown robot"
+        return f"LearnedAbstraction({self.model.architecture} for {robot}, feasible from {self.threshold:g})"
+
     @property
     def torch_evaluation(self) -> "TorchEvaluation":
         """The network in torch; loads torch at the first use if the engine evaluates the network."""

@@ -36,6 +36,9 @@ class LossWeightRule(pl.Callback, ABC):
         settings = LossSettings(factor=factor, patience=patience)
         self.factor, self.patience = settings.factor, settings.patience
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(factor={self.factor:g}, patience={self.patience})"
+
     @abstractmethod
     def losses_to_cut(self, losses: Mapping[str, float]) -> list[str]:
         """Returns the names of the losses to cut, given the losses of the epoch that just ended."""

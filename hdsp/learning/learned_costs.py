@@ -101,6 +101,9 @@ class LearnedCosts:
         if method not in ("auto", "patches", "dense"):
             raise InputError(f"method {method!r}: allowed are auto, patches, dense")
 
+    def __repr__(self) -> str:
+        return f"LearnedCosts({self.abstraction!r})"
+
     def predict(self, patches: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See ``TaskPredictor.predict``."""
         return self.abstraction.predict(patches, goals, self.batch)

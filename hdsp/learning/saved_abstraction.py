@@ -18,6 +18,7 @@ from hdsp.abstract.flat_table import flat_table
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
 from hdsp.base.settings import checked, load_settings, read_json, shown
+from hdsp.base.short_repr import short_repr
 from hdsp.learning.calibration import Calibration
 from hdsp.learning.learning_settings import ModelSettings
 from hdsp.robot import lattice
@@ -51,6 +52,9 @@ class Provenance:
     labels_hash: str = ""
     never_feasible: tuple[tuple[float, float, float], ...] = ()
     notes: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
     @classmethod
     def of(cls, robot: Robot, labels_hash: str = "", **notes: Any) -> "Provenance":

@@ -60,6 +60,9 @@ class TaskStream(IterableDataset):
         self.targets = targets
         self.epoch = self.skip = 0
 
+    def __repr__(self) -> str:
+        return f"TaskStream({len(self.paths)} shards, batches of {self.settings.size} {self.settings.by}s)"
+
     @cached_property
     def maps(self) -> list[int]:
         """Maps in each shard; the first access reads all shards."""

@@ -9,7 +9,7 @@ import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,7 @@ from lightning.pytorch.loggers import Logger
 
 from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
+from hdsp.base.short_repr import short_repr
 from hdsp.learning.abstraction import LearnedAbstraction
 from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, LOSSES, AveragedWeights, EpochPosition
 from hdsp.learning.hardware import channels_last
@@ -62,6 +63,9 @@ class TrainResult:
     seconds: float
     resumed_from: int
     maps: int
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 def train(
@@ -217,7 +221,9 @@ def _training_batches(
 def _fingerprint(config: TrainingConfig, batches: Any) -> str:
     """Hash over everything that decides whether a checkpoint belongs to this training."""
     trainer = config.trainer
-    parts = [config.model.to_dict(), repr(trainer)]
+    values = asdict(trainer)
+    decisive = {entry.name: values[entry.name] for entry in fields(trainer) if entry.repr}
+    parts: list[Any] = [config.model.to_dict(), decisive]
     later = {name: getattr(trainer, name) for name in ("ema", "early_stopping", "initial")}
     parts += [f"{name} {value}" for name, value in later.items() if value is not None]
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode())

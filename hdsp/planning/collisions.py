@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.short_repr import short_repr
 from hdsp.detailed.actions.action import Action
 from hdsp.robot.lattice import metres
 from hdsp.robot.robot import FEET, Box, Robot
@@ -69,6 +70,9 @@ class PlanCheck:
     body_clearance: float
     foot_clearance: float
     poses: int
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
     @property
     def free(self) -> bool:

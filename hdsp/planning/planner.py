@@ -92,6 +92,9 @@ class Planner:
         self.world = build_world(self.terrain, self._wider)
         self.heuristic = self._make_heuristic(heuristic)
 
+    def __repr__(self) -> str:
+        return f"Planner({self.robot.name}, heuristic {self.heuristic.name}, {self.terrain})"
+
     def _make_heuristic(self, heuristic: str | AbstractCosts | Heuristic) -> Heuristic:
         if isinstance(heuristic, Heuristic):
             if (heuristic.world.nx, heuristic.world.ny) != self.grid.shape:

@@ -411,6 +411,11 @@ class Robot:
             raise fault("stance.base_height", height, f"a height that the legs reach, {reach}")
         return self
 
+    def __repr__(self) -> str:
+        wheels = f"wheels pass edges of {self.drive.highest_edge:g} m"
+        steps = f"steps of up to {self.step.max_length:g} m in length, {self.step.max_height:g} m in height"
+        return f"Robot({self.name}: {wheels}, {steps if self.step.max_length else 'no steps'})"
+
     @classmethod
     def load(cls, source: "str | Path | dict | Robot") -> "Robot":
         """Loads a robot from a preset name, a YAML file path, or a mapping with the same keys.

@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field
 
 from hdsp.base.errors import InputError
 from hdsp.base.settings import Name, Positive, checked, fault, load_settings
+from hdsp.base.short_repr import short_repr
 from hdsp.robot import lattice
 from hdsp.robot.lattice import Grid
 from hdsp.terrain.height_map import HeightMap
@@ -37,6 +38,9 @@ class Arena:
     def __post_init__(self):
         if not (0 < self.size < math.inf and _is_whole(self.size)):
             raise InputError(f"arena of {self.size} m; need a positive multiple of {lattice.RESOLUTION} m")
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
     def height_map(self) -> HeightMap:
         """Height map with the heights at the cell centres. No cell is unknown; the lower corner is at world (0, 0)."""

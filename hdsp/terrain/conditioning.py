@@ -29,6 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.short_repr import short_repr
 from hdsp.robot.lattice import RESOLUTION, cells, is_detailed
 from hdsp.terrain.map_filters import (
     ConditioningSettings,
@@ -66,6 +67,9 @@ class ConditioningReport:
     spikes: int
     filled: int
     unknown: float
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
     @property
     def changed(self) -> bool:

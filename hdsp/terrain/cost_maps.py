@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.base.short_repr import short_repr
 from hdsp.robot.lattice import HEADINGS, cells, heading_angle, metres
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -53,6 +54,9 @@ class CostMaps(NamedTuple):
     edge: np.ndarray
     steep: np.ndarray
     standable: np.ndarray
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 def cost_maps(terrain: HeightMap, robot: Robot) -> CostMaps:

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.short_repr import short_repr
 from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS, RESOLUTION
 from hdsp.terrain.conditioning import ConditioningReport, Stages, is_conditioned
@@ -67,6 +68,18 @@ class HeightMap:
         heights.flags.writeable = False
         for name, value in (("heights", heights), ("origin", origin), ("resolution", resolution)):
             object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        (nx, ny), (length, width) = self.shape, self.size
+        text = f"{nx} x {ny} cells of {self.resolution:g} m, {length:.2f} x {width:.2f} m from "
+        text += f"({self.origin[0]:.2f}, {self.origin[1]:.2f})"
+        known = np.isfinite(self.heights)
+        if not known.all():
+            text += f", {100 * (1 - known.mean()):.3g}% unknown"
+        if known.any():
+            heights = self.heights[known]
+            text += f", heights {heights.min():z.2f} to {heights.max():z.2f} m"
+        return f"HeightMap({text})"
 
     @classmethod
     def flat(cls, shape: tuple[int, int], origin=(0.0, 0.0), resolution: float = RESOLUTION) -> "HeightMap":
@@ -325,6 +338,9 @@ class Conditioned(NamedTuple):
 
     terrain: HeightMap
     report: ConditioningReport
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 def conditioned(terrain: HeightMap, settings: ConditioningSettings | None = None) -> Conditioned:

@@ -9,6 +9,7 @@ from typing import NamedTuple, overload
 
 import numpy as np
 
+from hdsp.base.short_repr import short_repr
 from hdsp.robot import lattice
 from hdsp.robot.lattice import Grid
 from hdsp.terrain.height_map import HeightMap
@@ -146,6 +147,9 @@ class Tiles(Block):
     side: float
     tiles: tuple[tuple[tuple[float, float, float], ...], ...]
 
+    def __repr__(self) -> str:
+        return short_repr(self)
+
     def top(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         turn = lattice.rotation(-self.yaw)
         along = turn[0, 0] * (x - self.x) + turn[0, 1] * (y - self.y) + self.length / 2
@@ -242,6 +246,9 @@ class Scene:
 
     obstacles: tuple[Obstacle, ...]
     ground: TiltedGround | None = None
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
     def rasterise(self, shape: tuple[int, int], center_cell: tuple[int, int], angle: float = 0.0) -> HeightMap:
         """Makes a height map with the heights at the cell centres. Where obstacles overlap, the highest one counts.

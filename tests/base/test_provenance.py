@@ -93,6 +93,9 @@ class Robot:
 
     def name(self):
         return 4
+
+    def __repr__(self):
+        return "a robot"
 """,
     "hdsp/feet.py": """
 from hdsp.joints import Joint
@@ -172,6 +175,7 @@ def test_it_changes_with_all_code_that_is_reached(package, old, new):
         ("return sorted(values)", "return None"),
         ("COUNT = 3", "COUNT = 4"),
         ("return 4", "return 5"),
+        ("a robot", "the robot"),
         ("return 0", "return 1"),
         ("VALUE = 1", "VALUE = 2"),
         ('__all__ = ["steepest"]', "__all__ = []"),

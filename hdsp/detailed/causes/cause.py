@@ -57,6 +57,9 @@ class Cause:
     foot_place: Place | None = None
     pose: tuple[float, ...] | None = None
 
+    def __repr__(self) -> str:
+        return f"Cause({self.kind}: {self})"
+
     def __str__(self) -> str:
         ground = self.label
         if self.kind in (Kind.BODY, Kind.REACH, Kind.SEPARATION, Kind.HEADING):

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.base.short_repr import short_repr
 from hdsp.detailed.actions.state_costs import feet_cells
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.causes.cause import Cause, Kind
@@ -47,6 +48,9 @@ class Gap(NamedTuple):
     far: tuple[float, ...]
     foot: str | None = None
 
+    def __repr__(self) -> str:
+        return short_repr(self)
+
     @property
     def turns(self) -> bool:
         """Whether both sides differ in their heading only."""
@@ -72,6 +76,9 @@ class Obstacle(NamedTuple):
 
     causes: tuple[Cause, ...]
     gap: Gap | None
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 def find_obstacle(

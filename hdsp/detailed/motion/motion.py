@@ -49,6 +49,11 @@ class Motion:
     terrain: HeightMap = field(repr=False)
     robot: Robot = field(repr=False)
 
+    def __repr__(self) -> str:
+        steps = int((np.diff(self.phase == PHASES.index("lift"), prepend=0) == 1).sum())
+        actions = len(np.unique(self.action))
+        return f"Motion({self.robot.name}: {len(self)} configurations, {actions} actions, {steps} of them steps)"
+
     def __len__(self) -> int:
         return len(self.base)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hdsp.base.short_repr import short_repr
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.causes import Cause, Gap, Kind, Obstacle, find_obstacle
 from hdsp.detailed.causes.gap import obstacle_of_foot
@@ -52,6 +53,9 @@ class Findings:
     nearest: Nearest | None = None
     reached: np.ndarray | None = None
     advice: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
+from hdsp.base.short_repr import short_repr
+
 
 @dataclass(frozen=True, eq=False)
 class PlanStatistics(Mapping[str, Any]):
@@ -46,6 +48,9 @@ class PlanStatistics(Mapping[str, Any]):
     polish_expansions: int = 0
     unpolished_cost: float | None = None
     ended: str | None = None
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
     def __getitem__(self, name: str) -> Any:
         if name not in _NAMES:

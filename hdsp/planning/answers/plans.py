@@ -11,6 +11,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Gradual, finished
+from hdsp.base.short_repr import shortened
 from hdsp.detailed.actions.action import Action
 from hdsp.detailed.causes import Cause
 from hdsp.detailed.motion.motion import Motion
@@ -79,6 +80,15 @@ class Plan:
     way_out: int = 0
     ends: tuple[np.ndarray, ...] = field(default=(), repr=False)
     inquiry: Inquiry | InvalidEnd | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        effort = f"{self.stats.expansions:,} expansions, {self.stats.seconds:.3g} s"
+        if not self.solved:
+            faults = "; ".join(str(problem) for problem in self.problems[:1])
+            return shortened(f"Plan({self.status}{faults and ': '}{faults}, {effort})")
+        steps = f", {self.steps} of them steps" if self.steps else ""
+        proved = f", at most {self.bound:.3g} times the optimum" if np.isfinite(self.bound) else ""
+        return f"Plan(solved: {len(self.actions)} actions{steps}, cost {self.cost:.3f}{proved}, {effort})"
 
     @property
     def solved(self) -> bool:

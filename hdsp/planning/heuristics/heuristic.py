@@ -40,6 +40,9 @@ class Heuristic(ABC):
         self.world = world
         self._estimate: Estimate | None = None
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r}, map of {self.world.nx} x {self.world.ny} cells)"
+
     @abstractmethod
     def estimate_for(self, goal: np.ndarray) -> Estimate:
         """Returns the estimate for a goal, int64 [7], lattice units."""
