@@ -8,7 +8,7 @@ import pytest
 
 from tests import ROOT
 
-HEAVY = ["torch", "lightning", "mlflow", "mujoco", "matplotlib", "dask", "distributed", "h5py"]
+HEAVY = ["torch", "lightning", "mlflow", "mujoco", "matplotlib", "dask", "distributed", "h5py", "viser", "trimesh"]
 
 #: Packages that list public names. The networks are PyTorch modules and load it.
 FACES = sorted(

@@ -20,13 +20,12 @@ if TYPE_CHECKING:
         save_training_beside,
         save_training_curves,
     )
+    from hdsp.viz.failure_marks import Failure, Mark
     from hdsp.viz.motion_figure import save_motion
     from hdsp.viz.pareto import pareto_front, save_pareto
     from hdsp.viz.patch_figure import save_example_patches
     from hdsp.viz.path_figure import (
         DrawnPath,
-        Failure,
-        Mark,
         draw_path,
         planned_path_figure,
         save_planned_path,
@@ -67,8 +66,8 @@ __all__ = [
 #: Module of each public name.
 _MODULES = {
     "DrawnPath": "path_figure",
-    "Failure": "path_figure",
-    "Mark": "path_figure",
+    "Failure": "failure_marks",
+    "Mark": "failure_marks",
     "ScanPicture": "scan_figure",
     "draw_path": "path_figure",
     "draw_pose": "robot_drawing",

@@ -16,6 +16,7 @@ from hdsp.detailed.actions.action import Action
 from hdsp.robot.robot import FEET as FOOT_NAMES
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
+from hdsp.viz.failure_marks import Failure
 from hdsp.viz.robot_drawing import draw_body, draw_pose, draw_robot
 from hdsp.viz.style import (
     BLACK,
@@ -50,36 +51,6 @@ class DrawnPath(NamedTuple):
     states: np.ndarray
     actions: Sequence[Action]
     cost: float
-
-
-class Mark(NamedTuple):
-    """A cause of a failure to draw.
-
-    Attributes:
-        place: (x, y), m.
-        label: the cause in a few words.
-        pose: detailed state [7] that the cause makes invalid; None without one.
-    """
-
-    place: tuple[float, float]
-    label: str
-    pose: tuple[float, ...] | None = None
-
-
-class Failure(NamedTuple):
-    """The absence of a path to draw.
-
-    Attributes:
-        marks: causes.
-        reached: bool [nx, ny], cells of the base in reach; None if unknown.
-        nearest: detailed state [7] in reach that is nearest to the goal; None without one.
-        distance: distance of this state from the goal, m.
-    """
-
-    marks: Sequence[Mark] = ()
-    reached: np.ndarray | None = None
-    nearest: tuple[float, ...] | None = None
-    distance: float = 0.0
 
 
 def save_planned_path(

@@ -15,13 +15,23 @@ from matplotlib.figure import Figure
 
 from hdsp.base.files import replacing, writable_file
 from hdsp.terrain.height_map import HeightMap
+from hdsp.viz.palette import (  # noqa: F401, figures take their colours from here
+    BLACK,
+    BLUE,
+    FEET,
+    GOAL,
+    GREEN,
+    GREY,
+    HEIGHT_COLORS,
+    ORANGE,
+    PURPLE,
+    SKY,
+    START,
+    UNKNOWN,
+    VERMILLION,
+    YELLOW,
+)
 
-# Okabe and Ito's colours: people with the common colour vision deficiencies can tell them apart.
-BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
-YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
-GREY = "#8A8A8A"
-
-START, GOAL = BLUE, VERMILLION
 METHODS = {
     "trained": BLUE,
     "shipped": GREEN,
@@ -38,12 +48,7 @@ NAMES = {
     "flat": "flat ground",
     "geometric": "geometric",
 }
-FEET = (SKY, GREEN, YELLOW, PURPLE)
-
-UNKNOWN = "#F3D9E4"
-HEIGHTS = LinearSegmentedColormap.from_list(
-    "heights", ["#F7F7F4", "#CFCBBE", "#9E9683", "#6B6455", "#3B362E"]
-).with_extremes(bad=UNKNOWN)
+HEIGHTS = LinearSegmentedColormap.from_list("heights", list(HEIGHT_COLORS)).with_extremes(bad=UNKNOWN)
 
 _DPI = 130
 _TYPE = 9

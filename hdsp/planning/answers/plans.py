@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import webbrowser
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hdsp.base.errors import InputError
+from hdsp.base.errors import InputError, RefinementError
 from hdsp.base.gradual import Gradual, finished
 from hdsp.base.short_repr import shortened
 from hdsp.detailed.actions.action import Action
@@ -25,6 +27,9 @@ from hdsp.planning.answers.plan_statistics import PlanStatistics
 from hdsp.planning.answers.plan_table import SourcePoses, ground_poses, source_poses, write_table
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
+
+if TYPE_CHECKING:
+    from hdsp.viz import Failure
 
 #: Titles of pictures without a plan.
 _TITLES = {
@@ -181,13 +186,41 @@ class Plan:
         if not self.solved:
             start, *goals = self.ends or (None,)
             title = _TITLES.get(self.status, f"not decided: {str(self.status).replace('_', ' ')}")
-            drawn = {"title": title, "start": start, "goal": next(iter(goals), None), "failure": self._failure()}
+            drawn = {"title": title, "start": start, "goal": next(iter(goals), None), "failure": self.failure()}
         if path is None:
             return planned_path_figure(self.terrain, self.states, self.actions, self.robot, **drawn)
         return save_planned_path(self.terrain, self.states, self.actions, self.robot, path, **drawn)
 
-    def _failure(self):
-        """The absence of a plan for `hdsp.viz`, which knows no plans."""
+    def view(self, path: str | Path | None = None) -> Path:
+        """Writes the plan as an HTML page in three dimensions, on which the robot moves; opens it without ``path``.
+
+        Without a plan, the page shows start and goal, the area in reach, the causes, and the nearest pose reached.
+
+        Args:
+            path: the page, .html; None: a file in the folder for temporary files, shown by the browser.
+
+        Returns:
+            the path of the page.
+
+        Raises:
+            InputError: viser is not installed, or the path is not writable.
+        """
+        from hdsp.viz.viewer import save_page, temporary_page
+
+        motion: Motion | None = None
+        with suppress(RefinementError):  # the robot then stands in each state
+            motion = self.refine() if self.solved else None
+        failure = None if self.solved else self.failure()
+        written = save_page(
+            temporary_page() if path is None else path, self.terrain, self.robot, self.states, self.actions, motion,
+            self.ends, failure,
+        )  # fmt: skip
+        if path is None:
+            webbrowser.open(written.as_uri())
+        return written
+
+    def failure(self) -> Failure:
+        """Returns the absence of a plan for `hdsp.viz`, which knows no plans."""
         from hdsp.viz import Failure, Mark
 
         marks = tuple(

@@ -1,0 +1,157 @@
+"""The parts of the viewer that need no browser: meshes, colours, poses of a robot's parts, timelines, pages."""
+
+import socket
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from hdsp import HeightMap, InputError, Robot
+from hdsp.viz.viewer import open_server, save_page
+from hdsp.viz.viewer.ground_mesh import STEP, ground_mesh, rectangles
+from hdsp.viz.viewer.local_server import HOST, close_server, free_port
+from hdsp.viz.viewer.robot_pose import link_length, parts, standing, trunk, wheel_radius
+from hdsp.viz.viewer.textures import height_colors, unknown_colors, value_colors
+from hdsp.viz.viewer.timeline import timeline_of_states
+
+MAPS = arrays(np.float32, st.tuples(st.integers(1, 7), st.integers(1, 7)), elements=st.sampled_from([0.0, 0.1, 0.3]))
+
+
+def areas(mesh):
+    """Area vectors of the faces, m^2, [n, 3]."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(float) for k in range(3))
+    return np.cross(b - a, c - a) / 2
+
+
+@given(MAPS)
+@settings(max_examples=40)
+def test_a_mesh_of_blocks_closes_exactly_their_volume(heights):
+    terrain = HeightMap(heights, origin=(1.0, -2.0))
+    mesh = ground_mesh(terrain)
+    corners = mesh.vertices[mesh.faces].astype(float) - [1.0, -2.0, float(heights.min())]
+    # All faces look outward, else the volumes below them do not add up.
+    volume = np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+    assert volume == pytest.approx((heights - heights.min()).astype(float).sum() * 0.025**2, abs=1e-7)
+    up = areas(mesh)[:, 2]
+    assert up[up > 1e-12].sum() == pytest.approx(heights.size * 0.025**2, rel=1e-4)
+    assert not (up < -1e-9).any()
+
+
+@given(arrays(float, st.tuples(st.integers(1, 6), st.integers(1, 6)), elements=st.sampled_from([0.0, 1.0, np.nan])))
+def test_rectangles_cover_each_cell_once(heights):
+    covered, found = np.zeros(heights.shape, int), np.full(heights.shape, np.nan)
+    for first_x, first_y, end_x, end_y, height in rectangles(heights):
+        covered[first_x:end_x, first_y:end_y] += 1
+        found[first_x:end_x, first_y:end_y] = height
+    assert np.array_equal(covered, np.isfinite(heights))
+    assert np.array_equal(found, heights, equal_nan=True)
+
+
+def test_edges_are_vertical_and_slopes_are_not():
+    block = np.zeros((8, 8), np.float32)
+    block[3:5, 3:6] = 0.2
+    upright = abs(areas(ground_mesh(HeightMap(block)))[:, 2]) < 1e-12
+    sides = np.linalg.norm(areas(ground_mesh(HeightMap(block)))[upright], axis=1).sum()
+    assert sides == pytest.approx(2 * (2 + 3) * 0.025 * 0.2, rel=1e-5)
+    assert len(ground_mesh(HeightMap(block)).faces) < 60  # level cells are merged
+
+    slope = HeightMap(np.repeat(np.arange(9, dtype=np.float32)[:, None] * 0.4 * STEP, 5, axis=1))
+    inner = ground_mesh(slope)
+    x = inner.vertices[inner.faces].mean(axis=1)[:, 0]
+    across = abs(areas(inner)[:, 0]) > 1e-6
+    assert not (across & (abs(areas(inner)[:, 2]) < 1e-12) & (x > 0.001) & (x < 0.224)).any()
+    assert np.ptp(inner.vertices[:, 2]) == pytest.approx(8 * 0.4 * STEP, abs=1e-6)
+
+
+def test_unknown_cells_are_holes_in_the_ground_and_hatched():
+    heights = np.zeros((12, 12), np.float32)
+    heights[4:8, 4:8] = np.nan
+    terrain = HeightMap(heights)
+    known = areas(ground_mesh(terrain))[:, 2].sum()
+    hatched = areas(ground_mesh(terrain, np.isnan(heights), walls=False))[:, 2].sum()
+    assert (known, hatched) == pytest.approx((128 * 0.025**2, 16 * 0.025**2), rel=1e-5)
+    assert np.array_equal(height_colors(terrain)[..., 3] == 0, np.isnan(heights))
+    hatching = unknown_colors(terrain)
+    assert np.array_equal(hatching[..., 3] > 0, np.isnan(heights))
+    assert len(np.unique(hatching[4:8, 4:8, :3].reshape(-1, 3), axis=0)) == 2
+    assert len(ground_mesh(HeightMap(np.full((3, 3), np.nan))).faces) == 0
+
+
+def test_values_rise_from_dark_to_light_and_missing_ones_are_transparent():
+    colors = value_colors(np.array([[0.0, 1.0], [2.0, np.nan]]), low=0.0, high=2.0)
+    assert (np.diff(colors[..., :3].astype(int).sum(axis=-1).ravel()[:3]) > 0).all()
+    assert (colors[..., 3] > 0).tolist() == [[True, True], [True, False]]
+
+
+@pytest.mark.parametrize("name", Robot.presets())
+def test_a_robot_stands_on_its_wheels(name):
+    robot = Robot.load(name)
+    state = [1.5, 1.5, 0.7, 0.05, 0.0, -0.05, 0.1]
+    base, feet = standing(HeightMap.flat((120, 120)), robot, np.array(state))
+    assert base[0] == pytest.approx([1.5, 1.5, robot.stance.base_height, 0, 0, 0.7])
+    placed = parts(robot, base[0], feet[0])
+    radius, length = wheel_radius(robot), link_length(robot)
+    assert placed.wheels[:, 2] == pytest.approx(radius)
+    cos, sin = np.cos(0.7), np.sin(0.7)
+    hips = robot.hips() @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + base[0, :3]
+    for foot in range(4):
+        middles = placed.links[foot, :, :3]
+        # Both middles lie half a link from their ends, so the knee is where they meet.
+        knee = 2 * middles[0] - hips[foot]
+        assert np.linalg.norm(knee - hips[foot]) == pytest.approx(length, rel=1e-6)
+        assert 2 * middles[1] - knee == pytest.approx(placed.wheels[foot, :3])
+    assert min(box.center[2] - box.size[2] / 2 for box in trunk(robot)) + base[0, 2] == pytest.approx(
+        max(box.above for box in robot.body.boxes)
+    )
+
+
+def test_wheels_roll_as_far_as_the_robot_drives():
+    robot = Robot.load("momaro")
+    states = np.zeros((5, 7))
+    states[:, 0], states[:, 1] = 0.6 + 0.25 * np.arange(5), 1.0
+    line = timeline_of_states(HeightMap.flat((120, 80)), robot, states)
+    assert line.rolled[-1] == pytest.approx(np.full(4, 1.0 / wheel_radius(robot)))
+    base, feet, _ = line.at(line.duration / 2)
+    assert base[0] == pytest.approx(1.1)
+    assert (feet[:, 2] == 0).all()
+    assert line.at(-1.0)[0] == pytest.approx(line.base[0])
+    assert line.at(line.duration + 1)[0] == pytest.approx(line.base[-1])
+
+
+def test_a_server_is_for_this_machine_alone_and_takes_the_next_free_port(capfd):
+    with socket.socket() as busy:
+        busy.bind((HOST, 0))
+        busy.listen()
+        taken = busy.getsockname()[1]
+        server = open_server(taken)
+        try:
+            assert server.get_host() == HOST
+            assert taken < server.get_port() <= taken + 20
+            with socket.create_connection((HOST, server.get_port()), 1.0):
+                pass
+            # A server for all addresses would answer here, too.
+            with pytest.raises(OSError):
+                socket.create_connection(("127.0.0.2", server.get_port()), 1.0)
+            assert server.request_share_url() is None
+        finally:
+            close_server(server)
+    assert capfd.readouterr().out == ""
+    for wrong in (-1, 70000):
+        with pytest.raises(InputError, match="0 to 65535"):
+            free_port(wrong)
+
+
+def test_a_page_holds_everything_in_one_file(tmp_path):
+    robot, states = Robot.load("momaro"), np.zeros((3, 7))
+    states[:, 0], states[:, 1] = 0.6 + 0.1 * np.arange(3), 1.0
+    heights = np.zeros((80, 80), np.float32)
+    heights[:8] = np.nan
+    page = save_page(tmp_path / "plan.html", HeightMap(heights), robot, states, (), ends=(states[0], states[-1]))
+    text = page.read_text(encoding="utf-8")
+    assert "window.__VISER_EMBED_DATA__=" in text
+    assert not [line for line in text.splitlines() if 'src="http' in line or 'href="http' in line]
+    assert 5e5 < page.stat().st_size < 3e6
+    with pytest.raises(InputError, match=r"\.html"):
+        save_page(tmp_path / "plan.png", HeightMap(heights), robot, states, ())
