@@ -29,6 +29,7 @@ EXEMPT = {
     "hdsp.base.errors": "classes of errors, which end a computation",
     "hdsp.base.files": "reads and writes whole files",
     "hdsp.base.kernel_cache": "decides when a kernel is compiled, not its code",
+    "hdsp.base.notebook": "shows values to people",
     "hdsp.base.provenance": "decides which results are still valid, not their values",
     "hdsp.base.settings": "checks settings; their checked values are part of each hash",
     "hdsp.base.short_repr": "shows values to people",

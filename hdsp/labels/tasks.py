@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.notebook import html_of, png_of
 from hdsp.base.short_repr import shortened
 from hdsp.robot.lattice import N_ABSTRACT_ACTIONS, PATCH_CELLS
 
@@ -98,6 +99,12 @@ class TaskSet:
         if len(names) > len(kinds):
             kinds.append(f"{counts[3:].sum()} in {len(names) - 3} other categories")
         return shortened(f"TaskSet({len(self)} maps: {', '.join(kinds)}; {self.feasible.mean():.0%} of tasks feasible)")
+
+    def _repr_html_(self) -> str | None:
+        return html_of(self)
+
+    def _repr_png_(self) -> bytes | None:
+        return png_of(self)
 
     def __len__(self) -> int:
         return len(self.category)

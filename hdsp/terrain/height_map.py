@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.notebook import html_of, png_of
 from hdsp.base.short_repr import short_repr
 from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS, RESOLUTION
@@ -80,6 +81,12 @@ class HeightMap:
             heights = self.heights[known]
             text += f", heights {heights.min():z.2f} to {heights.max():z.2f} m"
         return f"HeightMap({text})"
+
+    def _repr_html_(self) -> str | None:
+        return html_of(self)
+
+    def _repr_png_(self) -> bytes | None:
+        return png_of(self)
 
     @classmethod
     def flat(cls, shape: tuple[int, int], origin=(0.0, 0.0), resolution: float = RESOLUTION) -> "HeightMap":

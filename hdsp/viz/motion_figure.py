@@ -40,6 +40,15 @@ def save_motion(motion: Motion, path: str | os.PathLike, moments: int = 6, title
     return save(made, path)
 
 
+def motion_profile(motion: Motion):
+    """Draws the trajectories of base and feet over the ground, from the side, as a matplotlib figure."""
+    made = figure(7.0, 3.0)
+    axes = made.subplots()
+    _ways(axes, motion, _along(motion), _moments(motion, 2))
+    made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=8, frameon=False)
+    return made
+
+
 def _along(motion: Motion) -> np.ndarray:
     """Horizontal axis of the figure, a unit vector [2]: from the start to the base's farthest position."""
     way = motion.base[:, :2] - motion.base[0, :2]

@@ -77,6 +77,35 @@ def save_example_patches(
     return save(made, path)
 
 
+def label_figure(tasks: TaskSet, count: int = 4):
+    """Draws patches in the robot frame as a matplotlib figure; dots mark goals ahead, aside and behind by their label.
+
+    Args:
+        tasks: labelled tasks; without any, the figure says so.
+        count: largest number of patches.
+    """
+    chosen = spread(tasks, count) if len(tasks) else np.empty(0, int)
+    made = figure(0.4 + 1.6 * max(len(chosen), 2), 2.3)
+    if not len(chosen):
+        made.text(0.5, 0.5, "no maps", ha="center", color=GREY)
+        return made
+    highest = min(max(float(np.nanmax(tasks.heights[chosen], initial=0.0)), 0.1), 1.5)
+    for axes, index in zip(made.subplots(1, len(chosen), squeeze=False)[0], chosen, strict=True):
+        draw_terrain(axes, HeightMap(tasks.heights[index]).crop_cells(PATCH_CENTER, PATCH_CENTER, 0), 0.0, highest)
+        draw_pose(axes, (0, 0, 0), START, length=0.3)
+        goals = tasks.goals[index]
+        moves, places = goals[:, 2] == 0, abstract_steps_to_world(goals)[:, :2]
+        for feasible, color, label in ((True, SKY, "feasible"), (False, VERMILLION, "infeasible")):
+            shown = moves & (tasks.feasible[index] == feasible)
+            axes.plot(*places[shown].T, ".", color=color, markersize=5, zorder=9, label=label)
+        axes.set_title(f"{tasks.category[index]}, no. {tasks.index[index]}", fontsize=8)
+        axes.set_xticks([])
+        axes.set_yticks([])
+    handles, labels = made.axes[0].get_legend_handles_labels()
+    made.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+    return made
+
+
 def spread(tasks: TaskSet, count: int) -> np.ndarray:
     """Selects `count` maps (or all maps if there are fewer); returns ascending indices.
 

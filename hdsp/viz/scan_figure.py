@@ -62,9 +62,14 @@ def save_scan_sheet(scans: Sequence[ScanPicture], path: str | os.PathLike, robot
 
 def save_map(terrain: HeightMap, path: str | os.PathLike, title: str = "") -> Path:
     """Draws a height map in world metres."""
+    return save(map_figure(terrain, title), path)
+
+
+def map_figure(terrain: HeightMap, title: str = "", side: float = 8.0):
+    """Draws a height map in world metres as a matplotlib figure; ``side`` is the longer side of the map in inches."""
     length, width = terrain.size
     longest = max(length, width)
-    made = figure(2.2 + 8 * length / longest, 1.2 + 8 * width / longest)
+    made = figure(2.2 + side * length / longest, 1.2 + side * width / longest)
     axes = made.subplots()
     known = terrain.heights[np.isfinite(terrain.heights)]
     low, high = np.quantile(known, [0.01, 0.99]) if known.size else (0.0, 1.0)
@@ -73,7 +78,7 @@ def save_map(terrain: HeightMap, path: str | os.PathLike, title: str = "") -> Pa
     axes.set_ylabel("y (m)")
     axes.set_title(title, fontsize=10)
     made.colorbar(image, ax=axes, shrink=0.6, pad=0.02, extend="both").set_label("height (m)", fontsize=9)
-    return save(made, path)
+    return made
 
 
 def _draw_map(axes, scan: ScanPicture):

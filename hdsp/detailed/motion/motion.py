@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hdsp.base.gradual import Steps, finished
+from hdsp.base.notebook import html_of, png_of
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.inclination import Inclination, inclination
@@ -53,6 +54,12 @@ class Motion:
         steps = int((np.diff(self.phase == PHASES.index("lift"), prepend=0) == 1).sum())
         actions = len(np.unique(self.action))
         return f"Motion({self.robot.name}: {len(self)} configurations, {actions} actions, {steps} of them steps)"
+
+    def _repr_html_(self) -> str | None:
+        return html_of(self)
+
+    def _repr_png_(self) -> bytes | None:
+        return png_of(self)
 
     def __len__(self) -> int:
         return len(self.base)

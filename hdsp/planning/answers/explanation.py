@@ -87,7 +87,7 @@ def explain_ending(
         words += f"; {findings.nearest}"
     words += "".join(f"; {advice}" for advice in findings.advice)
     if refused:
-        words += f"; {_count(len(refused), 'step')} could not be carried out, first: {refused[0]}"
+        words += f"; {counted(len(refused), 'step')} could not be carried out, first: {refused[0]}"
     return words
 
 
@@ -106,7 +106,7 @@ def _way(terrain: HeightMap, robot: Robot, states: np.ndarray, actions: Sequence
         level = len(rises) - up - down
         ways = ", ".join(f"{n} {where}" for n, where in ((up, "up"), (down, "down"), (level, "across")) if n)
         tallest = max(top - min(before, after) for before, after, top in heights)
-        parts.append(f"makes {_count(len(heights), 'step')} ({ways}) over up to {tallest:.2f} m")
+        parts.append(f"makes {counted(len(heights), 'step')} ({ways}) over up to {tallest:.2f} m")
     return ", ".join(parts)
 
 
@@ -141,5 +141,6 @@ def _shares(actions: Sequence[Action], costs: np.ndarray) -> str:
     return ", ".join(f"{name} {cost / costs.sum():.0%}" for name, cost in sums.items() if cost > 0) or "nothing to do"
 
 
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+def counted(number: int, noun: str) -> str:
+    """Returns a number with its noun: ``1 step``, ``1,234 steps``."""
+    return f"{number} {noun}" if number == 1 else f"{number:,} {noun}s"

@@ -13,18 +13,20 @@ import numpy as np
 
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.base.gradual import Gradual, finished
+from hdsp.base.notebook import html_of, png_of, register_view
 from hdsp.base.short_repr import shortened
 from hdsp.detailed.actions.action import Action
 from hdsp.detailed.causes import Cause
 from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.motion.refinement import refine_steps
 from hdsp.detailed.search.outcome import Status
-from hdsp.planning.answers.explanation import explain_ending, explain_plan
+from hdsp.planning.answers.explanation import counted, explain_ending, explain_plan
 from hdsp.planning.answers.findings import Findings, Inquiry
 from hdsp.planning.answers.invalid_end import InvalidEnd
 from hdsp.planning.answers.nearest_pose import Nearest
 from hdsp.planning.answers.plan_statistics import PlanStatistics
 from hdsp.planning.answers.plan_table import SourcePoses, ground_poses, source_poses, write_table
+from hdsp.planning.answers.plan_view import PLAN_VIEW
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
@@ -87,13 +89,19 @@ class Plan:
     inquiry: Inquiry | InvalidEnd | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        effort = f"{self.stats.expansions:,} expansions, {self.stats.seconds:.3g} s"
+        effort = f"{counted(self.stats.expansions, 'expansion')}, {self.stats.seconds:.3g} s"
         if not self.solved:
             faults = "; ".join(str(problem) for problem in self.problems[:1])
             return shortened(f"Plan({self.status}{faults and ': '}{faults}, {effort})")
         steps = f", {self.steps} of them steps" if self.steps else ""
         proved = f", at most {self.bound:.3g} times the optimum" if np.isfinite(self.bound) else ""
         return f"Plan(solved: {len(self.actions)} actions{steps}, cost {self.cost:.3f}{proved}, {effort})"
+
+    def _repr_html_(self) -> str | None:
+        return html_of(self)
+
+    def _repr_png_(self) -> bytes | None:
+        return png_of(self)
 
     @property
     def solved(self) -> bool:
@@ -262,3 +270,6 @@ class Plan:
         if "_motion" in self.__dict__:
             copy.__dict__["_motion"] = self._motion
         return copy
+
+
+register_view(Plan, PLAN_VIEW)
