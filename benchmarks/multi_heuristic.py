@@ -2,7 +2,7 @@
 
     python -m benchmarks.multi_heuristic [--tasks 200] [--per-arena 5] [--seed 0] [--size 5] [--bounds 1.25 1.5 2]
                                          [--expansions 500000] [--guides manual] [--json FILE]
-                                         [--page docs/guarantees.md]
+                                         [--page docs/guarantees.md] [--out outputs/benchmarks/bounds]
 
 Tasks are random pairs on random arenas (`benchmarks.planning.pairs`), up to `per-arena` on each; pairs that the planner
 proves infeasible are left out. The feet at both ends are as the planner chooses them. Development seeds begin at 1000.
@@ -17,6 +17,9 @@ preparation for the whole map comes before. Expansions leave out the base poses 
 adds them. Ratios geometric / other are geometric means over all tasks that one of the two solves, with intervals by
 bootstrap over arenas. A search that ends at its limit counts with its effort up to there.
 
+Searches are kept under ``--out``, one file for each arena. A run goes on where the last one stopped, and repeats
+searches whose code has changed. `python -m benchmarks.planning --bounds TASKS` takes the same figures.
+
 The last line is JSON with these ratios and their intervals: `bound_W_expansions`, `bound_W_with_settled` and
 `bound_W_time` for the anchored search with the first guide and equal shares, `bound_W_grid_expansions` and so on for
 `grid`.
@@ -28,14 +31,17 @@ import argparse
 import json
 import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.grid_heuristic import settled
 from benchmarks.page import shown, table, write_block
+from benchmarks.planning.cases import write_json
 from benchmarks.planning.pairs import draw_pairs
 from benchmarks.planning.statistics import Interval, geometric_mean_ratio
+from hdsp.base.provenance import code_fingerprint
 from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits, SearchResult, Status
 from hdsp.detailed.search.weighted_astar import solve
@@ -45,6 +51,8 @@ from hdsp.terrain.random_arenas import random_arena
 
 #: Time for a plan or a proof that a pair is infeasible, s.
 PROOF_SECONDS = 10.0
+#: Folder for results.
+OUT = Path("outputs/benchmarks/bounds")
 #: The anchored search of the JSON keys.
 EQUAL_SHARES = "anchored W^1/2 x W^1/2"
 #: Names of ratios in rows and keys, and the effort behind each.
@@ -66,44 +74,82 @@ def main(argv: list[str] | None = None) -> dict:
     parser.add_argument("--guides", nargs="+", default=["manual"], help="heuristics, as Planner takes them")
     parser.add_argument("--json", type=Path, help="output file for the result with all searches")
     parser.add_argument("--page", type=Path, help="docs page to update")
+    parser.add_argument("--out", type=Path, default=OUT, help="folder for results")
     arguments = parser.parse_args(argv)
 
-    limits = Limits(expansions=arguments.expansions, time=math.inf)
-    runs: list[dict] = []
-    tasks, seed = 0, arguments.seed
-    while tasks < arguments.tasks:
-        terrain = random_arena(seed, arguments.size)
-        planners = [Planner(terrain, heuristic=guide).prepare() for guide in arguments.guides]
-        for pair in draw_pairs(planners[0], arguments.per_arena, np.random.SeedSequence([seed, 1])):
-            tried = planners[0].plan(
-                pair.start, pair.goal, 2.0, polish=0, expansions=arguments.expansions, time=PROOF_SECONDS
-            )
-            if tried.status == Status.INFEASIBLE or tasks == arguments.tasks:
-                continue
-            ends = (planners[0].grid.to_lattice(end[:3], end[3:]) for end in tried.ends)
-            found = compare(planners, *ends, arguments.bounds, limits)
-            runs += [{"place": f"random {seed}", "task": pair.key, **run} for run in found]
-            tasks += 1
-        print(f"random {seed}: {tasks} tasks, {sum(run['cpu_s'] for run in runs):.1f} CPU s so far", flush=True)
-        seed += 1
-    rows = summary(runs)
-    result = {
-        "tasks": tasks,
-        "solved_by_some": len(solvable(runs)),
-        "arenas": seed - arguments.seed,
-        "first_seed": arguments.seed,
-        "size": arguments.size,
-        "limit": arguments.expansions,
-        "guides": arguments.guides,
-        **keys(rows, arguments.guides[0]),
-    }
-    whole = {**result, "summary": rows, "runs": runs}
+    whole = measure(
+        arguments.tasks, arguments.seed, arguments.bounds, arguments.out, per_arena=arguments.per_arena,
+        size=arguments.size, expansions=arguments.expansions, guides=arguments.guides,
+    )  # fmt: skip
     if arguments.json:
         arguments.json.write_text(json.dumps(whole, indent=1) + "\n")
     if arguments.page:
         write_block(arguments.page, "benchmarks.multi_heuristic", text(whole))
-    print(json.dumps(result))
+    print(json.dumps({name: value for name, value in whole.items() if name not in ("summary", "runs")}))
     return whole
+
+
+def measure(
+    tasks: int,
+    seed: int,
+    bounds: Sequence[float],
+    out: Path = OUT,
+    *,
+    per_arena: int = 5,
+    size: float = 5.0,
+    expansions: int = 500_000,
+    guides: Sequence[str] = ("manual",),
+) -> dict:
+    """Measures all searches on as many tasks, on arenas of ``size`` m from ``seed`` on.
+
+    Returns:
+        The ratios by their keys, `summary` with a row for each search, and `runs`.
+    """
+    runs: list[dict] = []
+    found, arena = 0, seed
+    while found < tasks:
+        options = {"per_arena": per_arena, "size": size, "bounds": list(bounds), "expansions": expansions,
+                   "guides": list(guides)}  # fmt: skip
+        kept = _arena_runs(arena, min(per_arena, tasks - found), out, options)
+        runs += kept
+        found += len({run["task"] for run in kept})
+        print(f"random {arena}: {found} tasks, {sum(run['cpu_s'] for run in runs):.1f} CPU s so far", flush=True)
+        arena += 1
+    rows = summary(runs)
+    return {
+        "tasks": found,
+        "solved_by_some": len(solvable(runs)),
+        "arenas": arena - seed,
+        "first_seed": seed,
+        "size": size,
+        "limit": expansions,
+        "guides": list(guides),
+        **keys(rows, guides[0]),
+        "summary": rows,
+        "runs": runs,
+    }
+
+
+def _arena_runs(seed: int, tasks: int, out: Path, options: dict) -> list[dict]:
+    """Runs of up to ``tasks`` tasks on one arena, made now or kept from an earlier run of the same code."""
+    path = out / f"arena_{seed}.json"
+    version = f"{code_fingerprint(Planner.__module__)} {tasks} {json.dumps(options)}"
+    if path.is_file() and (kept := json.loads(path.read_text()))["version"] == version:
+        return kept["runs"]
+    terrain, limits = random_arena(seed, options["size"]), Limits(expansions=options["expansions"], time=math.inf)
+    planners = [Planner(terrain, heuristic=guide).prepare() for guide in options["guides"]]
+    runs: list[dict] = []
+    for pair in draw_pairs(planners[0], options["per_arena"], np.random.SeedSequence([seed, 1])):
+        tried = planners[0].plan(
+            pair.start, pair.goal, 2.0, polish=0, expansions=options["expansions"], time=PROOF_SECONDS
+        )
+        if tried.status == Status.INFEASIBLE or len({run["task"] for run in runs}) == tasks:
+            continue
+        ends = (planners[0].grid.to_lattice(end[:3], end[3:]) for end in tried.ends)
+        compared = compare(planners, *ends, options["bounds"], limits)
+        runs += [{"place": f"random {seed}", "task": pair.key, **run} for run in compared]
+    write_json(path, {"version": version, "runs": runs})
+    return runs
 
 
 def compare(planners: list[Planner], start: np.ndarray, goal: np.ndarray, bounds: list[float], limits: Limits):

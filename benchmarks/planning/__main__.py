@@ -2,7 +2,7 @@
 
     python -m benchmarks.planning [--robot momaro] [--seed 0] [--maps 25] [--pairs 16] [--weights 1 1.25 1.5 2]
                                   [--heuristics manual learned ...] [--before COMMIT | --before none] [--prove SECONDS]
-                                  [--arena] [--picture docs/figures/planning_benchmark.png]
+                                  [--arena] [--bounds TASKS] [--picture docs/figures/planning_benchmark.png]
                                   [--page docs/planning-benchmark.md] [--readme README.md]
 
 Maps (``benchmarks.planning.maps``) and pairs (``benchmarks.planning.pairs``) follow from the seed. Seeds below 1000 are
@@ -18,6 +18,7 @@ import json
 import math
 from pathlib import Path
 
+from benchmarks.multi_heuristic import measure
 from benchmarks.page import table
 from benchmarks.planning.arena import arena_figures
 from benchmarks.planning.cases import make_cases, write_json
@@ -34,6 +35,8 @@ from hdsp.robot.robot import Robot
 BEFORE = "b406a8a"
 #: Heuristics that exist at that commit, and take part in the comparison with it.
 COMPARED = "manual", "learned"
+#: Proved bounds of ``--bounds``.
+BOUNDS = 1.25, 1.5, 2.0
 #: Robot whose plans are compared with those of an earlier commit.
 ROBOT = "momaro"
 
@@ -52,6 +55,9 @@ def main(argv=None) -> dict:
     parser.add_argument("--prove", type=float, default=0.0, metavar="SECONDS", help="time for searches for optima")
     parser.add_argument("--prove-expansions", type=int, default=20_000_000, help="limit of a search for an optimum")
     parser.add_argument("--arena", action="store_true", help="include times in the paper's arena")
+    parser.add_argument(
+        "--bounds", type=int, default=0, metavar="TASKS", help="include searches with proved bounds on so many tasks"
+    )
     parser.add_argument("--picture", type=Path, help="PNG file")
     parser.add_argument("--page", type=Path, help="docs page to update")
     parser.add_argument("--readme", type=Path, help="README to update")
@@ -93,6 +99,7 @@ def main(argv=None) -> dict:
         "command": _command(arguments),
         **headline(results, compared_rows, earlier),
         **(arena_figures() if arguments.arena else {}),
+        **(_bounds(arguments.bounds, arguments.seed) if arguments.bounds else {}),
         **counts(results, earlier),
         "heuristics": rows(results),
         "ratios": compared_rows,
@@ -107,6 +114,14 @@ def main(argv=None) -> dict:
     print(in_words(result))
     print(json.dumps(result))
     return result
+
+
+def _bounds(tasks: int, seed: int) -> dict:
+    """Effort of geometric weighted A* over that of the anchored search, for each proved bound."""
+    found = measure(tasks, seed, BOUNDS)
+    return {"bound_tasks": found["solved_by_some"]} | {
+        name: value for name, value in found.items() if name.startswith("bound_") and "grid" not in name
+    }
 
 
 def _command(arguments: argparse.Namespace) -> str:

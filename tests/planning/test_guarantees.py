@@ -20,7 +20,7 @@ def a_copy(folder):
 
 def test_anchored_searches_prove_their_bound_on_a_random_arena(tmp_path):
     copy = a_copy(tmp_path)
-    options = ["--tasks", "1", "--seed", "1002", "--bounds", "2", "--expansions", "20000"]
+    options = ["--tasks", "1", "--seed", "1002", "--bounds", "2", "--expansions", "20000", "--out", str(tmp_path / "out")]
     result = multi_heuristic.main([*options, "--page", str(copy), "--json", str(tmp_path / "found.json")])
     assert [run["search"] for run in result["runs"]] == [
         "geometric", "grid", "plain", "anchored 1 x W", "anchored W^1/2 x W^1/2",
@@ -34,6 +34,7 @@ def test_anchored_searches_prove_their_bound_on_a_random_arena(tmp_path):
     assert result["bound_2_expansions"] == pytest.approx(ratio, rel=1e-3)
     assert "| 2 | manual, anchored 1 x W | " in copy.read_text()
     assert (tmp_path / "found.json").stat().st_size > 0
+    assert multi_heuristic.main(options)["runs"] == result["runs"]  # kept, times included
 
 
 def test_a_search_that_ends_at_its_limit_counts_with_it():
