@@ -17,6 +17,7 @@ from pydantic import Field, model_validator
 from hdsp.base.errors import InputError
 from hdsp.base.settings import Name, NotNegative, Positive, checked, fault, load_settings, parse_yaml, read_yaml, unit
 from hdsp.robot.lattice import metres, offset_steps
+from hdsp.robot.motion_limits import Accelerations, Speeds
 
 _PRESETS = resources.files("hdsp.robot") / "presets"
 
@@ -364,7 +365,7 @@ class Stance:
 
 
 #: Robot parts with influence on motions, but not on plans or labels.
-_OF_MOTIONS = ("legs", "stance")
+_OF_MOTIONS = ("legs", "stance", "speeds", "accelerations")
 
 
 @checked
@@ -385,6 +386,8 @@ class Robot:
         step: steps with single feet.
         legs: hips and leg lengths.
         stance: base limits when a plan becomes a motion.
+        speeds: largest speeds in a motion.
+        accelerations: largest accelerations in a motion.
     """
 
     name: Name
@@ -398,6 +401,8 @@ class Robot:
     step: Step
     legs: Legs
     stance: Stance
+    speeds: Speeds = Speeds()
+    accelerations: Accelerations = Accelerations()
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -6,6 +6,7 @@ import pytest
 import yaml
 
 from hdsp.base.errors import InputError
+from hdsp.robot.motion_limits import Accelerations, Speeds
 from hdsp.robot.robot import FEET, Robot
 from tests.detailed.instances import TOY
 
@@ -60,6 +61,18 @@ def test_labels_do_not_depend_on_how_plans_become_motions():
     """A trained abstraction stays valid for longer legs."""
     assert Robot.load(changed("legs.max_length", 0.4)).hash() == Robot.load(TOY).hash()
     assert Robot.load(changed("stance.margin", 0.01)).hash() == Robot.load(TOY).hash()
+    faster = TOY | {"speeds": {"drive": 2.0}, "accelerations": {"lean": 3.0}}
+    assert Robot.load(faster).hash() == Robot.load(TOY).hash()
+
+
+def test_a_robot_file_without_limits_of_motions_has_their_defaults():
+    """Robot files from before these limits stay valid."""
+    robot = Robot.load(TOY)
+    assert (robot.speeds, robot.accelerations) == (Speeds(), Accelerations())
+    quick = Robot.load(TOY | {"speeds": {"drive": 2.0}})
+    assert quick.speeds.drive == 2.0 and quick.speeds.lift == Speeds().lift
+    assert_refused(TOY | {"speeds": {"drive": 0.0}}, "robot.speeds.drive", "positive")
+    assert_refused(TOY | {"accelerations": {"jump": 1.0}}, "robot.accelerations", "jump", "allowed")
 
 
 def test_legs_must_reach_the_ground():

@@ -1,6 +1,7 @@
 """The robot file's schema and its documentation page agree with the classes."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -42,7 +43,7 @@ def test_each_key_has_its_meaning_its_unit_and_its_range():
         "description": "largest distance between the two footholds; 0 = the robot does not step. [m]",
     }  # fmt: skip
     assert found["body.boxes[].above"]["exclusiveMinimum"] == 0
-    assert "| `turn.unevenness_cost` " in page(SCHEMA) and "| 1/m  | ≥ 0" in page(SCHEMA)
+    assert "| `turn.unevenness_cost` " in page(SCHEMA) and re.search(r"\| 1/m +\| ≥ 0", page(SCHEMA))
 
 
 def test_an_editor_refuses_what_the_loader_refuses():
@@ -50,8 +51,8 @@ def test_an_editor_refuses_what_the_loader_refuses():
     parts = [SCHEMA, *SCHEMA["$defs"].values()]
     assert all(part["additionalProperties"] is False for part in parts)
     for part in parts:
-        assert part["required"] == [key for key, value in part["properties"].items() if "default" not in value]
-    assert len(parts) == 13 and set(SCHEMA["properties"]) == set(Robot.load("momaro").to_dict())
+        assert part.get("required", []) == [key for key, value in part["properties"].items() if "default" not in value]
+    assert len(parts) == 15 and set(SCHEMA["properties"]) == set(Robot.load("momaro").to_dict())
 
 
 def test_the_command_prints_the_schema():

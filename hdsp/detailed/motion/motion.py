@@ -1,16 +1,21 @@
-"""Motions: the robot configurations along a plan, and the check that a robot can carry them out.
+"""Motions: the robot configurations along a plan, their times, and the check that a robot can carry them out.
 
-A motion contains no times. The check shares no code with the modules that create motions (``refinement``, ``stance``).
+The check shares no code with the modules that create motions (``refinement``, ``stance``).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps, finished
 from hdsp.base.notebook import html_of, png_of
+from hdsp.detailed.motion.motion_state import MotionState
+from hdsp.detailed.motion.timing import Timing
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.inclination import Inclination, inclination
@@ -63,6 +68,54 @@ class Motion:
 
     def __len__(self) -> int:
         return len(self.base)
+
+    @cached_property
+    def _timing(self) -> Timing:
+        return Timing(self.base, self.feet, self.carries, self.robot)
+
+    @property
+    def times(self) -> np.ndarray:
+        """Times at which the robot passes the configurations, float64 [n], s from the start; they never fall.
+
+        The robot keeps its ``speeds`` and ``accelerations`` (`hdsp.detailed.motion.timing`). The first use computes the
+        times.
+        """
+        return self._timing.times
+
+    @property
+    def duration(self) -> float:
+        """Time from start to goal, s."""
+        return float(self.times[-1])
+
+    def at(self, time: ArrayLike) -> MotionState:
+        """Returns the state at one time or at several times.
+
+        Between configurations, the robot moves along straight lines with rounded corners; it passes each configuration
+        within 1.5 mm and 3 mrad. While a foot rolls over an edge, its height changes linearly over a map cell.
+
+        Args:
+            time: s from the start, any shape, [0, ``duration``].
+
+        Raises:
+            InputError: a time before the start or after the end; ``numpy.clip(time, 0, motion.duration)`` rests there.
+        """
+        given = np.asarray(time, float)
+        moments = given.ravel()
+        outside = ~((moments >= 0) & (moments <= self.duration))
+        if outside.any():
+            raise InputError(f"time {moments[outside][0]:g} s: the motion lasts from 0 to {self.duration:.6g} s")
+        passed = np.searchsorted(self.times, moments, side="right")
+        row = np.where(self.times[passed - 1] == moments, passed - 1, np.minimum(passed, len(self) - 1))
+        points, velocities = self._timing(moments)
+        base, feet = points[:, :6], points[:, 6:].reshape(-1, 4, 3)
+        reached = replace(
+            self, base=base, feet=feet, carries=self.carries[row], action=self.action[row], phase=self.phase[row]
+        )
+        values = (
+            moments, base, feet, reached.carries, reached.phase, reached.action, reached.margins(), velocities[:, :6],
+            velocities[:, 6:].reshape(-1, 4, 3), row,
+        )  # fmt: skip
+        return MotionState(*(value.reshape(given.shape + value.shape[1:]) for value in values))
 
     def rotations(self) -> np.ndarray:
         """Rotations from the base frame to the world frame, float64 [n, 3, 3]."""

@@ -1,0 +1,38 @@
+"""State of the robot at moments of a motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class MotionState:
+    """Robot at one or several moments of a motion (``Motion.at``).
+
+    Convention: as in ``Motion``; ``...`` is the shape of ``time``, () for one moment.
+
+    Attributes:
+        time: float64 [...], s from the start.
+        base: float64 [..., 6]: x, y, z, roll, pitch, heading; m and rad. The heading does not jump at full turns.
+        feet: float64 [..., 4, 3]: x, y, z, m.
+        carries: bool [..., 4], contact of each foot with the ground.
+        phase: uint8 [...], index into ``PHASES``.
+        action: int64 [...], index of the action in the plan.
+        margin: float64 [...], m: distance of the centre of mass inside the support polygon.
+        base_velocity: float64 [..., 6], derivatives of ``base``, m/s and rad/s.
+        feet_velocity: float64 [..., 4, 3], m/s, in the world frame.
+        configuration: int64 [...], index of the configuration that the motion reaches next.
+    """
+
+    time: np.ndarray
+    base: np.ndarray = field(repr=False)
+    feet: np.ndarray = field(repr=False)
+    carries: np.ndarray
+    phase: np.ndarray
+    action: np.ndarray
+    margin: np.ndarray = field(repr=False)
+    base_velocity: np.ndarray = field(repr=False)
+    feet_velocity: np.ndarray = field(repr=False)
+    configuration: np.ndarray = field(repr=False)
