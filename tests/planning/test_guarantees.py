@@ -20,7 +20,8 @@ def a_copy(folder):
 
 def test_anchored_searches_prove_their_bound_on_a_random_arena(tmp_path):
     copy = a_copy(tmp_path)
-    options = ["--tasks", "1", "--seed", "1002", "--bounds", "2", "--expansions", "20000", "--out", str(tmp_path / "out")]
+    kept = ["--out", str(tmp_path / "out")]
+    options = ["--tasks", "1", "--seed", "1002", "--bounds", "2", "--expansions", "20000", *kept]
     result = multi_heuristic.main([*options, "--page", str(copy), "--json", str(tmp_path / "found.json")])
     assert [run["search"] for run in result["runs"]] == [
         "geometric", "grid", "plain", "anchored 1 x W", "anchored W^1/2 x W^1/2",
