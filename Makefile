@@ -18,7 +18,7 @@ KERNEL_TESTS := tests/detailed tests/abstract/test_prepared_graph.py tests/label
 	tests/terrain/simulation/test_lidar_mapping.py \
 	--ignore tests/detailed/test_staircases.py
 
-.PHONY: help repro tables test test-checked lint format params clean
+.PHONY: help repro tables docs test test-checked lint format params clean
 
 help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
@@ -30,6 +30,10 @@ repro: $(STAMP)  ## run the pipeline (only what changed) and print the paper's t
 
 tables: $(STAMP)  ## print the tables of the last run
 	@cat reports/tables.md
+
+docs: $(STAMP)  ## the documentation as a site in build/docs: notebooks run, each warning is an error
+	sphinx-build -q -W --keep-going -b html docs build/docs
+	@echo "build/docs/index.html"
 
 test: $(STAMP)  ## all tests
 	python -m pytest --numprocesses 2 --dist loadgroup $(TEST_ARGS)

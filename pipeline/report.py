@@ -1,4 +1,4 @@
-"""Stage `report`: both paper tables beside ours, in reports/tables.md and between the markers in README.md."""
+"""Stage `report`: both paper tables beside ours, in reports/tables.md and docs/results.md; headlines in README.md."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import Any
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 from pipeline.config_types import Config
+from pipeline.headline import headline_table
 from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.tables import abstraction_quality_table, heuristic_table, random_task_table
 
 BEGIN, END = "<!-- tables: written by `python -m pipeline.report` -->", "<!-- end of tables -->"
+HEADLINE = "<!-- headline: written by `python -m pipeline.report` -->", "<!-- end of headline -->"
 
 
 def report(config: Config, folders: Folders) -> None:
@@ -22,9 +24,12 @@ def report(config: Config, folders: Folders) -> None:
     with replacing(folders.write("reports", "tables.md")) as path:
         path.write_text(tables, encoding="utf-8")
     write_json(folders.write("reports", "summary.json"), summary(quality, planning))
-    readme = folders.outputs / "README.md"
-    if readme.is_file():
-        put_between_markers(readme, tables)
+    for page, text, markers in (
+        ("docs/results.md", tables, (BEGIN, END)),
+        ("README.md", headline_table(quality, planning) + "\n", HEADLINE),
+    ):
+        if (folders.outputs / page).is_file():
+            put_between_markers(folders.outputs / page, text, *markers)
 
 
 def all_tables(quality: dict[str, Any], planning: dict[str, Any], training: dict[str, Any]) -> str:
@@ -52,7 +57,7 @@ def summary(quality: dict[str, Any], planning: dict[str, Any]) -> dict[str, Any]
 
 
 def put_between_markers(page: Path, tables: str, begin: str = BEGIN, end: str = END) -> None:
-    """Replaces the text between two markers on the README or another page.
+    """Replaces the text between two markers on a page.
 
     Raises:
         InputError: the page lacks a marker.

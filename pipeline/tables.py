@@ -44,16 +44,16 @@ def abstraction_quality_table(quality: Mapping[str, Any], training: Mapping[str,
         header.append(name if values.get("paper") in (None, name) else f"{name} (paper: {values['paper']})")
     rows = [
         ["maps / tasks", *(f"{ours['maps']:,} / {ours['tasks']:,}" if ours else EMPTY for ours, _ in columns)],
-        _row("mean detailed cost", columns, ("detailed_cost_mean",), _cost),
-        _row("its std. dev.", columns, ("detailed_cost_std",), _cost),
+        _row("mean detailed cost", columns, ("detailed_cost_mean",), shown_cost),
+        _row("its std. dev.", columns, ("detailed_cost_std",), shown_cost),
     ]
     methods = list(dict.fromkeys(m for values in sets.values() for m in values.get("methods", {})))
     for method in methods:
         label = METHOD_NAMES.get(method, method)
         rows += [
             _row(f"feasibility correct, {label}", columns, (method, "feasibility_accuracy"), percent),
-            _row(f"mean abstract cost, {label}", columns, (method, "abstract_cost_mean"), _cost),
-            _row(f"mean cost error, {label}", columns, (method, "cost_error"), _cost),
+            _row(f"mean abstract cost, {label}", columns, (method, "abstract_cost_mean"), shown_cost),
+            _row(f"mean cost error, {label}", columns, (method, "cost_error"), shown_cost),
         ]
     network = f" Trained network: {training['model']}, {training['maps']:,} training maps." if training else ""
     notes = [f"Table I, abstraction quality: ours / the paper's.{network}"]
@@ -86,20 +86,20 @@ def heuristic_table(planning: Mapping[str, Any]) -> str:
                 HEURISTIC_NAMES.get(heuristic, heuristic),
                 f"{float(weight):g}",
                 f"{ours['solved']} of {ours['pairs']}",
-                _bound(ours["seconds_is_lower_bound"]) + _seconds(ours["seconds_mean"]),
+                _bound(ours["seconds_is_lower_bound"]) + shown_seconds(ours["seconds_mean"]),
                 f"{ours['expansions_mean']:,.0f}",
                 f"{ours['memory_max'] / 1e6:,.0f}",
-                _bound(ours["speedup_is_lower_bound"]) + _factor(ours["speedup"]) if _known(ours["speedup"]) else EMPTY,
-                _factor(theirs["speedup"]) if theirs else EMPTY,
-                _increase(ours["cost_increase"]),
-                _increase(theirs.get("cost_increase")),
-                _increase(ours["cost_above_best"]),
+                shown_speedup(ours),
+                shown_speedup(theirs),
+                shown_increase(ours["cost_increase"]),
+                shown_increase(theirs.get("cost_increase")),
+                shown_increase(ours["cost_above_best"]),
             ])  # fmt: skip
             if with_polish:
                 known = "polished_seconds_mean" in ours
                 rows[-1] += [
-                    _increase(ours["polished_above_best"]) if known else EMPTY,
-                    _seconds(ours["polished_seconds_mean"]) if known else EMPTY,
+                    shown_increase(ours["polished_above_best"]) if known else EMPTY,
+                    shown_seconds(ours["polished_seconds_mean"]) if known else EMPTY,
                 ]
     arena, once, checked = planning["arena"], planning["edges_seconds"], planning["collisions"]
     seconds = ", ".join(
@@ -147,7 +147,7 @@ def _tasks(planning: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
 
 def _task(run: Mapping[str, Any]) -> str:
     cost = "×" if run["cost"] is None else f"{run['cost']:.2f}"
-    return f"{_bound(is_bound(run))}{_seconds(run['seconds'])}, {cost}"
+    return f"{_bound(is_bound(run))}{shown_seconds(run['seconds'])}, {cost}"
 
 
 def random_task_table(random: Mapping[str, Any]) -> str:
@@ -162,8 +162,8 @@ def random_task_table(random: Mapping[str, Any]) -> str:
             HEURISTIC_NAMES.get(heuristic, heuristic),
             f"{ours['solved']} of {ours['solvable']}",
             *(f"{ours[part]:,.0f}" if _known(ours[part]) else EMPTY for part in ("expansions_easy", "expansions_hard")),
-            _seconds(ours["seconds_mean"]) if _known(ours["seconds_mean"]) else EMPTY,
-            _increase(ours["cost_above_best"]),
+            shown_seconds(ours["seconds_mean"]) if _known(ours["seconds_mean"]) else EMPTY,
+            shown_increase(ours["cost_above_best"]),
         ]
         for heuristic, ours in random["summary"].items()
     ]
@@ -200,7 +200,8 @@ def _bound(is_lower: bool) -> str:
     return "≥ " if is_lower else ""
 
 
-def _seconds(value: float) -> str:
+def shown_seconds(value: float) -> str:
+    """Formats seconds with two or three digits."""
     return f"{value:.3f}" if value < 0.1 else f"{value:.2f}" if value < 10 else f"{value:.1f}"
 
 
@@ -239,13 +240,20 @@ def percent(value: float | None) -> str:
     return f"{100 * value:.2f} %" if value is not None and _known(value) else EMPTY
 
 
-def _cost(value: float | None) -> str:
+def shown_cost(value: float | None) -> str:
+    """Formats a cost or a cost error."""
     return f"{value:.3f}" if value is not None and _known(value) else EMPTY
 
 
-def _increase(value: float | None) -> str:
+def shown_increase(value: float | None) -> str:
+    """Formats a relative increase as percentage with its sign."""
     return f"{100 * value:+.1f} %" if value is not None and _known(value) else EMPTY
 
 
-def _factor(value: float) -> str:
-    return f"{value:,.0f}x" if value >= 100 else f"{value:.1f}x"
+def shown_speedup(entry: Mapping[str, Any] | None) -> str:
+    """Formats the speed-up of a summary's entry, with ≥ for a lower bound."""
+    value = entry and entry.get("speedup")
+    if not entry or not value or not _known(value):
+        return EMPTY
+    factor = f"{value:,.0f}x" if value >= 100 else f"{value:.1f}x"
+    return _bound(entry.get("speedup_is_lower_bound", False)) + factor

@@ -119,9 +119,9 @@ class LearnedAbstraction:
             batch: patches evaluated at once.
 
         Returns:
-            feasible: bool [n, G], probability above one half, or above another threshold after ``at_threshold``.
-            cost: float32 [n, G], at least ``MINIMUM_COST``; meaningful where feasible; a quantile after
-                ``at_quantile``, a cost for planning after ``for_planning``.
+            Two arrays. Feasibility, bool [n, G]: probability above one half, or above another threshold after
+            ``at_threshold``. Cost, float32 [n, G], at least ``MINIMUM_COST``: meaningful where feasible; a quantile
+            after ``at_quantile``, a cost for planning after ``for_planning``.
 
         Raises:
             InputError: a shape is wrong.

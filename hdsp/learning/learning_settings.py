@@ -36,9 +36,9 @@ class HeightEncoding:
         scale: factor on the clipped heights.
         channels: network inputs. ``height``: heights treated as above. ``edge``: e / (e + edge_scale) in [0, 1), where
             e is the greatest height difference between a cell and its eight neighbours; detailed costs are built from
-            e, so the network need not learn it. ``slope_x``, ``slope_y``: d / (|d| + edge_scale) in (-1, 1), where d is
-            the height difference between the two neighbours along an axis. ``unevenness``: log(1 + S), where S sums the
-            greatest differences between footholds over all cells within ``unevenness_radius``, weighted by
+            e, so the network need not learn it. ``slope_x``, ``slope_y``: d / (abs(d) + edge_scale) in (-1, 1), with
+            the height difference d between the two neighbours along an axis. ``unevenness``: log(1 + S), where S sums
+            the greatest differences between footholds over all cells within ``unevenness_radius``, weighted by
             1 - distance / radius; foot costs consist of this sum. ``unknown``: 1 where the height is unknown.
         edge_scale: height difference in metres at which ``edge`` is one half.
         unevenness_radius: in cells.

@@ -82,7 +82,7 @@ class Feet:
 
 @checked
 class Rectangle:
-    """Rectangle in the robot frame: x in [x_min, x_max], |y| <= half_width.
+    """Rectangle in the robot frame: x in [x_min, x_max], abs(y) <= half_width.
 
     Attributes:
         x_min: rear end of the rectangle.

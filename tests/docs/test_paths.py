@@ -14,7 +14,7 @@ from tests import ROOT
 
 PAGES = [
     path
-    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")))
+    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")))
     if path.is_file()
 ]
 CONF = sorted((ROOT / "conf").rglob("*.yaml"))

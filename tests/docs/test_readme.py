@@ -16,6 +16,6 @@ def test_the_library_example_runs(tmp_path, monkeypatch, capsys):
 
 
 def test_every_link_to_a_file_of_the_project_leads_somewhere():
-    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+    for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")):
         for target in re.findall(r"\]\((?!http)([^)#]+)", page.read_text()):
             assert (page.parent / target).exists(), f"{page.name}: {target}"

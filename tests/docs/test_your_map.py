@@ -30,10 +30,10 @@ class Block(NamedTuple):
     output: str
 
 
-def sections():
-    """Blocks by section, in the order of the page; a text block is the output of the block before it."""
+def blocks_of(page):
+    """Blocks by section, in the order of a page; a text block is the output of the block before it."""
     found = {}
-    for part in re.split(r"^## ", PAGE.read_text(), flags=re.MULTILINE):
+    for part in re.split(r"^## ", page, flags=re.MULTILINE):
         blocks = []
         for language, body in _FENCE.findall(part):
             if language == "text":
@@ -44,7 +44,7 @@ def sections():
     return found
 
 
-SECTIONS = {title: blocks for title, blocks in sections().items() if blocks}
+SECTIONS = {title: blocks for title, blocks in blocks_of(PAGE.read_text()).items() if blocks}
 
 
 @pytest.fixture(scope="module")
@@ -79,9 +79,23 @@ def run_python(code, names):
     return said.getvalue()
 
 
+def check_block(block, names, status=0):
+    """Runs a block; its commands end with a status, and it prints the text that the page shows."""
+    if block.language == "sh":
+        printed, statuses = run_shell(block.code)
+        assert statuses == [status] * len(statuses), printed
+    else:
+        printed = run_python(block.code, names)
+    if expected := shown(block):
+        assert matches(expected, printed), f"page:\n{expected}\nprinted:\n{printed}"
+    else:
+        assert block.language == "sh", f"prints without an output on the page: {printed}"
+
+
 def shown(block):
     """Output that the page shows: its text block, or the comments behind its prints."""
-    return block.output or "\n".join(re.findall(r"^print\(.*\)  # (.*)$", block.code, re.MULTILINE))
+    beside = re.findall(r"^print\(.*\)  # (.*)$", block.code, re.MULTILINE)
+    return "\n".join([*beside, *([block.output] if block.output else [])])
 
 
 def matches(expected, printed):
@@ -101,16 +115,7 @@ def test_all_blocks_are_of_a_kind_that_runs():
 def test_blocks_run_and_print_what_the_page_shows(title, folder):
     names = {}
     for block in SECTIONS[title]:
-        if block.language == "sh":
-            printed, statuses = run_shell(block.code)
-            refused = title.startswith("Refused")
-            assert statuses == [1 if refused else 0] * len(statuses), printed
-        else:
-            printed = run_python(block.code, names)
-        if expected := shown(block):
-            assert matches(expected, printed), f"page:\n{expected}\nprinted:\n{printed}"
-        else:
-            assert block.language == "sh", f"prints without an output on the page: {printed}"
+        check_block(block, names, status=1 if title.startswith("Refused") else 0)
 
 
 def test_each_real_scan_becomes_the_map_on_the_page(folder):

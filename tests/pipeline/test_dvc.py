@@ -26,7 +26,7 @@ def reproduced(tmp_path_factory):
 
 
 def test_repro_runs_the_chain_once(reproduced):
-    assert (reproduced / "reports/tables.md").read_text() in (reproduced / "README.md").read_text()
+    assert (reproduced / "reports/tables.md").read_text() in (reproduced / "docs/results.md").read_text()
     assert "up to date" in run_dvc("status", cwd=reproduced)
     again = run_dvc("repro", cwd=reproduced)
     assert "Running stage" not in again

@@ -6,8 +6,9 @@ import pytest
 
 from hdsp.base.errors import InputError
 from pipeline.config import configure
+from pipeline.headline import headline_table
 from pipeline.random_tasks import summarise_random
-from pipeline.report import BEGIN, END, all_tables, put_between_markers, summary
+from pipeline.report import BEGIN, END, HEADLINE, all_tables, put_between_markers, summary
 from pipeline.tables import abstraction_quality_table, heuristic_table, random_task_table
 from tests import ROOT
 
@@ -107,9 +108,26 @@ def test_tables_go_between_the_markers_and_nowhere_else(tmp_path):
         put_between_markers(readme, "| new |\n")
 
 
-def test_the_readme_shows_the_tables_of_the_reports():
+def test_the_page_of_results_shows_the_tables_of_the_reports():
     tables = (ROOT / "reports/tables.md").read_text()
-    assert f"{BEGIN}\n\n{tables}\n{END}" in (ROOT / "README.md").read_text()
+    assert f"{BEGIN}\n\n{tables}\n{END}" in (ROOT / "docs/results.md").read_text()
+
+
+def test_the_readme_shows_the_headline_numbers_of_the_reports():
+    quality, planning = (
+        json.loads((ROOT / f"reports/{name}.json").read_text()) for name in ("abstraction_quality", "planning")
+    )
+    shown = f"{HEADLINE[0]}\n\n{headline_table(quality, planning)}\n\n{HEADLINE[1]}"
+    assert shown in (ROOT / "README.md").read_text()
+
+
+def test_headlines_stand_beside_the_papers_and_may_be_missing():
+    shipped = {"1.25": {**ENTRY, "speedup_is_lower_bound": True}}
+    table = headline_table(QUALITY, {"summary": {"shipped": shipped}})
+    assert cells(table, "feasibility correct, scans of real places")[1:] == ["–", "–", "92.62 %"]
+    assert cells(table, "mean planning time in the arena")[1:] == ["1.50 s", "–", "–"]
+    assert cells(table, "speed-up in the arena")[1:] == ["≥ 26.9x", "–", "708x"]
+    assert cells(table, "cost above the optimum in the arena")[1:] == ["+2.1 %", "–", "+10.5 %"]
 
 
 def test_the_tables_can_be_traced_to_the_reports():

@@ -44,7 +44,7 @@ class FloorSettings:
 
 @dataclass(frozen=True)
 class Plane:
-    """The points p with ``normal . p = offset``; the normal points up.
+    """The points p with ``dot(normal, p) = offset``; the normal points up.
 
     Attributes:
         normal: float64 [3], length 1.

@@ -1,0 +1,139 @@
+"""API reference: pages in docs/api/ with the public names of each package, written before each build.
+
+A public name is a name in ``__all__``. The pages of ``hdsp`` show one name each. The page of each further package shows
+all of its names, and links to the place of those that an earlier package already shows.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import shutil
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from sphinx.application import Sphinx
+from sphinx.pycode import ModuleAnalyzer
+
+#: Packages in the order of the reference; the first one that has a name shows it.
+PACKAGES = (
+    "hdsp", "hdsp.planning", "hdsp.terrain", "hdsp.terrain.pointcloud", "hdsp.terrain.simulation", "hdsp.robot",
+    "hdsp.detailed", "hdsp.abstract", "hdsp.labels", "hdsp.learning", "hdsp.viz", "hdsp.base",
+)  # fmt: skip
+LONGEST_VALUE = 60  # characters of the value of a constant
+
+
+class PublicName(NamedTuple):
+    """A public name.
+
+    Attributes:
+        place: package and name, as a user imports it.
+        home: the module that defines it.
+        value: the object.
+        shown: place at which the reference shows it; equal to ``place``, or in an earlier package.
+    """
+
+    place: str
+    home: str
+    value: Any
+    shown: str
+
+    @property
+    def directive(self) -> str:
+        if inspect.isclass(self.value):
+            return "autoexception" if issubclass(self.value, BaseException) else "autoclass"
+        return "autofunction" if callable(self.value) else "data"
+
+
+def public_names() -> dict[str, list[PublicName]]:
+    """Public names of each package."""
+    first: dict[tuple[str, str], str] = {}
+    found = {}
+    for package in PACKAGES:
+        module, homes = import_module(package), _homes(package)
+        found[package] = []
+        for name in module.__all__:
+            value, place = getattr(module, name), f"{package}.{name}"
+            home = homes.get(name, package)
+            shown = first.setdefault((getattr(value, "__module__", home), name), place)
+            found[package].append(PublicName(place, home, value, shown))
+    return found
+
+
+def _homes(package: str) -> dict[str, str]:
+    """Module behind each name that a package imports, also for type checkers alone."""
+    tree = ast.parse(inspect.getsource(import_module(package)))
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module]
+    return {alias.asname or alias.name: node.module or "" for node in imports for alias in node.names}
+
+
+def write_pages(folder: Path) -> None:
+    """Writes the pages of all packages into a folder."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    (folder / "index.rst").write_text("\n".join(_index()))
+    for package, names in public_names().items():
+        own = [name for name in names if name.shown == name.place]
+        if package == "hdsp":
+            for name in own:
+                (folder / f"{name.place}.rst").write_text("\n".join([*_title(name.place), *_entry(name)]))
+        (folder / f"{package}.rst").write_text("\n".join(_page(package, names, own)))
+
+
+def _index() -> Iterator[str]:
+    """Table of the packages, each with the first sentence of its docstring."""
+    yield from _title("API reference")
+    yield from ("The library is `import hdsp`. Each further package is below it, and lists its public names.", "")
+    yield from (".. list-table::", "   :widths: 25 75", "")
+    for package in PACKAGES:
+        sentence = inspect.getdoc(import_module(package)).partition("\n\n")[0].replace("\n", " ")
+        yield from (f"   * - :doc:`{package}`", f"     - {sentence}")
+    yield from ("", ".. toctree::", "   :hidden:", "", *(f"   {package}" for package in PACKAGES), "")
+
+
+def _page(package: str, names: list[PublicName], own: list[PublicName]) -> Iterator[str]:
+    yield from _title(package)
+    yield from (f".. automodule:: {package}", "   :no-members:", "")
+    yield from (".. autosummary::", "   :nosignatures:", "")
+    # Names of the page's own package stand without it: Sphinx adds it.
+    yield from (f"   {name.shown.removeprefix(package + '.')}" for name in names if name.directive != "data")
+    yield ""
+    if package == "hdsp":
+        yield from (".. toctree::", "   :hidden:", "", *(f"   {name.place}" for name in own))
+        return
+    for name in own:
+        yield from _entry(name)
+
+
+def _title(text: str) -> Iterator[str]:
+    yield from (text, "=" * len(text), "")
+
+
+def _entry(name: PublicName) -> Iterator[str]:
+    if name.directive != "data":
+        yield f".. {name.directive}:: {name.place}"
+        bases = getattr(name.value, "__bases__", ())
+        if any(base.__module__.startswith("hdsp") for base in bases):
+            yield "   :show-inheritance:"
+        yield ""
+        return
+    comments = ModuleAnalyzer.for_module(name.home).find_attr_docs().get(("", name.place.rpartition(".")[2]), [])
+    value = repr(name.value)
+    yield f".. py:data:: {name.place}"
+    if len(value) <= LONGEST_VALUE:
+        yield f"   :value: {value}"
+    yield from ("", *(f"   {line}" for line in comments), "")
+
+
+def skip_member(_app, _what: str, _name: str, value: Any, skip: bool, _options) -> bool | None:
+    """Leaves out fields of named tuples, which the docstring of their class describes."""
+    described = (getattr(value, "__doc__", None) or "").startswith("Alias for field number")
+    return True if described else None
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    app.connect("builder-inited", lambda app: write_pages(Path(app.srcdir) / "api"))
+    app.connect("autodoc-skip-member", skip_member)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
