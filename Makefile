@@ -32,7 +32,7 @@ tables: $(STAMP)  ## print the tables of the last run
 	@cat reports/tables.md
 
 docs: $(STAMP)  ## the documentation as a site in build/docs: notebooks run, each warning is an error
-	sphinx-build -q -W --keep-going -b html docs build/docs
+	sphinx-build -q -E -W --keep-going -b html docs build/docs
 	@echo "build/docs/index.html"
 
 test: $(STAMP)  ## all tests
