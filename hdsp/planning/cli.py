@@ -7,7 +7,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 
-from hdsp.base.errors import InputError
+from hdsp.base.errors import InputError, RefinementError
 from hdsp.planning.commands.map_commands import add_info, add_map
 from hdsp.planning.commands.plan_command import NO_PLAN, add_plan
 
@@ -21,7 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = _one_line
         try:
             return chosen.run(chosen) or 0
-        except InputError as error:
+        except (InputError, RefinementError) as error:
             print(f"error: {error}", file=sys.stderr)
             return 1
 

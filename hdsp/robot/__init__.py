@@ -2,6 +2,8 @@
 
 - `robot`: geometry, limits and cost constants of a robot; presets are YAML files in `presets`
 - `lattice`: detailed and abstract lattice, abstract actions, conversions between their coordinates and the world
+- `motion_limits`: limits of speed and acceleration, for the times of motions
+- `urdf`: a robot as URDF
 - `schema`: JSON schema and documentation page of the robot file
 """
 
@@ -23,6 +25,7 @@ from hdsp.robot.lattice import (
     metres,
     robot_frame_goals,
 )
+from hdsp.robot.motion_limits import Accelerations, Speeds
 from hdsp.robot.robot import (
     FEET,
     BaseShift,
@@ -39,6 +42,7 @@ from hdsp.robot.robot import (
     Step,
     Turn,
 )
+from hdsp.robot.urdf import robot_urdf
 
 __all__ = [
     "ABSTRACT_ACTIONS",
@@ -49,6 +53,7 @@ __all__ = [
     "HEADINGS",
     "PATCH_CELLS",
     "RESOLUTION",
+    "Accelerations",
     "BaseShift",
     "Body",
     "Box",
@@ -60,6 +65,7 @@ __all__ = [
     "Legs",
     "Rectangle",
     "Robot",
+    "Speeds",
     "Stance",
     "Step",
     "Turn",
@@ -71,4 +77,5 @@ __all__ = [
     "heading_index",
     "metres",
     "robot_frame_goals",
+    "robot_urdf",
 ]

@@ -147,3 +147,15 @@ def test_the_package_runs_as_a_command():
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-m", "hdsp", "--help"], env=environment, capture_output=True, text=True)
     assert done.returncode == 0 and done.stdout.startswith("usage: hdsp") and "plan a path" in done.stdout
+
+
+def test_a_motion_and_a_recording_are_written(tmp_path, capsys):
+    names = [str(tmp_path / name) for name in ("motion.csv", "run.mcap")]
+    terrain = HeightMap(np.zeros((100, 100)), (5e5, 5e6))
+    assert plan_in(tmp_path, terrain, "--motion", names[0], "--record", names[1]) == 0
+    rows = rows_of(tmp_path / "motion.csv")
+    assert float(rows[0]["x"]) == pytest.approx(5e5 + 0.9, abs=0.026)
+    assert f"{names[1]}: motion, {float(rows[-1]['time']):.1f} s" in capsys.readouterr().out
+    assert (tmp_path / "run.mcap").read_bytes()[1:5] == b"MCAP"
+    assert plan_in(tmp_path, terrain, "--motion", str(tmp_path / "motion.doc")) == 1
+    assert "suffix '.doc'" in capsys.readouterr().err

@@ -5,8 +5,11 @@ The check shares no code with the modules that create motions (``refinement``, `
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,15 +17,13 @@ from numpy.typing import ArrayLike
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps, finished
 from hdsp.base.notebook import html_of, png_of
+from hdsp.detailed.motion.motion_files import read_motion, save_motion_file
 from hdsp.detailed.motion.motion_state import MotionState
+from hdsp.detailed.motion.phases import PHASES
 from hdsp.detailed.motion.timing import Timing
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.inclination import Inclination, inclination
-
-#: Phases of a motion. ``roll``: all feet on the ground, driving, turning or moving under the base; ``lean``: the base
-#: moves over resting feet; ``lift``, ``swing``, ``lower``: parts of a step.
-PHASES = ("roll", "lean", "lift", "swing", "lower")
 
 _EPS = 1e-6
 _TOUCH = 1e-4  # m; largest distance between the ground and a carrying foot, from rounding
@@ -116,6 +117,39 @@ class Motion:
             velocities[:, 6:].reshape(-1, 4, 3), row,
         )  # fmt: skip
         return MotionState(*(value.reshape(given.shape + value.shape[1:]) for value in values))
+
+    def save(self, path: str | os.PathLike, rate: float = 50.0) -> Path:
+        """Writes the motion, whole or not at all; the suffix names the format (docs/motions.md).
+
+        ``.csv``, ``.json`` and ``.npz`` hold states at regular times, and the last two the configurations, too.
+        ``.mcap`` is a recording for Foxglove and other viewers, a path without a suffix a ROS 2 bag, and ``.gif`` or
+        ``.mp4`` an animation.
+
+        Args:
+            path: file, or folder for a ROS 2 bag.
+            rate: states per second; an animation has its own.
+
+        Returns:
+            the path.
+
+        Raises:
+            InputError: another suffix, a rate that is not positive, a path that cannot be written, or a missing extra.
+        """
+        return save_motion_file(self, path, rate)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike, terrain: HeightMap | None = None, robot: Any = None) -> Motion:
+        """Reads the configurations of a motion from ``.npz`` or ``.json``.
+
+        Args:
+            path: file from `save`.
+            terrain: the map for a JSON file, which holds none.
+            robot: the robot for a JSON file, if it is no preset.
+
+        Raises:
+            InputError: no such file, another format, or a JSON file without ``terrain``.
+        """
+        return cls(**read_motion(path, terrain, robot))
 
     def rotations(self) -> np.ndarray:
         """Rotations from the base frame to the world frame, float64 [n, 3, 3]."""

@@ -20,7 +20,7 @@ from hdsp.robot.robot import Robot
 
 _NEAR = 0.0015, 0.003  # m, rad; largest distance of the path from a configuration
 _ACROSS = 0.6
-_RESTS = 1e-9  # m, rad; smaller changes come from rounding
+_RESTS = 1e-7  # m, rad; smaller changes come from rounding, in coordinates of a survey, too
 
 
 class Timing:

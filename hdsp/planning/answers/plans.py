@@ -29,6 +29,7 @@ from hdsp.planning.answers.plan_table import SourcePoses, ground_poses, source_p
 from hdsp.planning.answers.plan_view import PLAN_VIEW
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
+from hdsp.viz import recordings  # noqa: F401, registers formats of motions
 
 if TYPE_CHECKING:
     from hdsp.viz import Failure
@@ -159,6 +160,19 @@ class Plan:
         if not self.solved:
             raise InputError(f"there is no plan to refine: {self.explain()}")
         return self._motion
+
+    def save(self, path: str | Path, rate: float = 50.0) -> Path:
+        """Refines the plan and writes its motion; the suffix names the format, as in ``Motion.save``.
+
+        Args:
+            path: file, or folder for a ROS 2 bag.
+            rate: states per second; an animation has its own.
+
+        Raises:
+            InputError: without a plan, or as in ``Motion.save``.
+            RefinementError: as in ``refine``.
+        """
+        return self.refine().save(path, rate)
 
     def refine_until(self, ends: float) -> bool:
         """Refines the plan, at the latest until a moment on the clock `hdsp.base.gradual.now`.

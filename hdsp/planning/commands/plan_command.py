@@ -11,6 +11,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import writable_file
+from hdsp.detailed.motion.motion_files import check_motion_path
 from hdsp.planning.commands.map_file_commands import add_cell_size, add_map_reading, map_options
 from hdsp.terrain.conditioning import is_conditioned
 from hdsp.terrain.height_map import HeightMap
@@ -65,6 +66,10 @@ def add_plan(commands) -> None:
         help="a CSV file of the states (m, rad) and of the actions that lead to them, also in the frame of the map's "
         "source if that is another one",
     )
+    parser.add_argument(
+        "--motion", "--record", dest="motions", action="append", default=[], metavar="FILE",
+        help="the motion with its times: .csv, .json, .npz; .mcap (Foxglove), .gif, .mp4; no suffix: a ROS 2 bag",
+    )  # fmt: skip
     parser.add_argument("--picture", help="a PNG of the path, or of the causes why there is none")
     add_map_reading(parser)
     add_cell_size(parser)
@@ -88,7 +93,7 @@ def _plan(chosen: argparse.Namespace) -> int:
     plan = planner.plan(
         _pose(chosen.start), goals if len(goals) > 1 else goals[0], chosen.weight,
         time=chosen.time, polish=chosen.polish, tolerance=_tolerance(chosen.tolerance), start_free=chosen.start_free,
-        way_out=chosen.way_out,
+        way_out=chosen.way_out, refinable=bool(chosen.motions),
     )  # fmt: skip
     if len(goals) > 1 and plan.goal_index is not None:
         print(f"goal {plan.goal_index + 1} of {len(goals)}: {' '.join(chosen.goal[plan.goal_index])}")
@@ -103,6 +108,9 @@ def _plan(chosen: argparse.Namespace) -> int:
     if chosen.out:
         plan.write(chosen.out)
         print(f"{chosen.out}: {len(plan.states)} states{_frames(terrain)}")
+    for path in chosen.motions:
+        plan.save(path)
+        print(f"{path}: motion, {plan.refine().duration:.1f} s")
     if chosen.picture:
         plan.show(chosen.picture)
         print(f"{chosen.picture}: picture")
@@ -113,6 +121,8 @@ def _check_outputs(chosen: argparse.Namespace) -> None:
     """Checks the output files and the packages for them before the search."""
     if chosen.out:
         writable_file(chosen.out, "table", _TABLES)
+    for path in chosen.motions:
+        check_motion_path(path)
     if chosen.picture:
         from hdsp.viz import save_planned_path  # noqa: F401, an extra that may be missing
 

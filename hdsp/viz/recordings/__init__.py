@@ -1,0 +1,31 @@
+"""Recordings of motions: MCAP for Foxglove and other viewers, ROS 2 bags, animations.
+
+- `track`: states at regular times with the poses of all parts
+- `mcap_recording`: terrain, path, robot, frames and states as MCAP, by foxglove-sdk
+- `ros_bag`: path, trajectories, joint states and frames as a ROS 2 bag, by rosbags
+- `animation`: a motion as GIF or MP4
+
+Importing this package registers the formats for ``Motion.save``; foxglove-sdk, rosbags and Matplotlib load when a file
+is written.
+"""
+
+from pathlib import Path
+
+from hdsp.detailed.motion.motion import Motion
+from hdsp.detailed.motion.motion_files import register_motion_writer
+
+
+def _mcap(motion: Motion, path: Path, rate: float) -> None:
+    from hdsp.viz.recordings.mcap_recording import write_mcap
+
+    write_mcap(motion, path, rate)
+
+
+def _ros_bag(motion: Motion, path: Path, rate: float) -> None:
+    from hdsp.viz.recordings.ros_bag import write_ros_bag
+
+    write_ros_bag(motion, path, rate)
+
+
+register_motion_writer(".mcap", _mcap)
+register_motion_writer("", _ros_bag)
