@@ -156,7 +156,7 @@ def _try(robot: Robot, kind: QueryKind, costs: list[LearnedCosts | ManualCosts])
         return
     for limits in (Limits(expansions=1), Limits()):
         each = replace(query, limits=limits)
-        turns = iter([GuideTurn(lambda _: query.estimate, 1)]) if kind.abstract else None
+        turns = iter([GuideTurn(1, lambda _: query.estimate, 1)]) if kind.abstract else None
         # At a bound of 1, the anchor goes on after the guide.
         plan = each.anchored(1.0, 1.0) if kind.anchored else each.weighted(1.5, turns=turns, first_turn=1)
         Polish(DEFAULT).of(each, plan)

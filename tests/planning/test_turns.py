@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from hdsp import HeightMap, Planner, Status
 from hdsp.abstract import FlatCosts
 from hdsp.detailed.search.life_cycle import GuideTurn
+from hdsp.detailed.search.outcome import Limits
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.planning import query
 from hdsp.planning.heuristics import AbstractHeuristic
@@ -59,32 +60,103 @@ def test_the_second_abstraction_follows_changes_of_the_map(bag, monkeypatch):
     np.testing.assert_array_equal(plans[0].states, plans[1].states)
 
 
+SETTINGS = {"weight": 1.5, "admissible": False, "reopen": False}
+GUIDES = 3
+
+
+class Instance:
+    """A task on a small map, and three guides for it, in order of their searches."""
+
+    def __init__(self, category, number, seed):
+        heights, robot = small_map(category, number, 16), toy()
+        states = valid_states(Naive(heights, robot), np.random.default_rng(seed), 25)
+        assume(len(states) > 1)
+        planner = Planner(HeightMap(heights), robot, conditioning=None)
+        self.world, self.start, self.goal = planner.world, states[0], states[-1:]
+        too_high, low = (each.set_goal(states[-1]) for each in (Exaggerating(planner.world), planner.heuristic))
+        self.guides = [too_high, low, low._replace(distance=0.1 * low.distance)]
+
+    def alone(self, **options):
+        """The search with each guide alone."""
+        return [solve(self.world, self.start, self.goal, guide, **SETTINGS, **options) for guide in self.guides]
+
+    def turned(self, first, turns, **options):
+        """The search in turns, each (number, length) or a ``GuideTurn``, after a first one."""
+
+        def guided():
+            for number, *rest in turns:
+                yield GuideTurn(number, *((lambda _, number=number: self.guides[number]), *rest)[-2:])
+
+        options = {"turns": guided(), "first_turn": first, **options}
+        return solve(self.world, self.start, self.goal, self.guides[0], **SETTINGS, **options)
+
+
+instances = st.builds(Instance, st.sampled_from(CATEGORIES), st.integers(0, 10_000), st.integers(0, 1000))
+lengths = st.integers(1, 100)
+schedules = st.lists(st.tuples(st.integers(0, GUIDES - 1), lengths), max_size=8)
+
+
+def expected(first, turns, alone):
+    """Textbook twin: which search ends, and the expansions of each search until then.
+
+    Args:
+        first: length of the first turn.
+        turns: (number, length) of all further turns; the last search continues to its end.
+        alone: expansions of each search alone.
+    """
+    done = [0] * len(alone)
+    for number, length in [(0, first), *turns]:
+        if done[number] + length > alone[number]:
+            break
+        done[number] += length
+    done[number] = alone[number]
+    return number, done
+
+
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
-@given(st.sampled_from(CATEGORIES), st.integers(0, 10_000), st.integers(0, 1000), st.sampled_from([1, 20, 200]))
-def test_turns_lose_no_plan(category, number, seed, length):
-    heights, robot = small_map(category, number, 16), toy()
-    states = valid_states(Naive(heights, robot), np.random.default_rng(seed), 25)
-    assume(len(states) > 1)
-    planner = Planner(HeightMap(heights), robot, conditioning=None)
-    start, goal = states[0], states[-1:]
-    guesses = [Exaggerating(planner.world).set_goal(goal[0]), planner.heuristic.set_goal(goal[0])]
+@given(instances, lengths, schedules)
+def test_each_guide_searches_in_its_turns_as_if_it_were_alone(instance, first, turns):
+    alone = instance.alone()
+    turned = instance.turned(first, turns)
+    ends, done = expected(first, turns, [each.expansions for each in alone])
+    assert turned.status == alone[ends].status and turned.expansions == sum(done)
+    assert turned.seen >= alone[ends].seen and turned.memory >= alone[ends].memory
+    np.testing.assert_array_equal(turned.cost, alone[ends].cost)
+    if turned.status[0] == Status.SOLVED:
+        np.testing.assert_array_equal(turned.paths[0].states, alone[ends].paths[0].states)
 
-    def turns():
-        for number in range(8):
-            yield GuideTurn(lambda _, number=number: guesses[(number + 1) % 2], length)
 
-    settings = {"weight": 1.5, "admissible": False, "reopen": False}
-    alone = solve(planner.world, start, goal, guesses[0], **settings)
-    turned = solve(planner.world, start, goal, guesses[0], **settings, turns=turns(), first_turn=length)
+@settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck))
+@given(instances, lengths, schedules, st.sampled_from([0.6, 0.95, 1.05, 2.0]))
+def test_limits_hold_for_all_searches_together(instance, first, turns, share):
+    alone = instance.alone()[0]
+    assume(alone.status[0] == Status.SOLVED)
+    dear = Limits(cost=share * alone.cost[0])
+    assert instance.turned(first, turns, limits=dear).status == instance.alone(limits=dear)[0].status
+    for limits in (Limits(expansions=alone.expansions // 2), Limits(memory=int(share * alone.memory))):
+        limited = instance.turned(first, turns, limits=limits)
+        assert limited.expansions <= limits.expansions
+        assert limited.memory <= limits.memory or limited.status[0] == Status.MEMORY_LIMIT
+    late = instance.turned(1, [GuideTurn(1, lambda _: None, 1)])
+    assert late.status[0] == (Status.TIME_LIMIT if alone.expansions > 0 else alone.status[0])
+
+
+@settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck))
+@given(instances, lengths)
+def test_a_search_with_another_guide_keeps_its_states(instance, length):
+    alone = instance.alone()[0]
+    guide = instance.guides[1]
+    turned = instance.turned(length, [GuideTurn(0, lambda _: guide, 10**9)])
     assert turned.status == alone.status
     if alone.expansions < length:
         assert turned.expansions == alone.expansions
-        np.testing.assert_array_equal(turned.cost, alone.cost)
     if turned.status[0] == Status.SOLVED:
-        path = turned.paths[0]
-        np.testing.assert_allclose(path.costs.sum(), turned.cost[0], rtol=1e-5)
-        np.testing.assert_array_equal(path.states[[0, -1]], [start, goal[0]])
-    late = solve(
-        planner.world, start, goal, guesses[0], **settings, turns=iter([GuideTurn(lambda _: None, 1)]), first_turn=1
-    )
-    assert late.status[0] == (Status.TIME_LIMIT if alone.expansions > 0 else alone.status[0])
+        np.testing.assert_allclose(turned.paths[0].costs.sum(), turned.cost[0], rtol=1e-5)
+    if turned.status[0] == Status.INFEASIBLE:
+        assert turned.seen == alone.seen and turned.expansions <= 2 * alone.expansions
+
+
+@given(st.lists(st.integers(0, 300), min_size=2, max_size=3))
+def test_turns_take_a_small_multiple_of_the_best_guide(alone):
+    turns = [(number, 10) for _ in range(40) for number in [*range(1, len(alone)), 0]]
+    assert sum(expected(10, turns, alone)[1]) <= len(alone) * min(alone) + (len(alone) - 1) * 10

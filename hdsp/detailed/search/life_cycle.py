@@ -29,6 +29,7 @@ from hdsp.detailed.search.store import (
     EXPANDED,
     GOALS_LEFT,
     SEEN,
+    Store,
     count_waiting,
     grown,
     growth_nbytes,
@@ -49,15 +50,27 @@ Hopeless = Callable[[float], bool | None]
 
 
 class GuideTurn(NamedTuple):
-    """A heuristic's turn to guide a search.
+    """A turn of one of several searches, each with a guide of its own.
 
     Attributes:
+        number: which search; 0 is the first one.
         guide: returns the estimate before a moment on the clock ``now``; None if the time is too short.
         expansions: length of the turn.
     """
 
+    number: int
     guide: Callable[[float], Estimate | None]
     expansions: int
+
+
+class _Resting(NamedTuple):
+    """A search between its turns; attributes as in ``Search``."""
+
+    store: Store
+    lists: list[OpenList]
+    goal_cost: np.ndarray
+    guide: Estimate
+    heuristic: Estimate
 
 
 #: Least number of expansions before a proof takes turns with a search; about a tenth of a second. On larger maps, the
@@ -94,7 +107,16 @@ class Search:
             entry is None.
         alone: number of expansions before a proof takes turns with the search.
         impossible: the status of ``invalid`` if no search may begin, else None.
+        store, lists: states seen, and open lists; from ``begin`` on.
     """
+
+    store: Store
+    lists: list[OpenList]
+    _guide: Estimate
+    _heuristic: Estimate  # the guide, with a backward search
+    _weight: float
+    _admissible: bool
+    _reopen: bool
 
     def __init__(
         self,
@@ -116,6 +138,7 @@ class Search:
         self._later: tuple[int, Backward] | None = None
         self._turns: Iterator[GuideTurn] = iter(())
         self._turn_ends: int | None = None
+        self._number, self._resting = 0, dict[int, _Resting]()
         self._back = no_backward()
         self.invalid = self._invalid_ends()
 
@@ -160,14 +183,21 @@ class Search:
 
     def _within_memory(self, heuristic: Estimate) -> Estimate:
         """Returns the heuristic with a backward search that takes half of the memory at most; counts this memory."""
-        self._back = heuristic.back.within(self.limits.memory // 2)
-        return heuristic._replace(back=self._back)
+        back = heuristic.back
+        if len(back.place) == 0 and self._later is not None and self._own() >= self._later[0]:
+            back = self._later[1]
+        if len(back.place) > 0:
+            self._back = back = back.within(self.limits.memory // 2)
+        return heuristic._replace(back=back)
 
     def take_turns(self, first: int, turns: Iterator[GuideTurn]) -> None:
-        """Lets several heuristics guide the search in turns, so that a search with one wrong heuristic gets on.
+        """Lets several heuristics guide in turns, so that a search with one wrong heuristic does not take very long.
 
-        All turns share the states seen so far. A turn begins as a round (``begin_round``). Heuristics in turns have to
-        be of one kind: all admissible, or none.
+        Each heuristic has a search of its own, with its own store and open list, as if it were alone; a turn resumes
+        it. The first search that ends decides. All searches share the limits. Heuristics in turns have to be of one
+        kind: all admissible, or none. With several goals, the nearest has to be the one that counts.
+
+        Source: dovetailing, R. Valenzano et al., Simultaneously searching with multiple settings, ICAPS 2010.
 
         Args:
             first: length of the first turn, with the heuristic from ``begin``, in expansions.
@@ -176,19 +206,47 @@ class Search:
         self._turns, self._turn_ends = turns, first
 
     def _next_turn(self) -> Status | None:
-        """Begins the next turn; returns as ``begin``. After the last one, its heuristic guides to the end."""
+        """Begins the next turn; returns as ``begin``. After the last one, its search continues to the end."""
         turn, self._turn_ends = next(self._turns, None), None
         if turn is None:
             return None
         began = now()
-        heuristic = turn.guide(self.began + self.limits.time)
+        guide = turn.guide(self.began + self.limits.time)
         self.paused += now() - began
-        if heuristic is None:
+        if guide is None:
             return Status.TIME_LIMIT
-        self._turn_ends = int(self.store.counts[EXPANDED]) + turn.expansions
-        if len(heuristic.back.place) == 0:
-            heuristic = heuristic._replace(back=self._heuristic.back)
-        return self.begin_round(heuristic, self._weight, self._admissible, self._reopen)
+        ended = self._resume(turn.number, guide)
+        self._turn_ends = self._own() + turn.expansions
+        return ended
+
+    def _resume(self, number: int, guide: Estimate) -> Status | None:
+        """Goes on with a search in its next turn, possibly the first one; returns as ``begin``."""
+        order = guide, self._weight, self._admissible, self._reopen
+        if number != self._number:
+            self._resting[self._number] = _Resting(self.store, self.lists, self.goal_cost, self._guide, self._heuristic)
+            self._number = number
+            if number not in self._resting:
+                self.goal_cost = np.full_like(self.goal_cost, np.inf)
+                return self.begin(*order)
+            self.store, self.lists, self.goal_cost, self._guide, self._heuristic = self._resting.pop(number)
+        return None if guide is self._guide else self.begin_round(*order)
+
+    def reopened(self) -> Status | None:
+        """Begins a round with reopening in the present search, the only one from now on; returns as ``begin``."""
+        self._turns, self._turn_ends = iter(()), None
+        return self.begin_round(self._guide, self._weight, self._admissible, reopen=True)
+
+    def stores(self) -> list[Store]:
+        """Returns the states of all searches in turns, those of the present one first."""
+        return [self.store, *(resting.store for resting in self._resting.values())]
+
+    def _own(self) -> int:
+        """Number of expansions in the present search."""
+        return int(self.store.counts[EXPANDED])
+
+    def _total(self, count: int) -> int:
+        """Sum of a count over all searches in turns."""
+        return sum(int(store.counts[count]) for store in self.stores())
 
     def _first_f(self, heuristic: Estimate) -> np.float32:
         """The start's ``W h``."""
@@ -209,7 +267,7 @@ class Search:
         """Creates empty open lists and an empty store, and marks the goals in the store."""
         # The only reference to the store: an array is freed when a larger one replaces it.
         self.store = new_store((self.world.nx, self.world.ny), neutral_feet(self.world.tables.lowest))
-        self.lists: list[OpenList] = [open_list.new_open_list() for _ in range(lists)]
+        self.lists = [open_list.new_open_list() for _ in range(lists)]
         valid = np.array([wrong is None for wrong in self.invalid])
         marked = 0
         while (marked := kernel.mark_goals(self.store, self.goals, valid, marked)) < len(valid):
@@ -217,7 +275,8 @@ class Search:
         self.store.counts[GOALS_LEFT] = 1 if self.nearest else valid.sum()
 
     def _set_order(self, heuristic: Estimate, weight: float, admissible: bool, reopen: bool) -> None:
-        self._heuristic, self._weight, self._reopen = self._within_memory(heuristic), float(weight), reopen
+        self._guide, self._heuristic = heuristic, self._within_memory(heuristic)
+        self._weight, self._reopen = float(weight), reopen
         self._admissible = admissible
         self._f_limit = weight * self.limits.cost if admissible else np.inf
 
@@ -254,7 +313,7 @@ class Search:
             The proof's answer; None without a turn.
         """
         at_limit = ended in (Status.EXPANSION_LIMIT, Status.MEMORY_LIMIT)
-        if self.store.counts[EXPANDED] < (FEW if at_limit else self.alone) or not (ended is None or at_limit):
+        if self._total(EXPANDED) < (FEW if at_limit else self.alone) or not (ended is None or at_limit):
             return None
         began = now()
         until = self.began + self.limits.time
@@ -273,21 +332,22 @@ class Search:
         Args:
             pause: number of expansions at which a slice ends.
         """
-        done = int(self.store.counts[EXPANDED])
+        done, own = self._total(EXPANDED), self._own()
         left = self.limits.expansions - done
         if left <= 0:
             return Status.EXPANSION_LIMIT
-        if done == self._turn_ends and (ended := self._next_turn()) is not None:
-            return ended
+        if own == self._turn_ends:
+            if (ended := self._next_turn()) is not None:
+                return ended
+            own = self._own()
         slice_ = min(left, self._slice())
         if self._turn_ends is not None:
-            slice_ = min(slice_, self._turn_ends - done)
-        if self._later is not None:
-            after, back = self._later
-            if done < after:
-                slice_ = min(slice_, after - done)
+            slice_ = min(slice_, self._turn_ends - own)
+        if self._later is not None and len(self._heuristic.back.place) == 0:
+            if own < self._later[0]:
+                slice_ = min(slice_, self._later[0] - own)
             else:
-                self._later, self._back, self._heuristic = None, back, self._heuristic._replace(back=back)
+                self._heuristic = self._within_memory(self._heuristic)
         code = self._run(min(slice_, pause - done) if pause is not None and pause > done else slice_)
         if code in _ENDS:
             return _ENDS[code]
@@ -296,12 +356,12 @@ class Search:
             return Status.MEMORY_LIMIT
         elapsed = now() - self.began
         if self.progress is not None:
-            self.progress(int(self.store.counts[EXPANDED]), elapsed)
+            self.progress(self._total(EXPANDED), elapsed)
         return Status.TIME_LIMIT if elapsed > self.limits.time else None
 
     def _slice(self) -> int:
         """Number of expansions until the next look at the clock, so that the time limit is kept."""
-        done, elapsed = int(self.store.counts[EXPANDED]), now() - self.began
+        done, elapsed = self._total(EXPANDED), now() - self.began
         if done == 0:
             return min(_FIRST, _SLICE)
         possible = (self.limits.time - elapsed) * done / max(elapsed - self.paused, 1e-6)
@@ -345,10 +405,11 @@ class Search:
 
     def nbytes(self) -> int:
         """Total size of all arrays in bytes, a backward search of the heuristic included."""
-        return self.store.nbytes() + self._open_nbytes() + self._back.nbytes()
+        return sum(store.nbytes() for store in self.stores()) + self._open_nbytes() + self._back.nbytes()
 
     def _open_nbytes(self) -> int:
-        return sum(entries.nbytes() for entries in self.lists)
+        resting = [entries for each in self._resting.values() for entries in each.lists]
+        return sum(entries.nbytes() for entries in [*self.lists, *resting])
 
     def path(self, goal: int) -> Path:
         """Returns the path from the start to a seen state (packed)."""
@@ -385,7 +446,7 @@ class Search:
 
     def count(self, result: SearchResult) -> None:
         """Writes the resources used so far into a result."""
-        result.expansions, result.seen = int(self.store.counts[EXPANDED]), int(self.store.counts[SEEN])
+        result.expansions, result.seen = self._total(EXPANDED), self._total(SEEN)
         result.memory, result.open_memory = self.nbytes(), self._open_nbytes()
         result.seconds = now() - self.began - self.paused
 

@@ -34,15 +34,24 @@ def reached_by(search: Search, goal: np.ndarray) -> Reached:
     headings = np.zeros((world.nx, world.ny), np.uint64)
     (packed,) = pack_states(goal, world.tables.lowest)
     per_heading = cells(METRES_PER_RADIAN * float(heading_angle(1)))
-    nearest = _collect(search.store, packed, per_heading, headings)
+    nearest, least = packed, np.inf
+    for store in search.stores():
+        nearest, least = _collect(store, packed, per_heading, headings, nearest, least)
     return Reached(headings, unpack_states(nearest, world.tables.lowest))
 
 
 @njit()
-def _collect(store, goal, per_heading, headings):
-    """Marks the headings of all states in a store; returns the packed state nearest to a goal."""
+def _collect(store, goal, per_heading, headings, nearest, least):
+    """Marks the headings of all states in a store; returns the packed state nearest to a goal, and how near it is.
+
+    Args:
+        store: states seen by a search.
+        goal: packed state.
+        per_heading: cells that count as much as a heading step.
+        headings: as in ``Reached``; changed in place.
+        nearest, least: nearest state from other stores, and how near it is.
+    """
     gx, gy, gh, g0, g1, g2, g3 = unpack(goal)
-    nearest, least = goal, np.inf
     for node in range(BLOCK, BLOCK * store.counts[BLOCKS]):
         if store.g[node] == np.inf:
             continue
@@ -55,4 +64,4 @@ def _collect(store, goal, per_heading, headings):
         away += 1e-3 * (abs(o0 - g0) + abs(o1 - g1) + abs(o2 - g2) + abs(o3 - g3))
         if away < least:
             nearest, least = key, away
-    return nearest
+    return nearest, least

@@ -97,7 +97,7 @@ def solve(
     if ended is None:
         ended = search.run(hopeless)
     if ended == Status.COST_LIMIT and not reopen:
-        ended = search.begin_round(heuristic, weight, admissible, reopen=True) or search.run(hopeless)
+        ended = search.reopened() or search.run(hopeless)
     result = search.result(ended, paths)
     if at_end is not None and ended != Status.SOLVED:
         at_end(search)
