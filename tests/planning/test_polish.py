@@ -78,7 +78,7 @@ def test_another_abstraction_finds_a_way_that_the_first_one_judges_dear(monkeypa
     planner, manual = (Planner(terrain, heuristic=costs, conditioning=None) for costs in (DearDoor(), "manual"))
     monkeypatch.setattr(polish, "WIDTHS", (0.0,))
     monkeypatch.setattr(polish, "OWN", ())
-    plain, polished = (planner.plan(*ends, 1.25, polish=seconds) for seconds in (0.0, None))
+    plain, polished = (planner.plan(*ends, 1.25, polish=seconds) for seconds in (0.0, 5.0))
     other = manual.plan(*ends, 1.25, polish=0.0)
     assert polished.cost <= other.cost < 0.9 * plain.cost
     assert polished.stats.polish_expansions >= other.stats.expansions
