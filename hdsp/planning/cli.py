@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.planning.commands.map_commands import add_info, add_map
 from hdsp.planning.commands.plan_command import NO_PLAN, add_plan
+from hdsp.planning.commands.warmup_command import add_warmup
 
 __all__ = ["NO_PLAN", "main"]
 
@@ -34,7 +35,7 @@ def _one_line(message, category, filename, lineno, file=None, line=None) -> None
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="hdsp", description="Hybrid driving-stepping planning.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for add in (add_map, add_plan, add_info):
+    for add in (add_map, add_plan, add_info, add_warmup):
         add(commands)
     return parser
 

@@ -1,7 +1,7 @@
 """Compilation before the clock: the kernels of a query are compiled, or loaded from disk, before its time begins.
 
 A trial, a query of the same kind on a small map, uses each kernel of such a query. It runs once in a process for each
-kind. `hdsp.base.compilation` says that kernels are compiled.
+kind. `hdsp.base.compilation` says that kernels are compiled, and how far it got.
 """
 
 from __future__ import annotations
@@ -10,11 +10,13 @@ import math
 import threading
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hdsp.abstract.abstract_costs import RememberingCosts, checked_region, close_exits, close_states, edge_steps
+from hdsp.base.compilation import compilations
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.base.gradual import finished
 from hdsp.detailed.relaxed.heading_masks import missing_feet
@@ -62,6 +64,12 @@ class QueryKind:
     anytime: bool = False
     refinable: bool = False
 
+    @property
+    def kernels(self) -> int:
+        """Number of kernels, roughly, for lines of progress."""
+        parts = self.anchored, self.anytime, self.refinable, self.abstract, "LearnedCosts" in self.costs
+        return 85 + sum(more for part, more in zip(parts, (10, 5, 15, 10, 25), strict=True) if part)
+
 
 _DONE: set[QueryKind] = set()
 _LOCK = threading.Lock()
@@ -96,9 +104,21 @@ def compile_for(
         if kind in _DONE:
             return
         # A robot that cannot do the trial fails in the query too, with its reason.
-        with suppress(InputError, RefinementError):
+        with compilations.told(kind.kernels), suppress(InputError, RefinementError):
             _try(robot, kind, costs)
         _DONE.add(kind)
+
+
+def warm_up(robot: Robot, heuristic: Heuristic) -> None:
+    """Compiles or loads the kernels of all kinds of queries, so that none compiles at its first use.
+
+    Args:
+        robot: the robot of the planner.
+        heuristic: its heuristic.
+    """
+    for anchored, anytime, refinable in product((False, True), repeat=3):
+        if not (anchored and anytime):
+            compile_for(robot, heuristic, anchored=anchored, anytime=anytime, refinable=refinable)
 
 
 def _with_kernels(heuristic: Heuristic) -> list[LearnedCosts | ManualCosts]:

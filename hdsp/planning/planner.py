@@ -52,9 +52,9 @@ from hdsp.terrain.map_filters import ConditioningSettings
 class Planner:
     """Plans hybrid driving-stepping locomotion on one terrain.
 
-    Life of a planner: construction compiles the terrain; ``prepare`` computes the map-wide part of the heuristic, else
-    the first query does; ``plan`` and ``improve`` answer queries; ``update`` takes over a changed terrain; ``clear``
-    forgets the last query.
+    Life of a planner: construction compiles the terrain, and in a new installation the planner's code once
+    (`hdsp warmup` does so earlier); ``prepare`` computes the map-wide part of the heuristic, else the first query does;
+    ``plan`` and ``improve`` answer queries; ``update`` takes over a changed terrain; ``clear`` forgets the last query.
 
     Args:
         terrain: height map with cells of up to 0.2 m, an array [nx, ny] of heights in m with ``resolution``, or the
@@ -91,6 +91,7 @@ class Planner:
         self.grid = Grid(self.terrain.origin, self.terrain.shape)
         self.world = build_world(self.terrain, self._wider)
         self.heuristic = self._make_heuristic(heuristic)
+        compile_for(self.robot, self.heuristic)
 
     def __repr__(self) -> str:
         return f"Planner({self.robot.name}, heuristic {self.heuristic.name}, {self.terrain})"

@@ -3,16 +3,20 @@
 import json
 import logging
 import os
+import re
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from hdsp import HeightMap, Planner
 from hdsp.base import compilation
 from hdsp.base.jit import njit
 from hdsp.planning import compiled
+from hdsp.planning.cli import main
 from tests import ROOT
 
 #: Lists the kernels of a real query that were neither compiled nor loaded before its clock started.
@@ -119,6 +123,54 @@ def test_q3_a_process_compiles_once_for_each_kind(monkeypatch):
     assert time.perf_counter() - began < 0.5  # all together
 
 
+def test_f5_lines_of_progress_come_only_while_kernels_are_compiled(caplog, monkeypatch):
+    monkeypatch.setattr(compilation, "_INTERVAL", 0.02)
+    fresh = compilation.Compilations()
+    ours = SimpleNamespace(data={"dispatcher": SimpleNamespace(py_func=compilation.Compilations.told)})
+
+    def lines():
+        return [record.getMessage() for record in caplog.records if record.getMessage().startswith("compiling: ")]
+
+    with caplog.at_level(logging.WARNING, logger="hdsp"):
+        with fresh.told(7):
+            time.sleep(0.1)
+            assert lines() == []  # all kernels came from the disk
+            for _ in range(2):
+                fresh.on_start(ours)
+                with fresh.told(100):  # a block inside belongs to the outer one
+                    time.sleep(0.1)
+                fresh.on_end(ours)
+        time.sleep(0.1)
+        said = lines()
+        time.sleep(0.1)
+    assert said[0].startswith("compiling: 0 of about 7 kernels, 0 s")
+    assert any(line.startswith("compiling: 1 of about 7") for line in said)
+    assert lines() == said  # no more after the block
+    assert fresh.done == 2
+
+
+def test_f5_construction_compiles_before_any_query(monkeypatch):
+    tried = []
+    monkeypatch.setattr(compiled, "_DONE", set())
+    monkeypatch.setattr(compiled, "_try", lambda robot, kind, costs: tried.append(kind))
+    planner = Planner(HeightMap.flat((80, 80)))
+    assert tried == [compiled.QueryKind()]
+    planner.plan((0.9, 0.9, 0.0), (1.0, 0.9, 0.0))
+    assert tried == [compiled.QueryKind()]
+
+
+def test_f5_warmup_prepares_every_kind_of_query(monkeypatch, capsys):
+    tried = []
+    monkeypatch.setattr(compiled, "_DONE", set())
+    monkeypatch.setattr(compiled, "_try", lambda robot, kind, costs: tried.append(kind))
+    assert main(["warmup", "--heuristic", "manual"]) == 0
+    planner = Planner(HeightMap.flat((80, 80)), heuristic="manual")
+    plan = planner.plan((0.9, 0.9, 0.0), (1.0, 0.9, 0.0), anchor_weight=1.5, refinable=True)
+    assert plan.solved and next(planner.improve((0.9, 0.9, 0.0), (1.0, 0.9, 0.0), refinable=True)).solved
+    assert len(tried) == 6  # no query has added one
+    assert capsys.readouterr().out.startswith("ready: ")
+
+
 @pytest.mark.pipeline
 def test_q3_the_first_query_of_a_new_installation_keeps_its_time(tmp_path):
     """Takes a minute: all kernels are compiled."""
@@ -132,4 +184,10 @@ def test_q3_the_first_query_of_a_new_installation_keeps_its_time(tmp_path):
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True)
     status, seconds = done.stdout.split()
     assert status == "solved" and float(seconds) < 5
-    assert done.stderr.splitlines() == ["compiling the planner for this machine, once; it takes about a minute"]
+    first, *further = done.stderr.splitlines()
+    assert first == "compiling the planner for this machine, once; it takes about a minute"
+    progress = [re.fullmatch(r"compiling: (\d+) of about (\d+) kernels, (\d+) s", line) for line in further]
+    seconds = [int(line[3]) for line in progress]
+    assert len(seconds) > 2 and max(np.diff(seconds)) <= 3  # s, rounded
+    done, expected = (int(progress[-1][k]) for k in (1, 2))
+    assert 0.75 < done / expected < 1.01
