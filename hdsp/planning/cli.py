@@ -2,42 +2,74 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
-import warnings
 from collections.abc import Sequence
+from importlib import metadata
 
 from hdsp.base.errors import InputError, RefinementError
-from hdsp.planning.commands.map_commands import add_info, add_map
-from hdsp.planning.commands.plan_command import NO_PLAN, add_plan
+from hdsp.planning.commands.command_parser import CommandParser
+from hdsp.planning.commands.completion_command import add_completion
+from hdsp.planning.commands.console import BAD_INPUT, INTERRUPTED, NO_PLAN, Console, close_broken_pipe
+from hdsp.planning.commands.info_command import add_info
+from hdsp.planning.commands.map_commands import add_map
+from hdsp.planning.commands.plan_command import add_plan
 from hdsp.planning.commands.warmup_command import add_warmup
 
-__all__ = ["NO_PLAN", "main"]
+__all__ = ["NO_PLAN", "command_parser", "main"]
+
+_EXAMPLES = """examples:
+  hdsp map room.las --out room.npz --picture room.png
+  hdsp plan room.npz --start 1 2 0 --goal 4 3 90 --picture plan.png
+  hdsp info room.npz
+
+exit status: 0 done, 1 bad input, 2 wrong usage, 3 no plan, 130 interrupted"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command line; returns the exit status. Bad input gives one line and status 1, no plan status 3."""
-    chosen = _parser().parse_args(arguments)
-    with warnings.catch_warnings():
-        warnings.showwarning = _one_line
+    """Runs the command line; returns the exit status.
+
+    Bad input gives one line and status 1, wrong usage status 2, no plan status 3, an interrupt status 130.
+    """
+    parser = command_parser()
+    chosen, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        chosen.parser.refuse_unknown(unknown)
+    chosen.console = console = Console(getattr(chosen, "json", False), chosen.quiet)
+    with console.reporting():
         try:
             return chosen.run(chosen) or 0
         except (InputError, RefinementError) as error:
-            print(f"error: {error}", file=sys.stderr)
-            return 1
+            console.fail(error)
+        except MemoryError:
+            console.fail("there is not enough memory")
+        except KeyboardInterrupt:
+            console.warn("interrupted")
+            return INTERRUPTED
+        except BrokenPipeError:
+            close_broken_pipe()
+    return BAD_INPUT
 
 
-def _one_line(message, category, filename, lineno, file=None, line=None) -> None:
-    """Prints a warning as a line for users, without its place in the code."""
-    print(f"warning: {message}", file=sys.stderr)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="hdsp", description="Hybrid driving-stepping planning.")
+def command_parser() -> CommandParser:
+    """Returns the parser with all commands."""
+    parser = CommandParser(prog="hdsp", description="Hybrid driving-stepping planning.", epilog=_EXAMPLES)
+    parser.add_argument("--version", action="version", version=f"hdsp {version()}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for add in (add_map, add_plan, add_info, add_warmup):
         add(commands)
+    add_completion(commands, parser)
+    for command in commands.choices.values():
+        command.add_argument("--quiet", action="store_true", help="show no progress")
+        command.set_defaults(parser=command)
     return parser
+
+
+def version() -> str:
+    """Returns the version of the installed package."""
+    try:
+        return metadata.version("hdsp")
+    except metadata.PackageNotFoundError:  # run from a source folder
+        return "unknown: not installed"
 
 
 if __name__ == "__main__":

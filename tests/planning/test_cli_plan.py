@@ -123,7 +123,7 @@ def test_m18_a_missing_extra_is_named_before_the_search(tmp_path, missing, optio
         "sys.exit(cli.main(sys.argv[1:]))\n"
     )
     ends = ["--start", "0.9", "0.9", "0", "--goal", "1.6", "1.1", "0"]
-    command = [sys.executable, "-c", script, "plan", "map.npz", *ends, *options]
+    command = [sys.executable, "-c", script, "plan", "map.npz", *ends, *options, "--quiet"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 1 and done.stderr.count("\n") == 1

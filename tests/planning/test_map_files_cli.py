@@ -110,7 +110,7 @@ def test_a_plan_on_a_map_file_says_what_was_assumed(tmp_path, capsys):
 
 def test_m18_a_plan_on_millimetres_is_warned_of_in_one_line(tmp_path, capsys):
     HeightMap(np.repeat([0.0, 150.0], 50)[:, None] * np.ones(100)).save(tmp_path / "mm.npz")
-    main(["plan", str(tmp_path / "mm.npz"), "--start", "0.6", "1.2", "0", "--goal", "0.6", "1.2", "0"])
+    main(["plan", str(tmp_path / "mm.npz"), "--start", "0.6", "1.2", "0", "--goal", "0.6", "1.2", "0", "--quiet"])
     (line,) = capsys.readouterr().err.splitlines()
     assert line == "warning: terrain: heights from 0 to 150 m in cells of 0.025 m: millimetres or centimetres?"
 

@@ -1,5 +1,7 @@
 """The commands of `hdsp`: maps from files, contents of files, plans.
 
-- `map_commands`: `hdsp map` and `hdsp info`; `map_file_commands`, `cloud_commands`: their parts for maps and clouds
-- `plan_command`: `hdsp plan`
+- `command_parser`, `console`: short errors, shell completion; texts, JSON and progress of all commands
+- `map_commands`, `info_command`: `hdsp map`, `hdsp info`; `map_file_commands`, `cloud_commands`: parts of both
+- `plan_command`, `plan_options`: `hdsp plan`; `json_documents`: JSON documents of all commands
+- `completion_command`: `hdsp completion`
 """

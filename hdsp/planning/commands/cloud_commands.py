@@ -6,11 +6,12 @@ import argparse
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.planning.commands.command_parser import takes_file
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.map_frame import MapFrame
 from hdsp.terrain.pointcloud import FORMATS, FloorSettings, MapSettings, describe_points, map_points, read_points
@@ -36,7 +37,7 @@ class MadeMap(NamedTuple):
     about: str
 
 
-def add_cloud_reading(parser: argparse.ArgumentParser) -> None:
+def add_cloud_reading(parser: Any) -> None:
     """Adds the options for reading a cloud: units, axes, tilt."""
     parser.add_argument("--units", type=float, default=1.0, help="metres per unit of the file, e.g. 0.001 (default: 1)")
     parser.add_argument(
@@ -52,17 +53,22 @@ def add_cloud_reading(parser: argparse.ArgumentParser) -> None:
 
 def add_cloud_mapping(parser: argparse.ArgumentParser) -> None:
     """Adds the options for a map of clouds: a description of a scan, levelling, cuts, filling."""
-    parser.add_argument("--scan", metavar="YAML", help="a description of a scan, as in conf/scans, in place of options")
-    add_cloud_reading(parser)
-    parser.add_argument(
+    group = parser.add_argument_group("making a map of point clouds")
+    takes_file(
+        group.add_argument(
+            "--scan", metavar="YAML", help="a description of a scan, as in conf/scans, in place of options"
+        )
+    )
+    add_cloud_reading(group)
+    group.add_argument(
         "--no-level", dest="level", action="store_false", help="keep z as it is: do not look for the floor"
     )
     corners = ("X_MIN", "Y_MIN", "X_MAX", "Y_MAX")
-    parser.add_argument("--box", nargs=4, type=float, metavar=corners, help="m, after levelling; drop points outside")
+    group.add_argument("--box", nargs=4, type=float, metavar=corners, help="m, after levelling; drop points outside")
     default = MapSettings()
     for name, meaning in _MEANINGS.items():
         value = getattr(default, name)
-        parser.add_argument(f"--{name}", type=type(value), default=value, help=f"{meaning} (default: {value})")
+        group.add_argument(f"--{name}", type=type(value), default=value, help=f"{meaning} (default: {value})")
 
 
 def map_clouds(chosen: argparse.Namespace) -> MadeMap:
@@ -76,7 +82,11 @@ def map_clouds(chosen: argparse.Namespace) -> MadeMap:
     """
     if chosen.scan:
         return _map_scan(chosen)
-    points = np.concatenate([read_cloud(path, chosen) for path in chosen.files])
+    clouds = []
+    for number, path in enumerate(chosen.files, 1):
+        with chosen.console.progress.during(f"reading {Path(path).name} ({number} of {len(chosen.files)})"):
+            clouds.append(read_cloud(path, chosen))
+    points = np.concatenate(clouds)
     settings = MapSettings(
         **{name: getattr(chosen, name) for name in _MEANINGS},
         box=tuple(chosen.box) if chosen.box else None,
@@ -85,7 +95,8 @@ def map_clouds(chosen: argparse.Namespace) -> MadeMap:
         check_up=chosen.axes is None,
     )
     resolution = {} if chosen.resolution is None else {"resolution": chosen.resolution}
-    mapped = map_points(points, settings, **resolution)
+    with chosen.console.progress.during(f"making a map of {len(points):,} points"):
+        mapped = map_points(points, settings, **resolution)
     for doubt in mapped.report.doubts:
         warnings.warn(doubt, stacklevel=2)
     frame = MapFrame(to_source=mapped.to_source, notes=mapped.report.notes)
@@ -104,7 +115,8 @@ def _map_scan(chosen: argparse.Namespace) -> MadeMap:
             raise InputError(reason)
     if len(paths) != len(scan.files):
         raise InputError(f"scan {scan.name}: {len(paths)} files; its description has {len(scan.files)}")
-    terrain = build_map(scan, paths)
+    with chosen.console.progress.during(f"making the map of scan {scan.name}"):
+        terrain = build_map(scan, paths)
     return MadeMap(terrain, "; ".join([f"scan {scan.name}: {scan.place}", *terrain.frame.notes]))
 
 

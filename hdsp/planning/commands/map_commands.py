@@ -1,43 +1,44 @@
-"""The commands `hdsp map` and `hdsp info`: height maps from files, and the contents of a file."""
+"""The command `hdsp map`: height maps of point clouds and of other height maps."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-import numpy as np
-
 from hdsp.base.errors import InputError
-from hdsp.planning.commands.cloud_commands import (
-    POINT_FILES,
-    about_cloud,
-    add_cloud_mapping,
-    add_cloud_reading,
-    map_clouds,
-)
+from hdsp.planning.commands.cloud_commands import POINT_FILES, add_cloud_mapping, map_clouds
+from hdsp.planning.commands.command_parser import add_json, takes_file
+from hdsp.planning.commands.json_documents import map_fields
 from hdsp.planning.commands.map_file_commands import (
     MAP_FILES,
     about_map,
-    add_cell_size,
     add_map_reading,
     conditioned,
     convert_map,
-    describe_map_file,
     map_options,
-    refuse_given,
+    refuse_map_options,
 )
 from hdsp.terrain.height_map import HeightMap, check_readable
 from hdsp.terrain.map_formats import check_writable, is_map
+
+_EXAMPLES = """examples:
+  hdsp map room.las --out room.npz --picture room.png
+  hdsp map front.pcd rear.pcd --box 0 -2 8 2 --out yard.h5     fused, cut
+  hdsp map camera.ply --axes=z,-x,-y --units 0.001 --out lab.npz
+  hdsp map elevation.bag --layer elevation --condition --out map.npz
+  hdsp map --scan conf/scans/pcl_room_scan.yaml --out room.npz"""
 
 
 def add_map(commands) -> None:
     """Adds the command `map`."""
     made = commands.add_parser(
-        "map", help="make a height map of point clouds, or convert one", description=_map.__doc__
+        "map", help="make a height map of point clouds, or convert one", description=_map.__doc__, epilog=_EXAMPLES
     )
-    made.add_argument("files", nargs="*", metavar="FILE", help=f"{MAP_FILES}, or {POINT_FILES}; several are fused")
-    made.add_argument("--out", required=True, help="the map: .npz, .h5, .tif")
-    made.add_argument("--picture", help="a PNG of the map")
+    files = f"{MAP_FILES}, or {POINT_FILES}; several are fused"
+    takes_file(made.add_argument("files", nargs="*", metavar="FILE", help=files))
+    takes_file(made.add_argument("--out", required=True, help="the map: .npz, .h5, .tif"))
+    takes_file(made.add_argument("--picture", help="a PNG of the map"))
+    add_json(made)
     made.add_argument("--resolution", type=float, help="m, side of a cell (default: 0.025, what the planner needs)")
     made.add_argument(
         "--condition", action="store_true", help="remove noise, spikes and small holes, and resample to 0.025 m"
@@ -45,16 +46,6 @@ def add_map(commands) -> None:
     add_cloud_mapping(made)
     add_map_reading(made)
     made.set_defaults(run=lambda chosen: _map(chosen, made))
-
-
-def add_info(commands) -> None:
-    """Adds the command `info`."""
-    told = commands.add_parser("info", help="say what a file holds", description=_info.__doc__)
-    told.add_argument("file", metavar="FILE", help=f"{MAP_FILES}, a shard of labels, or {POINT_FILES}")
-    add_cloud_reading(told)
-    add_map_reading(told)
-    add_cell_size(told)
-    told.set_defaults(run=lambda chosen: _info(chosen, told))
 
 
 def _map(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
@@ -65,56 +56,32 @@ def _map(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
     if not chosen.files and not chosen.scan:
         raise InputError("map: no file; need a height map, point clouds, or --scan with a description")
     if not chosen.scan and any(is_map(path) for path in chosen.files):
-        _picture(convert_map(chosen, parser), chosen)
+        with chosen.console.progress.during(f"converting {Path(chosen.files[0]).name}"):
+            terrain = convert_map(chosen, parser)
+        _finish(terrain, chosen)
         return
     for file in chosen.files:
         check_readable(file)
-    _refuse_map_options(chosen, ("resolution",))
+    refuse_map_options(chosen, ("resolution",))
     check_writable(chosen.out)
     measured, about = map_clouds(chosen)
-    terrain, done = conditioned(measured, chosen)
-    terrain.save(chosen.out)
-    print(f"{chosen.out}: {about_map(terrain)}; {about}{done}")
-    _picture(terrain, chosen)
+    with chosen.console.progress.during("writing the map"):
+        terrain, done = conditioned(measured, chosen)
+        terrain.save(chosen.out)
+    chosen.console.tell(f"{chosen.out}: {about_map(terrain)}; {about}{done}")
+    _finish(terrain, chosen)
 
 
-def _picture(terrain: HeightMap, chosen: argparse.Namespace) -> None:
+def _finish(terrain: HeightMap, chosen: argparse.Namespace) -> None:
+    """Draws the picture, if it is wanted, and prints the JSON document."""
+    files = {"out": chosen.out}
     if chosen.picture:
         from hdsp.viz import save_map
 
-        save_map(terrain, chosen.picture, ", ".join(Path(path).name for path in chosen.files) or Path(chosen.scan).stem)
-        print(f"{chosen.picture}: picture")
-
-
-def _info(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
-    """Says what a height map, a shard of labels or a point cloud holds, and what looks wrong."""
-    path = Path(chosen.file)
-    check_readable(path)
-    if not is_map(path):
-        _refuse_map_options(chosen, ())
-        print(about_cloud(path, chosen))
-    elif (shard := _shard(path)) is not None:
-        print(shard)
-    else:
-        refuse_given(chosen, parser, ("file", *map_options(chosen)), f"the height map {path}")
-        describe_map_file(path, chosen)
-
-
-def _refuse_map_options(chosen: argparse.Namespace, apply: tuple[str, ...]) -> None:
-    for name in map_options(chosen):
-        if name not in apply:
-            raise InputError(f"option --{name} does not apply to point clouds")
-
-
-def _shard(path: Path) -> str | None:
-    """About a shard; None if the file is none. A damaged shard raises InputError."""
-    from hdsp.labels.shards import is_shard, read_shard
-
-    if path.suffix.lower() != ".h5" or not path.is_file() or not is_shard(path):
-        return None
-    tasks, attributes = read_shard(path)
-    names, counts = np.unique(tasks.category, return_counts=True)
-    kinds = ", ".join(f"{count} {name}" for name, count in zip(names, counts, strict=True))
-    about = "; ".join(f"{name}: {attributes[name]}" for name in ("place", "licence", "source") if name in attributes)
-    text = f"shard of {len(tasks)} maps ({kinds}), {tasks.feasible.size} tasks, {int(tasks.feasible.sum())} feasible"
-    return f"{text}; {about}" if about else text
+        title = ", ".join(Path(path).name for path in chosen.files) or Path(chosen.scan).stem
+        with chosen.console.progress.during("drawing the map"):
+            save_map(terrain, chosen.picture, title)
+        chosen.console.tell(f"{chosen.picture}: picture")
+        files["picture"] = chosen.picture
+    given = map_options(chosen)
+    chosen.console.document({"status": "done", "map": map_fields(terrain), "options": given, "files": files})

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.planning.commands.command_parser import option_group
+from hdsp.planning.commands.console import Console
+from hdsp.planning.commands.json_documents import map_fields
 from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.map_checks import suspicions
@@ -20,33 +22,30 @@ from hdsp.terrain.map_formats import MAP_SUFFIXES, MissingOption, check_writable
 MAP_FILES = f"a height map ({', '.join(MAP_SUFFIXES)}, or the folder of a ROS 2 bag)"
 
 _NUMBERS = {
-    "scale": "height map file: metres per unit or grey step, e.g. 0.001 for millimetres",
-    "offset": "height map file: m, height of its zero",
-    "nodata": "height map file: value of unknown cells",
+    "scale": "metres per unit or grey step, e.g. 0.001 for millimetres",
+    "offset": "m, height of its zero",
+    "nodata": "value of unknown cells",
 }
 _NAMES = {
-    "layer": "height map file: layer, band or entry with the heights",
+    "layer": "layer, band or entry with the heights",
     "topic": "bag: topic with the grid maps",
 }
+_READING = "reading a height map file"
 _OPTIONS = ("resolution", "origin", *_NUMBERS, *_NAMES, "message")
 
 
 def add_map_reading(parser: argparse.ArgumentParser) -> None:
     """Adds the options for reading height map files, except the cell size."""
-    parser.add_argument(
+    group = option_group(parser, _READING)
+    group.add_argument(
         "--origin", nargs=2, type=float, metavar=("X", "Y"),
         help="array or image: m, lower corner of the first cell (default: 0 0)",
     )  # fmt: skip
     for name, meaning in _NUMBERS.items():
-        parser.add_argument(f"--{name}", type=float, help=meaning)
+        group.add_argument(f"--{name}", type=float, metavar="VALUE", help=meaning)
     for name, meaning in _NAMES.items():
-        parser.add_argument(f"--{name}", help=meaning)
-    parser.add_argument("--message", type=int, help="bag: index of the message (default: the last)")
-
-
-def add_cell_size(parser: argparse.ArgumentParser) -> None:
-    """Adds the cell size of files that have none."""
-    parser.add_argument("--resolution", type=float, help="array or image: m, side of a cell")
+        group.add_argument(f"--{name}", metavar="NAME", help=meaning)
+    group.add_argument("--message", type=int, metavar="N", help="bag: index of the message (default: the last)")
 
 
 def map_options(chosen: argparse.Namespace) -> dict[str, Any]:
@@ -55,10 +54,21 @@ def map_options(chosen: argparse.Namespace) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
 
 
+def add_cell_size(parser: argparse.ArgumentParser) -> None:
+    """Adds the cell size of files that have none."""
+    option_group(parser, _READING).add_argument(
+        "--resolution", type=float, metavar="M", help="array or image: m, side of a cell"
+    )
+
+
+#: Names in the namespace that are no options of a reader.
+_COMMON = {"console", "json", "parser", "quiet", "run"}
+
+
 def refuse_given(chosen: argparse.Namespace, parser: argparse.ArgumentParser, apply: tuple[str, ...], why: str) -> None:
     """Refuses options that were given but do not apply."""
     for name, value in vars(chosen).items():
-        if name not in apply and value != parser.get_default(name):
+        if name not in apply and name not in _COMMON and value != parser.get_default(name):
             raise InputError(f"option --{name.replace('_', '-')} does not apply to {why}")
 
 
@@ -72,8 +82,8 @@ def convert_map(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> 
     read = _read_map(file, chosen)
     terrain, done = conditioned(read, chosen)
     terrain.save(chosen.out)
-    print(f"{chosen.out}: {about_map(terrain)}{done}")
-    print_signs(read)
+    chosen.console.tell(f"{chosen.out}: {about_map(terrain)}{done}")
+    tell_signs(read, chosen.console)
     return terrain
 
 
@@ -104,22 +114,24 @@ def _read_map(file: str, chosen: argparse.Namespace) -> HeightMap:
     return terrain
 
 
-def describe_map_file(path: Path, chosen: argparse.Namespace) -> None:
-    """Prints the parts of a height map file, the map in it, its frame, and signs of faults."""
-    print(map_contents(path))
+def describe_map_file(path: Path, chosen: argparse.Namespace) -> dict[str, Any]:
+    """Tells the parts of a height map file, the map in it, its frame, and signs of faults; returns them for JSON."""
+    tell, contents = chosen.console.tell, map_contents(path)
+    tell(contents)
     try:
         terrain = HeightMap.load(path, **map_options(chosen))
     except MissingOption as error:
-        print(f"no map yet: {error}")
-        return
-    print(about_map(terrain))
+        tell(f"no map yet: {error}")
+        return {"contents": contents, "map": None, "missing": str(error)}
+    tell(about_map(terrain))
     frame = terrain.frame
     parts = [f"frame {frame.name or 'not named'}", f"CRS {frame.crs or 'none'}"]
     if not frame.is_source:
         rows = "; ".join(" ".join(f"{value:.6g}" for value in row) for row in frame.to_source[:3])
         parts.append(f"to the frame of the source by [{rows}]")
-    print(", ".join([*parts, "x, y and heights taken as metres"]))
-    print_signs(terrain)
+    tell(", ".join([*parts, "x, y and heights taken as metres"]))
+    tell_signs(terrain, chosen.console)
+    return {"contents": contents, "map": map_fields(terrain)}
 
 
 def about_map(terrain: HeightMap) -> str:
@@ -133,10 +145,16 @@ def about_map(terrain: HeightMap) -> str:
     return text
 
 
-def print_signs(terrain: HeightMap) -> None:
-    """Prints the notes on a map, and signs of faults."""
+def tell_signs(terrain: HeightMap, console: Console) -> None:
+    """Tells the notes on a map, and signs of faults."""
     for note in terrain.frame.notes:
-        print(f"note: {note}")
+        console.tell(f"note: {note}")
     for sign in suspicions(terrain):
-        print(f"suspicious: {sign}")
-    sys.stdout.flush()
+        console.tell(f"suspicious: {sign}")
+
+
+def refuse_map_options(chosen: argparse.Namespace, apply: tuple[str, ...]) -> None:
+    """Refuses options for height map files, because the files are point clouds."""
+    for name in map_options(chosen):
+        if name not in apply:
+            raise InputError(f"option --{name} does not apply to point clouds")

@@ -4,117 +4,171 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from hdsp.base.errors import InputError
 from hdsp.base.files import writable_file
 from hdsp.detailed.motion.motion_files import check_motion_path
-from hdsp.planning.commands.map_file_commands import add_cell_size, add_map_reading, map_options
+from hdsp.planning.commands.console import NO_PLAN, Console
+from hdsp.planning.commands.json_documents import map_fields, plan_fields
+from hdsp.planning.commands.map_file_commands import map_options
+from hdsp.planning.commands.plan_options import (
+    WEIGHT,
+    add_plan_options,
+    goal_pose,
+    limits_of_search,
+    start_pose,
+    tolerance_of,
+)
 from hdsp.terrain.conditioning import is_conditioned
 from hdsp.terrain.height_map import HeightMap
 
-#: Exit status where there is no plan.
-NO_PLAN = 3
+if TYPE_CHECKING:
+    from hdsp.planning.answers.plans import Plan
+    from hdsp.planning.planner import Planner
+
+__all__ = ["NO_PLAN", "add_plan", "goal_pose", "start_pose"]
+
 _TABLES = ".csv", ".txt"
+#: Weights of the rounds of --improve above the last one.
+_WEIGHTS = (3.0, 2.0, 1.5, 1.25)
 
 
 def add_plan(commands) -> None:
     """Adds the command `plan`."""
     parser = commands.add_parser("plan", help="plan a path on a height map", description=_plan.__doc__)
-    pose: dict[str, Any] = {"nargs": 3, "type": float, "required": True, "metavar": ("X", "Y", "DEGREES")}
-    parser.add_argument("map", metavar="MAP", help="a height map with cells of up to 0.2 m, or a point cloud")
-    parser.add_argument("--start", help="base position in m, heading against the x axis", **pose)
-    parser.add_argument(
-        "--goal", nargs="+", action="append", required=True, metavar=("X", "Y DEGREES"),
-        help="the same; without DEGREES, or with the word free, any heading. Several --goal: the one that costs least",
-    )  # fmt: skip
-    parser.add_argument(
-        "--tolerance", nargs="+", type=float, metavar=("M", "DEGREES"),
-        help="distance from the goal, and difference in heading, within which the path may end (default: none)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--no-start-free", dest="start_free", action="store_false",
-        help="at the start, unknown ground and the robot itself in the map count as they are",
-    )  # fmt: skip
-    parser.add_argument(
-        "--way-out", action="store_true", help="a robot too near to obstacles at the start drives away from them first"
-    )
-    parser.add_argument("--robot", default="momaro", help="a preset or a YAML file (default: momaro)")
-    parser.add_argument(
-        "--heuristic", default="manual",
-        help="geometric, manual, learned (the abstraction that comes with the package) or learned:FOLDER "
-        "(default: manual)",
-    )  # fmt: skip
-    parser.add_argument("--weight", type=float, default=1.25, help="how much speed counts, from 1 on (default: 1.25)")
-    parser.add_argument(
-        "--polish", type=float, metavar="S",
-        help="s in which parts of the path are planned again, so that it gets cheaper; 0 for none (default: 0.2 if "
-        "nothing bounds its cost)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--margin", type=float, default=0.0, help="m that the body keeps clear of obstacles (default: 0)"
-    )
-    parser.add_argument(
-        "--no-conditioning", dest="conditioning", action="store_false", help="plan on the map as it is, with its noise"
-    )
-    parser.add_argument("--time", type=float, default=60.0, help="s after which the search gives up (default: 60)")
-    parser.add_argument(
-        "--out",
-        help="a CSV file of the states (m, rad) and of the actions that lead to them, also in the frame of the map's "
-        "source if that is another one",
-    )
-    parser.add_argument(
-        "--motion", "--record", dest="motions", action="append", default=[], metavar="FILE",
-        help="the motion with its times: .csv, .json, .npz; .mcap (Foxglove), .gif, .mp4; no suffix: a ROS 2 bag",
-    )  # fmt: skip
-    parser.add_argument("--picture", help="a PNG of the path, or of the causes why there is none")
-    add_map_reading(parser)
-    add_cell_size(parser)
+    add_plan_options(parser)
     parser.set_defaults(run=_plan)
 
 
 def _plan(chosen: argparse.Namespace) -> int:
     """Plans a path and says what it does and costs, or why there is none (exit status 3)."""
+    console: Console = chosen.console
+    _check_outputs(chosen)
+    limits, goals = limits_of_search(chosen), [goal_pose(words) for words in chosen.goal]
+    planner, terrain = _planner(chosen)
+    query = {
+        "tolerance": tolerance_of(chosen.tolerance), "start_free": chosen.start_free, "way_out": chosen.way_out,
+        "polish": chosen.polish, "refinable": bool(chosen.motions), **limits,
+    }  # fmt: skip
+    start, goal = start_pose(chosen.start), goals if len(goals) > 1 else goals[0]
+    improvements: list[dict[str, Any]] = []
+    with console.progress.during("planning"):
+        if chosen.improve is not None:
+            weights = *(weight for weight in _WEIGHTS if weight > (chosen.weight or 1.0)), chosen.weight or 1.0
+            plans = [_improved(planner, (start, goal), weights, query, console, improvements)]
+        else:
+            query |= {"weight": WEIGHT if chosen.weight is None else chosen.weight, "progress": _shown(console)}
+            plans = planner.plan_each(start, goals, **query) if chosen.each else [planner.plan(start, goal, **query)]
+    files = [_report(plan, chosen, terrain, number, len(plans)) for number, plan in enumerate(plans)]
+    common = {"start": start, "goals": goals, "robot": planner.robot.name, "map": map_fields(terrain)}
+    if chosen.each:
+        fields = {"plans": [plan_fields(plan) | {"files": own} for plan, own in zip(plans, files, strict=True)]}
+    else:
+        fields = plan_fields(plans[0]) | {"files": files[0]} if console.as_json else {}
+    if chosen.improve is not None:
+        fields["improvements"] = improvements
+    console.document(common | fields)
+    return 0 if all(plan.solved for plan in plans) else NO_PLAN
+
+
+def _planner(chosen: argparse.Namespace) -> tuple[Planner, HeightMap]:
+    """Reads the map and tells what was assumed about it; returns the planner and the map as it was read."""
     from hdsp.planning.planner import Planner
 
-    _check_outputs(chosen)
-    terrain = HeightMap.load(chosen.map, **map_options(chosen))
+    console: Console = chosen.console
+    with console.progress.during(f"reading {Path(chosen.map).name}"):
+        terrain = HeightMap.load(chosen.map, **map_options(chosen))
     for note in terrain.frame.notes:
-        print(f"map: {note}")
-    planner = Planner(terrain, chosen.robot, chosen.heuristic, chosen.margin, conditioning=chosen.conditioning)
+        console.tell(f"map: {note}")
+    with console.progress.during("preparing the planner"):
+        planner = Planner(terrain, chosen.robot, chosen.heuristic, chosen.margin, conditioning=chosen.conditioning)
     report = planner.conditioning
     # A note of a conditioned map already names its unknown share.
     if report is not None and (report.changed or (report.unknown and not is_conditioned(terrain.frame.notes))):
-        print(f"map: {report}")
-    goals = [_goal(words) for words in chosen.goal]
-    plan = planner.plan(
-        _pose(chosen.start), goals if len(goals) > 1 else goals[0], chosen.weight,
-        time=chosen.time, polish=chosen.polish, tolerance=_tolerance(chosen.tolerance), start_free=chosen.start_free,
-        way_out=chosen.way_out, refinable=bool(chosen.motions),
-    )  # fmt: skip
-    if len(goals) > 1 and plan.goal_index is not None:
-        print(f"goal {plan.goal_index + 1} of {len(goals)}: {' '.join(chosen.goal[plan.goal_index])}")
-    print(plan.explain())
-    if not plan.solved:
-        if chosen.picture:
-            plan.show(chosen.picture)
-            print(f"{chosen.picture}: picture of the causes")
-        return NO_PLAN
-    print(f"{plan.stats.expansions:,} states expanded in {plan.stats.seconds:.2f} s")
-    print(f"proved: at most {math.ceil(100 * plan.bound) / 100:.2f} times the least possible cost")
-    if chosen.out:
-        plan.write(chosen.out)
-        print(f"{chosen.out}: {len(plan.states)} states{_frames(terrain)}")
-    for path in chosen.motions:
-        plan.save(path)
-        print(f"{path}: motion, {plan.refine().duration:.1f} s")
+        console.tell(f"map: {report}")
+    return planner, terrain
+
+
+def _shown(console: Console):
+    """Callback that shows how far a search is."""
+    return lambda expansions, _: console.progress.detail(f"{expansions:,} states expanded")
+
+
+def _improved(
+    planner: Planner,
+    ends: tuple[Any, Any],
+    weights: tuple[float, ...],
+    query: dict[str, Any],
+    console: Console,
+    improvements: list[dict[str, Any]],
+) -> Plan:
+    """Returns the best plan of an anytime search, which tells each; an interrupt ends the search."""
+    best = None
+    try:
+        for plan in planner.improve(*ends, weights, progress=_shown(console), **query):
+            best = plan
+            if plan.solved:
+                figures = {"seconds": plan.stats.seconds, "cost": plan.cost, "bound": plan.bound}
+                improvements.append(figures)
+                told = f"{figures['seconds']:.2f} s: cost {plan.cost:.3f}, at most {_rounded_up(plan.bound)} times"
+                console.tell(f"{told} the least possible cost")
+    except KeyboardInterrupt:
+        if best is None or not best.solved:
+            raise
+        best.stats.end("interrupted")
+        console.progress.say("interrupted: the best plan so far is kept")
+    assert best is not None
+    return best
+
+
+def _report(plan: Plan, chosen: argparse.Namespace, terrain: HeightMap, number: int, count: int) -> dict[str, Any]:
+    """Tells about a plan and writes its files; returns their names."""
+    console: Console = chosen.console
+    goal = number if count > 1 else plan.goal_index
+    if len(chosen.goal) > 1 and goal is not None:
+        console.tell(f"goal {goal + 1} of {len(chosen.goal)}: {' '.join(chosen.goal[goal])}")
+    with console.progress.during("looking for the reasons"):
+        words = plan.explain()
+    console.tell(words)
+    files: dict[str, Any] = {}
+    if plan.stats.ended is not None:
+        console.tell(f"end of the improvement: {plan.stats.ended.replace('_', ' ')}")
+    if plan.solved:
+        console.tell(f"{plan.stats.expansions:,} states expanded in {plan.stats.seconds:.2f} s")
+        console.tell(f"proved: at most {_rounded_up(plan.bound)} times the least possible cost")
+    if plan.solved and chosen.out:
+        files["out"] = _numbered(chosen.out, number, count)
+        plan.write(files["out"])
+        console.tell(f"{files['out']}: {len(plan.states)} states{_frames(terrain)}")
+    files |= _save_motions(plan, chosen, number, count) if plan.solved else {}
     if chosen.picture:
-        plan.show(chosen.picture)
-        print(f"{chosen.picture}: picture")
-    return 0
+        files["picture"] = _numbered(chosen.picture, number, count)
+        with console.progress.during("drawing"):
+            plan.show(files["picture"])
+        console.tell(f"{files['picture']}: picture{'' if plan.solved else ' of the causes'}")
+    return files
+
+
+def _save_motions(plan: Plan, chosen: argparse.Namespace, number: int, count: int) -> dict[str, list[str]]:
+    """Writes the motion and tells its duration; returns the names of the files."""
+    written = []
+    for path in chosen.motions:
+        written.append(_numbered(path, number, count))
+        with chosen.console.progress.during("writing the motion"):
+            plan.save(written[-1])
+        chosen.console.tell(f"{written[-1]}: motion, {plan.refine().duration:.1f} s")
+    return {"motions": written} if written else {}
+
+
+def _rounded_up(bound: float) -> str:
+    return f"{math.ceil(100 * bound) / 100:.2f}" if math.isfinite(bound) else "infinitely many"
+
+
+def _numbered(path: str, number: int, count: int) -> str:
+    """Name of a file for one of several plans: ``plan.csv`` becomes ``plan-1.csv``."""
+    place = Path(path)
+    return path if count == 1 else str(place.with_name(f"{place.stem}-{number + 1}{place.suffix}"))
 
 
 def _check_outputs(chosen: argparse.Namespace) -> None:
@@ -127,42 +181,6 @@ def _check_outputs(chosen: argparse.Namespace) -> None:
         from hdsp.viz import save_planned_path  # noqa: F401, an extra that may be missing
 
         writable_file(chosen.picture, "picture", (".png",))
-
-
-def _pose(values: Sequence[float]) -> np.ndarray:
-    """Pose (m, m, rad) from (m, m, degrees); full turns are dropped."""
-    x, y, degrees = values
-    return np.array([x, y, math.radians(math.remainder(degrees, 360) if math.isfinite(degrees) else degrees)])
-
-
-def _goal(words: Sequence[str]) -> tuple[float, float, float | None]:
-    """Goal (m, m, rad) from the words X Y DEGREES; None for a free heading.
-
-    Raises:
-        InputError: other words.
-    """
-    free = len(words) == 2 or (len(words) == 3 and words[2] == "free")
-    try:
-        values = [float(word) for word in words[: 2 if free else None]]
-    except ValueError:
-        values = []
-    if len(values) != (2 if free else 3):
-        raise InputError(f"--goal {' '.join(words)}: need X Y DEGREES, X Y free, or X Y")
-    x, y, heading = _pose([*values, 0.0] if free else values).tolist()
-    return x, y, None if free else heading
-
-
-def _tolerance(values: Sequence[float] | None) -> float | tuple[float, float] | None:
-    """Tolerance (m, rad) from (m, degrees).
-
-    Raises:
-        InputError: more than two values.
-    """
-    if values is None or len(values) == 1:
-        return None if values is None else values[0]
-    if len(values) > 2:
-        raise InputError(f"--tolerance takes M, or M DEGREES, not {len(values)} values")
-    return values[0], math.radians(values[1])
 
 
 def _frames(terrain: HeightMap) -> str:

@@ -6,6 +6,7 @@ import argparse
 
 from hdsp.base.compilation import compilations
 from hdsp.base.gradual import now
+from hdsp.planning.commands.command_parser import add_heuristic, add_robot
 from hdsp.terrain.height_map import HeightMap
 
 
@@ -14,10 +15,8 @@ def add_warmup(commands) -> None:
     parser = commands.add_parser(
         "warmup", help="compile the planner for this machine, once", description=_warm_up.__doc__
     )
-    parser.add_argument("--robot", default="momaro", help="a preset or a YAML file (default: momaro)")
-    parser.add_argument(
-        "--heuristic", default="manual", help="geometric, grid, manual, learned or learned:FOLDER (default: manual)"
-    )
+    add_robot(parser)
+    add_heuristic(parser)
     parser.set_defaults(run=_warm_up)
 
 
