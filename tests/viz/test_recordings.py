@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import sys
 from xml.etree import ElementTree
 
 import numpy as np
@@ -278,7 +279,7 @@ def test_wrong_files_are_refused_in_one_line(motion, folder, tmp_path):
 
 @pytest.mark.parametrize(("name", "package"), [("run.mcap", "foxglove"), ("new_bag", "rosbags.rosbag2")])
 def test_a_missing_extra_is_named(motion, tmp_path, monkeypatch, name, package):
-    monkeypatch.setitem(__import__("sys").modules, package, None)
+    monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(InputError, match=r"pip install 'hdsp\[record\]'"):
         motion.save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []

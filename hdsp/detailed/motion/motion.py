@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps, finished
 from hdsp.base.notebook import html_of, png_of
-from hdsp.detailed.motion.motion_files import read_motion, save_motion_file
+from hdsp.detailed.motion.motion_files import animate_motion, read_motion, save_motion_file
 from hdsp.detailed.motion.motion_state import MotionState
 from hdsp.detailed.motion.phases import PHASES
 from hdsp.detailed.motion.timing import Timing
@@ -136,6 +136,23 @@ class Motion:
             InputError: another suffix, a rate that is not positive, a path that cannot be written, or a missing extra.
         """
         return save_motion_file(self, path, rate)
+
+    def animate(self, path: str | os.PathLike, speed: float | None = None, fps: float = 12.5, width: int = 720) -> Path:
+        """Writes an animation in three dimensions, whole or not at all.
+
+        Args:
+            path: ``.gif`` or ``.mp4``.
+            speed: seconds of the motion in a second of the animation; None: at least 1, at most 12 s in all.
+            fps: pictures per second.
+            width: width in pixels; the height follows from the motion.
+
+        Returns:
+            the path.
+
+        Raises:
+            InputError: another suffix, a value out of range, a path that cannot be written, or a missing extra.
+        """
+        return animate_motion(self, path, speed=speed, fps=fps, width=width)
 
     @classmethod
     def load(cls, path: str | os.PathLike, terrain: HeightMap | None = None, robot: Any = None) -> Motion:

@@ -24,10 +24,12 @@ from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.map_frame import MapFrame
 
 #: Writes a motion to a path, with so many states per second.
-MotionWriter = Callable[[Any, Path, float], None]
+MotionWriter = Callable[[Any, Path, float], object]
 
 #: Name and version of the format in JSON files and archives.
 FORMAT, VERSION = "hdsp motion", 1
+#: Suffixes of animations.
+ANIMATIONS = (".gif", ".mp4")
 SOURCE_COLUMNS = ("source_x", "source_y", "source_z", "source_qx", "source_qy", "source_qz", "source_qw")
 _BASE = ("x", "y", "z", "roll", "pitch", "heading")
 _ARRAYS = ("base", "feet", "carries", "action", "phase")
@@ -60,6 +62,20 @@ def check_motion_path(path: str | os.PathLike) -> Path:
     if path.exists():
         raise InputError(f"ROS 2 bag {path}: exists already; need a new folder")
     return path
+
+
+def animate_motion(motion: Any, path: str | os.PathLike, **look: float | None) -> Path:
+    """Writes an animation; see ``Motion.animate``."""
+    if not _ANIMATORS:
+        raise InputError("animations need the package hdsp.viz.recordings; import it first")
+    return _ANIMATORS[-1](motion, Path(path), **look)
+
+
+def register_animator(animator: Callable[..., Path]) -> None:
+    """Registers the maker of animations, called with a motion, a path, and `speed`, `fps` and `width`."""
+    _ANIMATORS.append(animator)
+    for suffix in ANIMATIONS:
+        register_motion_writer(suffix, lambda motion, path, rate: animate_motion(motion, path))
 
 
 def register_motion_writer(suffix: str, writer: MotionWriter) -> None:
@@ -213,4 +229,5 @@ def _frame(facts: dict[str, Any]) -> MapFrame:
     return MapFrame(facts["source"], facts["crs"], np.array(facts["to_source"]), tuple(facts["notes"]))
 
 
+_ANIMATORS: list[Callable[..., Path]] = []
 _WRITERS: dict[str, MotionWriter] = {".csv": _write_csv, ".json": _write_json, ".npz": _write_npz}

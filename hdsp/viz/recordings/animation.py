@@ -1,0 +1,219 @@
+"""A motion as an animation: GIF by Pillow, MP4 by imageio-ffmpeg.
+
+The camera looks from the right and from above, without perspective. Wheels in the air are orange, and the shadow lies
+below the robot.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.base.files import replacing, writable_file
+from hdsp.detailed.motion.motion import Motion
+from hdsp.detailed.motion.motion_files import ANIMATIONS
+from hdsp.detailed.motion.phases import PHASES
+from hdsp.robot.robot import FEET
+from hdsp.terrain.height_map import HeightMap
+from hdsp.viz.palette import BLUE, UNKNOWN
+from hdsp.viz.recordings.robot_mesh import RobotMesh
+from hdsp.viz.recordings.track import Track
+from hdsp.viz.recordings.z_buffer import Canvas, ParallelCamera, Triangles
+from hdsp.viz.viewer.ground_mesh import filled, ground_mesh
+from hdsp.viz.viewer.textures import height_colors, rgb
+
+_SHOWN = 12.0  # s; an animation without a given speed lasts no longer
+_AROUND = 0.55  # m, of ground beyond the feet
+_LIGHT = np.array([-0.35, -0.6, 1.0])
+_FINE = 2  # each pixel is the mean over so many by so many
+_SHADOW = 0.62
+_LONG, _TALL = 0.35, 0.25  # m, of the robot around and above the middle of its hips, for the size of the picture
+_FLOOR = 0.06  # m, thickness of the ground at its lowest
+_SIDE = np.radians(35)  # direction of view against the way of the robot, seen from its right
+_ELEVATION = np.radians(28)
+_WORDS = {
+    "roll": "rolls on four wheels", "lean": "shifts its weight", "lift": "lifts the {} foot",
+    "swing": "swings the {} foot", "lower": "lowers the {} foot",
+}  # fmt: skip
+_COLORS = 96  # in a GIF
+_STRENGTH = 0.62  # of the colours of heights
+
+
+def save_animation(
+    motion: Motion, path: str | os.PathLike, speed: float | None = None, fps: float = 12.5, width: int = 720
+) -> Path:
+    """Writes a motion as an animation in three dimensions, whole or not at all.
+
+    Args:
+        motion: the motion.
+        path: ``.gif`` or ``.mp4``.
+        speed: seconds of the motion in a second of the animation; None: at least 1, at most 12 s in all.
+        fps: pictures per second.
+        width: width, pixels; the height follows from the motion.
+
+    Raises:
+        InputError: another suffix, a value out of range, a path that cannot be written, or a missing extra.
+    """
+    path = writable_file(path, "animation", ANIMATIONS)
+    if speed is None:
+        speed = max(1.0, motion.duration / _SHOWN)
+    if not (0 < speed <= 1000 and 0 < fps <= 100 and 64 <= width <= 3840):
+        raise InputError(f"speed {speed:g}, fps {fps:g}, width {width}; need up to 1000, up to 100, 64 to 3840")
+    frames = _Film(motion, fps / speed, speed, width).frames()
+    with replacing(path) as temporary:
+        (_write_gif if path.suffix.lower() == ".gif" else _write_mp4)(temporary, frames, fps)
+    return path
+
+
+class _Film:
+    """The pictures of a motion."""
+
+    def __init__(self, motion: Motion, rate: float, speed: float, width: int):
+        self._track = Track(motion, rate)
+        self._mesh, self._speed = RobotMesh(self._track), speed
+        self._ground = _crop(motion)
+        self._scene = self._empty(width)
+        self._ground_at = self._scene.camera.world(self._scene.depth)[..., :2]
+
+    def frames(self) -> Iterator[Any]:
+        """Yields pictures, Pillow images."""
+        from PIL import Image
+
+        width, height = (side // _FINE for side in self._scene.camera.size)
+        for k in range(len(self._track)):
+            robot = self._mesh.at(k)
+            canvas = self._scene.copy()
+            canvas.pixels[self._shaded(robot)] *= _SHADOW
+            canvas.draw(robot, _LIGHT)
+            picture = Image.fromarray((np.clip(canvas.pixels, 0, 1) * 255).astype(np.uint8))
+            picture = picture.resize((width, height), Image.Resampling.BOX)
+            self._label(picture, k)
+            yield picture
+
+    def _empty(self, width: int) -> Canvas:
+        """The ground without the robot."""
+        track, terrain = self._track, self._ground
+        (x, y), (length, across) = terrain.origin, terrain.size
+        heights = filled(terrain.heights)
+        low, (first, last) = float(heights.min()), track.state.base[[0, -1], :2]
+        along = np.arctan2(*(last - first)[::-1]) if np.linalg.norm(last - first) > 0.1 else track.state.base[0, 5]
+        rim = np.array([(x + i * length, y + j * across, heights[-i, -j]) for i in (0, 1) for j in (0, 1)])
+        reach = np.array([(dx, dy, _TALL) for dx in (-_LONG, _LONG) for dy in (-_LONG, _LONG)])
+        robot = (track.state.base[:, None, :3] + reach).reshape(-1, 3)
+        fitted = np.concatenate([rim, rim * (1, 1, 0) + (0, 0, low - _FLOOR), robot])
+        camera = ParallelCamera(float(along + np.pi / 2 - _SIDE), float(_ELEVATION), fitted, _FINE * width)
+        canvas = Canvas(camera)
+        mesh = ground_mesh(terrain, np.ones(terrain.shape, bool))
+        corners = mesh.vertices[mesh.faces.astype(int)].astype(float)
+        canvas.draw(Triangles(np.concatenate([corners, _sides(terrain, heights, low - _FLOOR)]),
+                              np.full((len(corners) + 4 * sum(terrain.shape), 3), 0.93)), _LIGHT)  # fmt: skip
+        self._paint(canvas)
+        return canvas
+
+    def _paint(self, canvas: Canvas) -> None:
+        """Colours the ground by its height."""
+        terrain = self._ground
+        seen = np.isfinite(canvas.depth)
+        place = canvas.camera.world(canvas.depth)[..., :2]
+        cell = np.floor((place - terrain.origin) / terrain.resolution).astype(int)
+        cell = np.clip(cell, 0, np.array(terrain.shape) - 1)[seen]
+        colors = 1 - _STRENGTH * (1 - height_colors(terrain)[..., :3] / 255.0)
+        colors[np.isnan(terrain.heights)] = np.array(rgb(UNKNOWN)) / 255
+        canvas.pixels[seen] *= colors[cell[:, 0], cell[:, 1]]
+
+    def _shaded(self, robot: Triangles) -> np.ndarray:
+        """Pixels of the ground below the robot, bool [rows, columns]."""
+        above = ParallelCamera(np.pi / 2, np.pi / 2, robot.corners.reshape(-1, 3), 200)
+        shade = Canvas(above)
+        shade.draw(robot, _LIGHT)
+        covered = np.isfinite(shade.depth)
+        at = above.see(np.concatenate([self._ground_at, np.zeros((*self._ground_at.shape[:2], 1))], axis=-1))
+        column, row = np.floor(at[..., 0]).astype(int), np.floor(at[..., 1]).astype(int)
+        inside = (column >= 0) & (row >= 0) & (column < covered.shape[1]) & (row < covered.shape[0])
+        inside &= np.isfinite(self._scene.depth)
+        inside[inside] = covered[row[inside], column[inside]]
+        return inside
+
+    def _label(self, picture: Any, k: int) -> None:
+        from PIL import ImageDraw, ImageFont
+
+        state, draw = self._track.state, ImageDraw.Draw(picture)
+        font = ImageFont.load_default(max(picture.width // 48, 10))
+        words = _WORDS[PHASES[state.phase[k]]]
+        if not state.carries[k].all():
+            words = words.format(FEET[int(np.argmin(state.carries[k]))].replace("_", " "))
+        edge, line = picture.width // 60, picture.width // 36
+        draw.text((edge, edge), words, fill="#202020", font=font)
+        times = f"{state.time[k]:5.1f} s" + (f"   {self._speed:.3g} x" if self._speed > 1.01 else "")
+        draw.text((edge, edge + line), times, fill="#707070", font=font)
+        share = state.time[k] / max(state.time[-1], 1e-9)
+        draw.rectangle((0, picture.height - 3, round(share * picture.width), picture.height), fill=BLUE)
+
+
+def _crop(motion: Motion) -> HeightMap:
+    """Ground around the motion."""
+    terrain = motion.terrain
+    places = motion.feet[..., :2].reshape(-1, 2)
+    low = np.floor((places.min(axis=0) - _AROUND - terrain.origin) / terrain.resolution).astype(int)
+    high = np.ceil((places.max(axis=0) + _AROUND - terrain.origin) / terrain.resolution).astype(int)
+    (left, front), (right, back) = np.maximum(low, 0), np.minimum(high, terrain.shape)
+    origin = (
+        terrain.origin[0] + float(left) * terrain.resolution, terrain.origin[1] + float(front) * terrain.resolution,
+    )  # fmt: skip
+    return HeightMap(terrain.heights[left:right, front:back], origin, terrain.resolution)
+
+
+def _sides(terrain: HeightMap, heights: np.ndarray, floor: float) -> np.ndarray:
+    """Triangles from the rim of the map down to a floor, as if it were cut out, float64 [4 (nx + ny), 3, 3]."""
+    (x0, y0), (length, across), cell = terrain.origin, terrain.size, terrain.resolution
+    quads = []
+    for count, rim, start, step in (
+        (terrain.shape[0], heights[:, 0], (x0, y0), (cell, 0.0)),
+        (terrain.shape[0], heights[::-1, -1], (x0 + length, y0 + across), (-cell, 0.0)),
+        (terrain.shape[1], heights[-1], (x0 + length, y0), (0.0, cell)),
+        (terrain.shape[1], heights[0, ::-1], (x0, y0 + across), (0.0, -cell)),
+    ):
+        first = np.array(start) + np.arange(count)[:, None] * step
+        second = first + step
+        low = np.full((count, 1), floor)
+        top = rim[:, None]
+        a, b = np.hstack([first, low]), np.hstack([second, low])
+        c, d = np.hstack([second, top]), np.hstack([first, top])
+        quads += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
+    return np.concatenate(quads)
+
+
+def _write_gif(path: Path, frames: Iterator[Any], fps: float) -> None:
+    from PIL import Image
+
+    pictures = list(frames)
+    # One palette for all pictures: pixels that do not change stay equal, and cost nothing.
+    sample = Image.new("RGB", (pictures[0].width, 3 * pictures[0].height))
+    for number, picture in enumerate((pictures[0], pictures[len(pictures) // 2], pictures[-1])):
+        sample.paste(picture, (0, number * picture.height))
+    palette = sample.quantize(_COLORS, method=Image.Quantize.MEDIANCUT)
+    drawn = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    lengths = [round(1000 / fps)] * (len(drawn) - 1) + [1500]
+    drawn[0].save(path, save_all=True, append_images=drawn[1:], duration=lengths, loop=0, optimize=True, disposal=1)
+
+
+def _write_mp4(path: Path, frames: Iterator[Any], fps: float) -> None:
+    try:
+        from imageio_ffmpeg import write_frames
+    except ModuleNotFoundError as error:
+        raise InputError("animations as MP4 need imageio-ffmpeg: pip install 'hdsp[video]'") from error
+    first = next(frames)
+    size = first.width - first.width % 2, first.height - first.height % 2
+    box = (0, 0, *size)
+    writer = write_frames(str(path), size, fps=fps, macro_block_size=2, quality=7, ffmpeg_log_level="error")
+    writer.send(None)
+    try:
+        for picture in (first, *frames):
+            writer.send(np.ascontiguousarray(picture.crop(box)))
+    finally:
+        writer.close()

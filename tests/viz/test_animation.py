@@ -1,0 +1,103 @@
+"""Animations: pictures of a motion by a depth buffer, as GIF and MP4."""
+
+import itertools
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from hdsp import HeightMap, InputError
+from hdsp.detailed.motion.motion import Motion
+from hdsp.robot.robot import Robot
+from hdsp.viz.recordings.z_buffer import Canvas, ParallelCamera, Triangles
+
+RED, GREEN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+LIGHT = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """A drive of 0.4 m, with a wheel in the air in its second half; the check of motions would refuse it."""
+    robot, n = Robot.load("go2w"), 17
+    base = np.zeros((n, 6))
+    base[:, 0], base[:, 1], base[:, 2] = np.linspace(0.8, 1.2, n), 0.9, robot.stance.base_height
+    states = np.concatenate([base[:, [0, 1, 5]], np.zeros((n, 4))], axis=1)
+    feet = np.concatenate([robot.foot_positions(states), np.zeros((n, 4, 1))], axis=2)
+    carries = np.ones((n, 4), bool)
+    carries[9:-1, 3] = False
+    heights = np.zeros((80, 72), np.float32)
+    heights[:, 60:], heights[:10, :10] = 0.3, np.nan
+    return Motion(
+        base, feet, carries, np.zeros(n, int), 2 * (~carries[:, 3]).astype(np.uint8), HeightMap(heights), robot
+    )
+
+
+def square(z, color):
+    """A square of 1 m over the origin, seen from above."""
+    corners = np.array([(0, 0, z), (1, 0, z), (1, 1, z), (0, 1, z)], float)
+    return Triangles(corners[[[0, 1, 2], [0, 2, 3]]], np.array([color, color]))
+
+
+@pytest.mark.parametrize("order", itertools.permutations(range(2)))
+def test_the_nearer_surface_is_seen_in_any_order(order):
+    shapes = [square(0.0, RED), square(0.5, GREEN)]
+    canvas = Canvas(ParallelCamera(0.0, np.pi / 2, np.concatenate([s.corners.reshape(-1, 3) for s in shapes]), 40))
+    for k in order:
+        canvas.draw(shapes[k], LIGHT, ambient=1.0)
+    assert (canvas.pixels[5:-5, 5:-5] == GREEN).all()
+    np.testing.assert_allclose(canvas.camera.world(canvas.depth)[20, 20, 2], 0.5)
+
+
+def test_surfaces_that_face_away_are_not_seen():
+    shape = square(0.0, RED)
+    canvas = Canvas(ParallelCamera(0.0, np.pi / 2, shape.corners.reshape(-1, 3), 40))
+    canvas.draw(Triangles(shape.corners[:, ::-1], shape.colors), LIGHT)
+    assert np.isinf(canvas.depth).all() and (canvas.pixels == 1).all()
+
+
+def test_a_camera_sees_points_at_their_pixels():
+    points = np.random.default_rng(0).uniform(-1, 1, (30, 3))
+    camera = ParallelCamera(0.7, 0.4, points, 200)
+    seen = camera.see(points)
+    assert (seen[:, :2] >= 0).all() and (seen[:, :2] <= camera.size).all()
+    depth = np.full(camera.size[::-1], np.nan)
+    rows, columns = np.floor(seen[:, 1]).astype(int), np.floor(seen[:, 0]).astype(int)
+    depth[rows, columns] = seen[:, 2]
+    assert abs(camera.world(depth)[rows, columns] - points).max() < 1.5 / camera.scale
+    assert np.ptp(points @ camera.axes[0]) * camera.scale == pytest.approx(0.92 * 200)
+
+
+def test_a_gif_shows_the_robot_moving(motion, tmp_path):
+    path = motion.animate(tmp_path / "run.gif", fps=5, width=160)
+    picture = Image.open(path)
+    assert picture.width == 160 and picture.n_frames == pytest.approx(5 * motion.duration, abs=2)
+    frames = []
+    for k in range(picture.n_frames):
+        picture.seek(k)
+        frames.append(np.asarray(picture.convert("RGB"), int))
+    blue = [(frame[..., 2] - frame[..., 0] > 40)[10:-5].nonzero()[1].mean() for frame in frames]
+    assert blue[-1] - blue[0] > 15 and (np.diff(blue) > -1).all()  # the base moves to the right
+    orange = [((frame[..., 0] > 150) & (frame[..., 2] < 60)).sum() for frame in frames]
+    assert max(orange[len(frames) // 2 + 1 :]) > 2 * orange[0] + 5  # a wheel in the air
+
+
+def test_an_mp4_is_written(motion, tmp_path):
+    from imageio_ffmpeg import read_frames
+
+    motion.animate(tmp_path / "run.mp4", width=160)
+    frames = read_frames(str(tmp_path / "run.mp4"))
+    assert next(frames)["fps"] == 12.5
+    assert sum(1 for _ in frames) == pytest.approx(12.5 * motion.duration, abs=2)
+
+
+def test_wrong_animations_are_refused(motion, tmp_path, monkeypatch):
+    for look, words in (({"speed": 0}, "speed 0"), ({"fps": 1e4}, "fps 10000"), ({"width": 8}, "width 8")):
+        with pytest.raises(InputError, match=words):
+            motion.animate(tmp_path / "run.gif", **look)
+    with pytest.raises(InputError, match=r"suffix '\.avi'"):
+        motion.animate(tmp_path / "run.avi")
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(InputError, match=r"pip install 'hdsp\[video\]'"):
+        motion.animate(tmp_path / "run.mp4", width=64, fps=1)
+    assert list(tmp_path.iterdir()) == []
