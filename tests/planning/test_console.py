@@ -259,3 +259,20 @@ def test_help_fits_80_columns(monkeypatch):
     for each in (parser, *commands.values()):
         assert [line for line in each.format_help().splitlines() if len(line) > 80] == []
         assert [action.dest for action in each._actions if not action.help and not action.choices] == []
+
+
+@pytest.mark.parametrize("command", ["plan", "map", "info"])
+def test_the_page_on_the_command_line_lists_the_options_of_the_parser(command):
+    page = (ROOT / "docs/command-line.md").read_text()
+    listed = re.search(rf"Options of `hdsp {command}`: (.*?)\.\n\n", page, re.S)[1]
+    commands = next(action for action in command_parser()._actions if action.choices).choices
+    allowed = {name for action in commands[command]._actions for name in action.option_strings}
+    assert {*re.findall(r"`(--[\w-]+)`", listed)} == {name for name in allowed if name.startswith("--")} - {"--help"}
+    assert all(f"`hdsp {name}" in page for name in commands)
+
+
+def test_the_page_on_the_command_line_names_the_fields_of_the_documents(ground, capsys):
+    main(["plan", str(ground / "wall.npz"), "--start", "1.8", "1.1", "0", "--goal", "2.8", "1.1", "0", "--json"])
+    found = document(capsys)
+    page = (ROOT / "docs/command-line.md").read_text()
+    assert [name for name in [*found, *found["map"]] if f"`{name}`" not in page] == []
