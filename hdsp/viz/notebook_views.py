@@ -125,6 +125,7 @@ def _motion_rows(motion: Motion) -> Rows:
     steps = int((np.diff(motion.phase == 2, prepend=False) & (motion.phase == 2)).sum())
     return {
         "robot": motion.robot.name,
+        "duration": f"{motion.duration:.1f} s",
         "configurations": f"{len(motion):,}",
         "actions": f"{len(np.unique(motion.action)):,}, {steps} of them steps",
         "way of the base": f"{way:.2f} m, {motion.base[:, 2].min():.2f} to {motion.base[:, 2].max():.2f} m high",
