@@ -99,6 +99,20 @@ def test_feet_stop_where_they_leave_and_touch_the_ground(motion):
         assert sorted(set(phases)) == [LIFT, SWING, LOWER] and (np.diff(phases.astype(int)) >= 0).all()
 
 
+def test_the_robot_stops_nowhere_else(motion):
+    changes = np.flatnonzero((np.diff(motion.carries, axis=0)).any(axis=1))
+    halts = {0.0, motion.duration, *motion.times[changes].tolist()}
+    between = np.array([time for time in motion.times.tolist() if time not in halts])
+    state = motion.at(between)
+    moving = abs(state.base_velocity).max(axis=1) + abs(state.feet_velocity).max(axis=(1, 2))
+    assert len(between) > 200 and moving.min() > 0.01
+
+
+def test_a_state_shows_itself_in_a_line(motion):
+    for state in (motion.at(1.0), motion.at([0.0, 1.0])):
+        assert repr(state).startswith("MotionState(time=float64 [") and len(repr(state)) <= 280
+
+
 def test_contacts_change_at_their_time(motion):
     last = int(np.flatnonzero(np.diff(motion.carries, axis=0).any(axis=1))[0])
     foot = int(np.flatnonzero(motion.carries[last] != motion.carries[last + 1])[0])

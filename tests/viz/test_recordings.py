@@ -20,6 +20,8 @@ from hdsp.detailed.motion.phases import PHASES
 from hdsp.robot import FEET, Robot, robot_urdf
 from hdsp.robot.urdf import leg_joints, wheel_frame, wheel_radius
 from hdsp.terrain.map_frame import MapFrame
+from hdsp.viz.recordings.track import Track
+from hdsp.viz.viewer.robot_pose import parts
 
 NEAR = 1e-3  # m and s
 TO_SOURCE = np.eye(4)
@@ -210,6 +212,16 @@ def test_rosbags_reads_the_bag(motion, folder):
     assert [list(word["contacts"].values()) for word in words] == state.carries.tolist()
     assert found["/robot_description"][0][1].data == robot_urdf(motion.robot)
     assert len(found["/path"][0][1].poses) == len(found["/joint_states"]) == len(times)
+
+
+def test_parts_are_where_the_viewer_draws_them(motion):
+    track = Track(motion, rate=5.0)
+    for k in range(0, len(track), 17):
+        drawn = parts(motion.robot, track.state.base[k], track.state.feet[k], track.rolled[k])
+        for own, other in ((track.legs[k], drawn.links), (track.wheels[k], drawn.wheels)):
+            np.testing.assert_allclose(own[..., :3], other[..., :3], atol=1e-9)
+            turns = [Rotation.from_quat(q.reshape(-1, 4)) for q in (own[..., 3:], np.roll(other[..., 3:], -1, axis=-1))]
+            assert (turns[0].inv() * turns[1]).magnitude().max() < 1e-6
 
 
 def test_angular_velocities_are_those_of_the_rotation(motion, folder):

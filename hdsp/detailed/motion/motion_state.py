@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
+
+from hdsp.base.short_repr import short_repr
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +29,15 @@ class MotionState:
     """
 
     time: np.ndarray
-    base: np.ndarray = field(repr=False)
-    feet: np.ndarray = field(repr=False)
+    base: np.ndarray
+    feet: np.ndarray
     carries: np.ndarray
     phase: np.ndarray
     action: np.ndarray
-    margin: np.ndarray = field(repr=False)
-    base_velocity: np.ndarray = field(repr=False)
-    feet_velocity: np.ndarray = field(repr=False)
-    configuration: np.ndarray = field(repr=False)
+    margin: np.ndarray
+    base_velocity: np.ndarray
+    feet_velocity: np.ndarray
+    configuration: np.ndarray
+
+    def __repr__(self) -> str:
+        return short_repr(self)

@@ -12,7 +12,7 @@ import numpy as np
 
 
 class ParallelCamera:
-    """ParallelCamera without perspective.
+    """Camera without perspective.
 
     Convention: pixel (column, row) from the upper left corner; depth grows away from the camera, m.
 
