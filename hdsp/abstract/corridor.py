@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.abstract.bridging import PASSED
+from hdsp.abstract.bucket_queue import BUCKETS, Waiting, put, remove
 from hdsp.abstract.cut_off import reconnect
 from hdsp.base.jit import njit
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
@@ -39,9 +40,6 @@ NEAR = 1.0
 
 # States around a corridor that are evaluated with it, relative; otherwise, single ones follow one by one.
 _FRINGE = 0.25
-_BUCKETS = 1 << 13
-_FAR = _BUCKETS - 1  # a state in a later bucket waits in this one, and comes again
-_OUT = np.int32(-(2**31))
 
 
 class Corridor(NamedTuple):
@@ -75,7 +73,7 @@ def least_costs_from(states: np.ndarray, open_states: np.ndarray, least: np.ndar
     """
     headings, nx, ny = open_states.shape
     flat = _flat(states, nx, ny)
-    costs, queue = np.full(open_states.size, np.inf), _Queue.empty(open_states.size)
+    costs, queue = np.full(open_states.size, np.inf), Waiting.none(open_states.size)
     _spread(
         flat, np.zeros(len(flat)), open_states.ravel(), nx, ny, least, 1, np.inf, costs, *queue, 1.0 / _width(least)
     )
@@ -94,7 +92,7 @@ def connected(
         prices: float64 [16, 22], price of an action by the heading of its start.
         most: largest cost.
     """
-    shape, queue, prices = open_states.shape, _Queue.empty(open_states.size), np.array(prices, np.float32, order="C")
+    shape, queue, prices = open_states.shape, Waiting.none(open_states.size), np.array(prices, np.float32, order="C")
     found, flat = np.full(open_states.size, np.inf), _flat(goals, shape[1], shape[2])
     per_width, (_, nx, ny) = 1.0 / _width(prices), shape
     _spread(flat, costs, open_states.ravel(), nx, ny, prices, -1, most, found, *queue, per_width)
@@ -121,7 +119,7 @@ def find_corridor(
         doubt: see above.
     """
     shape = behind.shape
-    found, settled, queue = np.full(behind.size, np.inf), np.zeros(behind.size, np.bool_), _Queue.empty(behind.size)
+    found, settled, queue = np.full(behind.size, np.inf), np.zeros(behind.size, np.bool_), Waiting.none(behind.size)
     (nx, ny), bounds, flat = shape[1:], behind.ravel(), incoming.reshape(-1)
     settings = 1.0 / _width(least), doubt, NEAR, NARROW, WIDE, (1 + _FRINGE) * MOST
     best = _settle(flat, nx, ny, bounds, _flat(goals, nx, ny), costs, found, settled, *queue, *settings)
@@ -167,27 +165,6 @@ def costs_around(
     return values
 
 
-class _Queue(NamedTuple):
-    """Waiting states in buckets.
-
-    Attributes:
-        after, ahead: int32 [states], neighbours of a waiting state in its bucket; ``ahead`` of its first state is
-            -1 - slot, of other states -2**31.
-        heads: int32 [buckets], first state of a bucket, -1 = none; slot n holds buckets of n modulo their number.
-        counts: int64 [2], present bucket and number of waiting states.
-    """
-
-    after: np.ndarray
-    ahead: np.ndarray
-    heads: np.ndarray
-    counts: np.ndarray
-
-    @classmethod
-    def empty(cls, states: int) -> _Queue:
-        links = np.empty(states, np.int32), np.full(states, _OUT, np.int32)
-        return cls(*links, np.full(_BUCKETS, -1, np.int32), np.zeros(2, np.int64))
-
-
 def _flat(states: np.ndarray, nx: int, ny: int) -> np.ndarray:
     return (states[:, 2] * nx + states[:, 0]) * ny + states[:, 1]
 
@@ -198,43 +175,18 @@ def _width(least: np.ndarray) -> float:
     return float(max(finite.min(), finite.max() / 64, 1e-6)) if len(finite) else 1.0
 
 
-@njit(inline="always")
-def _queue(after, ahead, heads, counts, state, bucket):
-    slot = min(max(bucket, counts[0]), counts[0] + _FAR) % _BUCKETS
-    if ahead[state] != _OUT:
-        _take(after, ahead, heads, counts, state)
-    second = heads[slot]
-    heads[slot], after[state], ahead[state] = state, second, -1 - slot
-    if second >= 0:
-        ahead[second] = state
-    counts[1] += 1
-
-
-@njit(inline="always")
-def _take(after, ahead, heads, counts, state):
-    one, other = ahead[state], after[state]
-    if one >= 0:
-        after[one] = other
-    else:
-        heads[-1 - one] = other
-    if other >= 0:
-        ahead[other] = one
-    ahead[state] = _OUT
-    counts[1] -= 1
-
-
 @njit(allocates=False)
 def _spread(sources, costs, open_states, nx, ny, least, direction, most, cost, after, ahead, heads, counts, per_width):
     """Dijkstra search with the same edges everywhere, forward (direction 1) or backward (-1); fills ``cost``."""
     for i in range(len(sources)):
         if costs[i] <= most and costs[i] < cost[sources[i]]:
             cost[sources[i]] = costs[i]
-            _queue(after, ahead, heads, counts, sources[i], np.int64(costs[i] * per_width))
+            put(after, ahead, heads, counts, sources[i], np.int64(costs[i] * per_width))
     while counts[1] > 0:
-        slot = counts[0] % _BUCKETS
+        slot = counts[0] % BUCKETS
         while heads[slot] >= 0:
             state = np.int64(heads[slot])
-            _take(after, ahead, heads, counts, state)
+            remove(after, ahead, heads, counts, state)
             k, a, b = state // (nx * ny), state // ny % nx, state % ny
             so_far = cost[state]
             for m in range(len(ABSTRACT_ACTIONS)):
@@ -246,7 +198,7 @@ def _spread(sources, costs, open_states, nx, ny, least, direction, most, cost, a
                 further = so_far + least[k if direction > 0 else z, m]
                 if further < cost[other] and further <= most and open_states[other]:
                     cost[other] = further
-                    _queue(after, ahead, heads, counts, other, np.int64(further * per_width))
+                    put(after, ahead, heads, counts, other, np.int64(further * per_width))
         counts[0] += 1
 
 
@@ -277,23 +229,23 @@ def _settle(
         goal = goals[i]
         if costs[i] < cost[goal] and behind[goal] < np.inf:
             cost[goal] = costs[i]
-            _queue(after, ahead, heads, counts, goal, np.int64((costs[i] + behind[goal]) * per_width))
+            put(after, ahead, heads, counts, goal, np.int64((costs[i] + behind[goal]) * per_width))
     count = len(ABSTRACT_ACTIONS)
     while counts[1] > 0 and counts[0] <= limit * per_width:
         # All states of former buckets have their cost.
         if total >= most and counts[0] > least_key * per_width:
             break
-        slot = counts[0] % _BUCKETS
+        slot = counts[0] % BUCKETS
         while heads[slot] >= 0:
             state = np.int64(heads[slot])
-            _take(after, ahead, heads, counts, state)
+            remove(after, ahead, heads, counts, state)
             so_far = cost[state]
             key = so_far + behind[state]
             if key > limit:
                 continue
             bucket = np.int64(key * per_width)
             if bucket > counts[0]:
-                _queue(after, ahead, heads, counts, state, bucket)
+                put(after, ahead, heads, counts, state, bucket)
                 continue
             if behind[state] <= near and so_far + doubt * behind[state] < best:
                 best = so_far + doubt * behind[state]
@@ -311,7 +263,7 @@ def _settle(
                 further = so_far + edge
                 if further < cost[start] and behind[start] < np.inf and further + behind[start] <= limit:
                     cost[start] = further
-                    _queue(after, ahead, heads, counts, start, np.int64((further + behind[start]) * per_width))
+                    put(after, ahead, heads, counts, start, np.int64((further + behind[start]) * per_width))
         counts[0] += 1
     return best
 

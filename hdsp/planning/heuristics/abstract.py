@@ -18,6 +18,7 @@ from hdsp.detailed.search.interpolation import CostsToGo
 from hdsp.detailed.world.world import World
 from hdsp.planning.heuristics.corridor_steps import DOUBT, corridor_steps
 from hdsp.planning.heuristics.goal_sources import Sources, goal_sources
+from hdsp.planning.heuristics.guided_steps import LARGE, guided_steps
 from hdsp.planning.heuristics.heuristic import Heuristic
 from hdsp.planning.heuristics.known_edges import KnownEdges
 from hdsp.planning.heuristics.standing import standing_steps, uneven_cells, updated_standing
@@ -102,15 +103,28 @@ class AbstractHeuristic(Heuristic):
     def steps_from(self, start: np.ndarray, goals: np.ndarray, groups: np.ndarray | None = None) -> Steps[Estimate]:
         yield from self._prepared()
         known, sources = self.known, self._sources(goals)
-        to_go = None if known.least is None else (yield from corridor_steps(known, start, sources, self._prices()))
-        if to_go is None:
-            return (yield from self.steps_to(goals, groups))
+        guide = self._guide(known)
         groups = np.zeros(1, dtype=np.int64) if groups is None else groups
-        estimate = self._estimate = self._view(goals, groups, to_go)
+        if guide is not None:
+            yield from guide._prepared()
+            to_go = yield from guided_steps(known, guide.known, start, sources, self._prices())
+            self._estimate = self._view(goals, groups, to_go)
+            return self._estimate
+        part = None if known.least is None else (yield from corridor_steps(known, start, sources, self._prices()))
+        if part is None:
+            return (yield from self.steps_to(goals, groups))
+        estimate = self._estimate = self._view(goals, groups, part)
         self._partial[id(estimate.to_go.values)] = estimate.to_go.values
         return estimate
 
-    def others(self) -> Sequence[Heuristic]:
+    def _guide(self, known: KnownEdges) -> AbstractHeuristic | None:
+        """The heuristic that guides queries on a large map, while not all of its edges are evaluated."""
+        if known.least is None or self.second is None or known.standing.size <= LARGE or known.complete:
+            return None
+        (guide,) = self.others()
+        return guide
+
+    def others(self) -> Sequence[AbstractHeuristic]:
         if self.second is None:
             return ()
         if self._other is None:

@@ -35,7 +35,7 @@ def corridor_steps(
     assert least is not None
     open_states = standing.copy()
     open_states[sources.states[:, 2], sources.states[:, 0], sources.states[:, 1]] = True
-    behind = least_costs_from(_states_around(start, standing), open_states, least)
+    behind = least_costs_from(states_around(start, standing), open_states, least)
     goals, costs, cut_off = sources.states, sources.costs, False
     while True:
         version = known.version
@@ -56,7 +56,7 @@ def corridor_steps(
             return to_go
 
 
-def _states_around(start: np.ndarray, standing: np.ndarray) -> np.ndarray:
+def states_around(start: np.ndarray, standing: np.ndarray) -> np.ndarray:
     """Abstract states, int64 [n, 3], between which the estimate of a start is interpolated."""
     last = np.array([*standing.shape[1:], ABSTRACT_HEADINGS]) - 1
     around, shares = surrounding_abstract(start[None])

@@ -58,6 +58,16 @@ class KnownEdges:
         return float(self.evaluated.sum() / max(self.standing.sum(), 1))
 
     @property
+    def complete(self) -> bool:
+        """Whether all edges are evaluated."""
+        return bool(self.evaluated[self.standing].all())
+
+    @property
+    def extremes(self) -> tuple[float, float]:
+        """Bounds on the finite costs of evaluated edges, the cheapest first."""
+        return self._cheapest, self._most_expensive
+
+    @property
     def graph(self) -> PreparedGraph:
         """The graph of all edges; only after ``evaluate_all``."""
         if self._graph is None:

@@ -1,0 +1,63 @@
+"""Queue of states in buckets, for kernels: a state is removed, or put into another bucket, in constant time."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.jit import njit
+
+#: Buckets of a queue.
+BUCKETS = 1 << 13
+_FAR = BUCKETS - 1  # a state in a later bucket waits in this one, and comes again
+_OUT = np.int32(-(2**31))
+
+
+class Waiting(NamedTuple):
+    """Waiting states in buckets.
+
+    Attributes:
+        after, ahead: int32 [states], neighbours of a waiting state in its bucket; ``ahead`` of its first state is
+            -1 - slot, of other states -2**31.
+        heads: int32 [buckets], first state of a bucket, -1 = none; slot n holds buckets of n modulo their number.
+        counts: int64 [2], present bucket and number of waiting states.
+    """
+
+    after: np.ndarray
+    ahead: np.ndarray
+    heads: np.ndarray
+    counts: np.ndarray
+
+    @classmethod
+    def none(cls, states: int) -> Waiting:
+        """Returns an empty queue for a number of states."""
+        links = np.empty(states, np.int32), np.full(states, _OUT, np.int32)
+        return cls(*links, np.full(BUCKETS, -1, np.int32), np.zeros(2, np.int64))
+
+
+@njit(inline="always")
+def put(after, ahead, heads, counts, state, bucket):
+    """Puts a state into a bucket, out of its present one."""
+    slot = min(max(bucket, counts[0]), counts[0] + _FAR) % BUCKETS
+    if ahead[state] != _OUT:
+        remove(after, ahead, heads, counts, state)
+    second = heads[slot]
+    heads[slot], after[state], ahead[state] = state, second, -1 - slot
+    if second >= 0:
+        ahead[second] = state
+    counts[1] += 1
+
+
+@njit(inline="always")
+def remove(after, ahead, heads, counts, state):
+    """Removes a waiting state."""
+    one, other = ahead[state], after[state]
+    if one >= 0:
+        after[one] = other
+    else:
+        heads[-1 - one] = other
+    if other >= 0:
+        ahead[other] = one
+    ahead[state] = _OUT
+    counts[1] -= 1
