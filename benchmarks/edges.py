@@ -21,9 +21,9 @@ the compilation of the terrain; `share_evaluated` is the median share of the sta
 edges this query evaluated. `update_cpu_s` and `manual_update_cpu_s` are medians over changes, learned and manual: a
 block of 30 cm appears beside the way, and the last query follows again.
 
-With `--large`, `large` lists first queries from corner to corner of random arenas with sides of 20 and 50 m, and the
-preparation of a map of 100 m with manual edges, of equal arenas side by side: `cpu_s`, and `gb`, the most memory of a
-process of its own, libraries included.
+With `--large`, `large_20_*` and `large_50_*` are about first queries from corner to corner of random arenas with sides
+of 20 and 50 m, and `manual_100_*` about the preparation of a map of 100 m with manual edges, of equal arenas side by
+side: `cpu_s`, and `gb`, the most memory of a process of its own, libraries included.
 
 `padded_*` compare dense evaluation of the published network, an approximation, with its exact evaluation in the middle
 of the map. Dense evaluation sees the map where a patch has zeros, and the base is off by up to half a cell. The figures
@@ -111,7 +111,7 @@ def main(argv=None) -> dict:
         **queries(),
     }
     if arguments.large:
-        result["large"] = large(arguments.seed)
+        result |= large(arguments.seed)
     print(json.dumps({key: round(value, 7) if isinstance(value, float) else value for key, value in result.items()}))
     return result
 
@@ -172,16 +172,22 @@ def queries() -> dict:
     }
 
 
-def large(seed: int) -> list[dict]:
+def large(seed: int) -> dict:
     """First queries with learned edges, and the preparation with manual edges, each in a process of its own."""
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
-    def alone(task, *arguments):
+    result: dict = {}
+    for name, task, side in (
+        ("large_20", first_query, 20.0),
+        ("large_50", first_query, 50.0),
+        ("manual_100", preparation, 100.0),
+    ):
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            return pool.submit(task, *arguments).result()
-
-    return [*(alone(first_query, side, seed) for side in (20.0, 50.0)), alone(preparation, 100.0, seed)]
+            found = pool.submit(task, side, seed).result()
+        print(json.dumps({name: found}), flush=True)
+        result |= {f"{name}_{key}": value for key, value in found.items()}
+    return result
 
 
 def first_query(side: float, seed: int) -> dict:
@@ -197,7 +203,7 @@ def first_query(side: float, seed: int) -> dict:
     start, goal = (planner.nearest((at, at, 0.7), 2.0) for at in (2.0, side - 2.0))
     _, cpu_s, plan = timed(lambda: planner.plan(start, goal, weight=WEIGHT, polish=0.0))
     share = planner.heuristic.known.share
-    return {"side": side, "cpu_s": cpu_s, "gb": most_memory(), "status": str(plan.status), "share_evaluated": share}
+    return {"cpu_s": cpu_s, "gb": most_memory(), "status": str(plan.status), "share_evaluated": share}
 
 
 def preparation(side: float, seed: int) -> dict:
@@ -210,7 +216,7 @@ def preparation(side: float, seed: int) -> dict:
     terrain = HeightMap(np.tile(part.heights, (count, count)))
     compiled_on(part, "manual")
     _, cpu_s, _ = timed(lambda: Planner(terrain, heuristic="manual", conditioning=None).prepare())
-    return {"side": side, "cpu_s": cpu_s, "gb": most_memory()}
+    return {"cpu_s": cpu_s, "gb": most_memory()}
 
 
 def compiled_on(terrain, heuristic: str) -> None:

@@ -137,3 +137,50 @@ def costs_around(inside, behind, limit, edges, standing, least, prices, excess):
             if start in reached:
                 heapq.heappush(queue, (cost + float(prices[start[2], action]), start))
     return result
+
+
+def shortest(edges, sources):
+    """Costs from sources, a dict over states (ix, iy, heading); ``edges`` maps a state to (next state, cost) pairs."""
+    result, queue = {}, [(cost, state) for state, cost in sources.items()]
+    heapq.heapify(queue)
+    while queue:
+        reached, state = heapq.heappop(queue)
+        if state in result:
+            continue
+        result[state] = reached
+        for following, cost in edges.get(state, ()):
+            heapq.heappush(queue, (reached + cost, following))
+    return result
+
+
+def ways(edges, entered=None, other=None, factor=1.0, open_states=None, prices=None):
+    """Edges for ``shortest``, forward and backward.
+
+    Args:
+        edges: float32 [16, nx, ny, 22], those of a guide.
+        entered: bool [16, nx, ny], states with edges from ``other`` instead.
+        factor: on edges of the guide.
+        open_states, prices: infeasible edges between open states have these prices, [16, 22] by heading.
+    """
+    ahead, behind = {}, {}
+    for (k, a, b, action), cost in np.ndenumerate(edges):
+        cost = other[k, a, b, action] if entered is not None and entered[k, a, b] else cost * np.float32(factor)
+        dx, dy, dtheta = ABSTRACT_ACTIONS[action].tolist()
+        end = a + dx, b + dy, (k + dtheta) % ABSTRACT_HEADINGS
+        if not (0 <= end[0] < edges.shape[1] and 0 <= end[1] < edges.shape[2]):
+            continue
+        if cost == np.inf and open_states is not None and open_states[k, a, b] and open_states[end[2], end[0], end[1]]:
+            cost = np.float32(prices[k, action])
+        if cost < np.inf:
+            ahead.setdefault((a, b, k), []).append((end, float(cost)))
+            behind.setdefault(end, []).append(((a, b, k), float(cost)))
+    return ahead, behind
+
+
+def band(ahead, behind, starts, goals, nearest, farthest, enough):
+    """Sums of the costs from a start and to a goal at each state, a dict, and their limit in the band."""
+    to_goals, from_starts = shortest(behind, goals), shortest(ahead, dict.fromkeys(starts, 0.0))
+    best = min(to_goals[start] for start in starts if start in to_goals)
+    keys = {state: cost + to_goals[state] for state, cost in from_starts.items() if state in to_goals}
+    near = sorted(key for key in keys.values() if key <= best + farthest)
+    return keys, max(best + nearest, near[min(enough, len(near)) - 1])

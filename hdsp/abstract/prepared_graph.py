@@ -271,3 +271,45 @@ def replace_edges(incoming, states, costs, actions):
             to_b = b + actions[m, 1]
             if 0 <= to_a < nx and 0 <= to_b < ny:
                 incoming[(k + actions[m, 2]) % headings, to_a, to_b, m] = costs[n, m]
+
+
+@njit()
+def enter_edges(incoming, edges, states, corner, least, actions):
+    """Writes the edges from some states in a part of a map into ``incoming``.
+
+    Args:
+        incoming: see ``PreparedGraph``.
+        edges: float32 [16, nx, ny, 22], edges of the part.
+        states: bool [16, nx, ny], those with new edges.
+        corner: int64 [2], first cell of the part.
+        least: float32 [16, 22], least cost of an action by the heading of its start.
+        actions: the abstract actions.
+
+    Returns:
+        0, or a cost that is negative or NaN; then nothing is written. Smallest and largest finite cost.
+    """
+    headings, nx, ny, count = edges.shape
+    cheapest, most_expensive = np.inf, 0.0
+    for k in range(headings):
+        for a in range(nx):
+            for b in range(ny):
+                if states[k, a, b]:
+                    for m in range(count):
+                        if not edges[k, a, b, m] >= 0:
+                            return np.float64(edges[k, a, b, m]), cheapest, most_expensive
+    for k in range(headings):
+        for a in range(nx):
+            for b in range(ny):
+                if not states[k, a, b]:
+                    continue
+                for m in range(count):
+                    cost = max(edges[k, a, b, m], least[k, m])
+                    if cost < np.inf:
+                        cheapest, most_expensive = (
+                            min(cheapest, np.float64(cost)),
+                            max(most_expensive, np.float64(cost)),
+                        )
+                    x, y = a + corner[0] + actions[m, 0], b + corner[1] + actions[m, 1]
+                    if 0 <= x < incoming.shape[1] and 0 <= y < incoming.shape[2]:
+                        incoming[(k + actions[m, 2]) % headings, x, y, m] = cost
+    return 0.0, cheapest, most_expensive

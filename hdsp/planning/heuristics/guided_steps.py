@@ -13,6 +13,8 @@ from hdsp.planning.heuristics.known_edges import KnownEdges
 
 #: Abstract states of a map beyond which a query on it is guided; a square of 12.5 m.
 LARGE = 250_000
+#: Relative rise of the guide's costs in costs-to-go, so that a search leaves the evaluated states late.
+OUTSIDE = 1.0
 
 
 def guided_steps(
@@ -37,10 +39,16 @@ def guided_steps(
     standing, mixed = known.standing, MixedEdges(guide.graph)
     starts, entered = states_around(start, standing), np.zeros(standing.shape, bool)
     opened: np.ndarray | None = None
+
+    def raise_guide(share: float) -> None:
+        mixed.raise_by(share)
+        mixed.enter(known.incoming, entered, *known.extremes)
+        if opened is not None:
+            mixed.open(prices, opened)
+
     while True:
-        graph = mixed.graph
-        distances = yield from graph.distance_steps(sources.states, sources.costs)
-        band = find_band(graph, distances, starts)
+        distances = yield from mixed.graph.distance_steps(sources.states, sources.costs)
+        band = find_band(mixed.graph, distances, starts)
         if band is None and opened is None:
             opened = standing.copy()
             opened[sources.states[:, 2], sources.states[:, 0], sources.states[:, 1]] = True
@@ -51,10 +59,10 @@ def guided_steps(
         missing = band.around & standing & ~entered
         yield from known.evaluate(missing)
         entered |= missing
-        mixed.raise_by(DEARER)
-        mixed.enter(known.incoming, entered, *known.extremes)
-        if opened is not None:
-            mixed.open(prices, opened)
+        raise_guide(DEARER)
+    raise_guide(OUTSIDE)
+    graph = mixed.graph
+    distances = yield from graph.distance_steps(sources.states, sources.costs)
     to_go = np.maximum(graph.bridged(distances) - sources.excess, 0.0)
     reconnect(to_go, standing | graph.passed_over, prices)
     return to_go

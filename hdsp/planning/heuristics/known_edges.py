@@ -12,13 +12,13 @@ from hdsp.abstract.abstract_costs import (
     RememberingCosts,
     edge_steps,
 )
-from hdsp.abstract.prepared_graph import PreparedGraph, least_incoming, replace_edges
+from hdsp.abstract.prepared_graph import PreparedGraph, enter_edges, least_incoming, replace_edges
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Gradual, Steps
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS
 from hdsp.terrain.height_map import HeightMap
 
-_PART = 1 << 20  # states whose edges are evaluated at once
+_PART = 1 << 19  # states whose edges are evaluated at once
 
 
 class KnownEdges:
@@ -106,30 +106,23 @@ class KnownEdges:
 
     def _part(self, part: np.ndarray, region: Region) -> Steps[None]:
         """Evaluates the edges of some states, bool [16, nx, ny], in a region."""
-        states = np.argwhere(part) + (0, region[0], region[1])
         # Edges of a whole map may come from a file, or take less time than by regions.
         whole = part.shape == self.standing.shape
         edges = yield from edge_steps(self.costs, self.terrain, part, None if whole else region, self._memory)
         expected = (*part.shape, N_ABSTRACT_ACTIONS)
         if np.shape(edges) != expected:
             raise InputError(f"abstract edges have shape {np.shape(edges)}, expected {expected}")
-        values = np.ascontiguousarray(np.asarray(edges, np.float32)[part])
-        if not (values >= 0).all():
-            raise InputError(f"abstract edges contain the cost {values[~(values >= 0)][0]}, costs must be >= 0")
-        if self.least is not None:
-            values = np.maximum(values, self.least[states[:, 0]])
-        self._enter(states, values)
+        edges = np.ascontiguousarray(edges, np.float32)
+        least = np.zeros((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), np.float32) if self.least is None else self.least
+        corner = np.array(region[:2])
+        wrong, cheapest, most_expensive = enter_edges(self.incoming, edges, part, corner, least, ABSTRACT_ACTIONS)
+        if not wrong >= 0:
+            raise InputError(f"abstract edges contain the cost {wrong}, costs must be >= 0")
+        self._cheapest, self._most_expensive = min(self._cheapest, cheapest), max(self._most_expensive, most_expensive)
+        self._graph = None
         # A search that saw the former edges finds another version before it finds these states evaluated.
         self.version = object()
-        self.evaluated[tuple(states.T)] = True
-
-    def _enter(self, states: np.ndarray, values: np.ndarray) -> None:
-        finite = values[np.isfinite(values)]
-        if len(finite):
-            self._cheapest = min(self._cheapest, float(finite.min()))
-            self._most_expensive = max(self._most_expensive, float(finite.max()))
-        self._graph = None
-        replace_edges(self.incoming, states, values, ABSTRACT_ACTIONS)
+        self.evaluated[:, region[0] : region[2], region[1] : region[3]] |= part
 
     def updated(self, terrain: HeightMap, standing: np.ndarray, changed: np.ndarray) -> KnownEdges | None:
         """Returns the edges of a changed map, without edges that the change reaches.

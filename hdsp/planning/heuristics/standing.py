@@ -40,8 +40,10 @@ def standing_steps(world: World) -> Steps[np.ndarray]:
     result = np.full((ABSTRACT_HEADINGS, nx, ny), -1, dtype=np.int32)
     rows = max(1, _STATES // max(ny, 1))
     for k in range(ABSTRACT_HEADINGS):
+        # Values that the world keeps would take a gigabyte on a map of 100 m, and a search reads few of them.
+        aside = world._replace(level_ground=np.zeros(len(world.level_ground), np.float32))
         for first in range(0, nx, rows):
-            _find_standing(world, result, k, first, min(first + rows, nx), 0, ny)
+            _find_standing(aside, result, k, first, min(first + rows, nx), 0, ny)
             yield
     return result
 
