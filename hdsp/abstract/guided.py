@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hdsp.abstract.bucket_queue import BUCKETS, Waiting, put, remove
 from hdsp.abstract.prepared_graph import PreparedGraph
+from hdsp.abstract.waiting import BUCKETS, Waiting, put, remove
 from hdsp.base.jit import njit
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from hdsp.abstract import PreparedGraph, guided
-from hdsp.robot.lattice import ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS
+from hdsp.abstract.prepared_graph import enter_edges
+from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS
 from tests.naive_abstract import band, shortest, ways
 
 SHAPE = ABSTRACT_HEADINGS, 7, 8
@@ -63,3 +64,22 @@ def test_mixed_edges_equal_their_twin():
     agrees()
     mixed.open(prices, open_states)
     agrees(open_states=open_states, prices=prices)
+
+
+def test_edges_entered_by_parts_are_those_of_the_whole_map():
+    random = np.random.default_rng(6)
+    edges, states = random_edges(random), random.random(SHAPE) < 0.6
+    least = np.full((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), 0.2, np.float32)
+    expected = np.where(states[..., None], np.maximum(edges, np.float32(0.2)), np.float32(np.inf))
+    incoming, extremes = np.full(edges.shape, np.inf, np.float32), []
+    for first, end in ((0, 3), (3, 7)):
+        part = np.ascontiguousarray(edges[:, first:end])
+        found = enter_edges(incoming, part, states[:, first:end], np.array([first, 0]), least, ABSTRACT_ACTIONS)
+        assert found[0] == 0
+        extremes.append(found[1:])
+    np.testing.assert_array_equal(incoming, PreparedGraph.from_edges(expected).incoming)
+    finite = expected[np.isfinite(expected)]
+    assert (min(low for low, _ in extremes), max(high for _, high in extremes)) == (finite.min(), finite.max())
+    edges[:, 0], before = np.float32(-1.0), incoming.copy()
+    assert enter_edges(incoming, edges, states, np.array([0, 0]), least, ABSTRACT_ACTIONS)[0] == -1
+    np.testing.assert_array_equal(incoming, before)
