@@ -1,4 +1,4 @@
-"""Limits of speed and acceleration: values of a robot that give motions their times."""
+"""Speed and acceleration limits, which give motions their times."""
 
 from typing import Annotated
 
@@ -20,12 +20,12 @@ class Speeds:
 
     Attributes:
         drive: base and wheels over the ground, while wheels roll.
-        turn: heading of the base.
+        turn: base heading.
         foot: a foot along and across the base, rolling or in the air.
         lift: a foot up or down, relative to the base.
         shift: base over resting feet, along the ground.
         height: base up or down.
-        lean: roll and pitch of the base, each.
+        lean: base roll and pitch, each.
     """
 
     drive: Speed = 0.5
@@ -43,12 +43,12 @@ class Accelerations:
 
     Attributes:
         drive: base and wheels over the ground, while wheels roll.
-        turn: heading of the base.
+        turn: base heading.
         foot: a foot along and across the base, rolling or in the air.
         lift: a foot up or down, relative to the base.
         shift: base over resting feet, along the ground.
         height: base up or down.
-        lean: roll and pitch of the base, each.
+        lean: base roll and pitch, each.
     """
 
     drive: Acceleration = 0.5

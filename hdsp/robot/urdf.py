@@ -1,6 +1,6 @@
-"""A robot as URDF: base, four legs of three sliding joints each, and wheels.
+"""A robot as URDF: base, four legs with three sliding joints each, and wheels.
 
-The legs of the robot's file have no knees. Three prismatic joints along the base axes move each wheel centre relative
+Legs in a robot file have no knees. Three prismatic joints along the base axes move each wheel centre relative
 to its hip, so joint positions describe any configuration exactly (`leg_positions`). Masses and inertias are unknown and
 left out; the model shows the robot and its frames.
 """
@@ -23,17 +23,17 @@ _HEIGHT, _WHEEL_WIDTH = 0.2, 0.07  # m, of the drawn base and wheels
 
 
 def leg_joints(foot: str) -> list[str]:
-    """Returns the names of a leg's three joints."""
+    """Returns a leg's three joint names."""
     return [f"{foot}_{direction}" for direction in DIRECTIONS]
 
 
 def wheel_frame(foot: str) -> str:
-    """Returns the name of a wheel's link and frame."""
+    """Returns the name for a wheel's link and frame."""
     return f"{foot}_wheel"
 
 
 def wheel_radius(robot: Robot) -> float:
-    """Returns the radius of the wheels, m; without one in the file, the feet's clearance stands in for it."""
+    """Returns the wheel radius, m; without one in the file, the feet's clearance stands in for it."""
     return robot.drive.wheel_radius or robot.feet.clearance
 
 
@@ -44,7 +44,7 @@ def leg_positions(robot: Robot, base: np.ndarray, rotations: np.ndarray, feet: n
         robot: the robot.
         base: float64 [n, 6] as in a motion.
         rotations: float64 [n, 3, 3], from the base frame to the world frame.
-        feet: float64 [n, 4, 3], lowest points of the wheels, world frame.
+        feet: float64 [n, 4, 3], lowest wheel points, world frame.
     """
     inside = np.einsum("nji,nfj->nfi", rotations, feet - base[:, None, :3])
     return inside - robot.hips() + (0.0, 0.0, wheel_radius(robot))

@@ -142,7 +142,7 @@ class Motion:
 
         Args:
             path: ``.gif`` or ``.mp4``.
-            speed: seconds of the motion in a second of the animation; None: at least 1, at most 12 s in all.
+            speed: motion seconds per animation second; None: at least 1, at most 12 s in all.
             fps: pictures per second.
             width: width in pixels; the height follows from the motion.
 
@@ -156,7 +156,7 @@ class Motion:
 
     @classmethod
     def load(cls, path: str | os.PathLike, terrain: HeightMap | None = None, robot: Any = None) -> Motion:
-        """Reads the configurations of a motion from ``.npz`` or ``.json``.
+        """Reads a motion's configurations from ``.npz`` or ``.json``.
 
         Args:
             path: file from `save`.

@@ -1,6 +1,6 @@
 """Motions as files: tables (CSV), JSON and archives (NPZ); higher packages register further formats.
 
-Convention: metres, radians and seconds. Poses are in the frame of the map. If the map's frame is not its source's, CSV
+Convention: metres, radians and seconds. Poses are in the map frame. If the map's frame is not its source's, CSV
 and JSON also hold the base poses in the source frame, with the names in ``SOURCE_COLUMNS``.
 """
 
@@ -72,7 +72,7 @@ def animate_motion(motion: Any, path: str | os.PathLike, **look: float | None) -
 
 
 def register_animator(animator: Callable[..., Path]) -> None:
-    """Registers the maker of animations, called with a motion, a path, and `speed`, `fps` and `width`."""
+    """Registers the animation maker, called with a motion, a path, and `speed`, `fps` and `width`."""
     _ANIMATORS.append(animator)
     for suffix in ANIMATIONS:
         register_motion_writer(suffix, lambda motion, path, rate: animate_motion(motion, path))
@@ -99,7 +99,7 @@ def source_base(motion: Any, base: np.ndarray) -> np.ndarray:
 
 
 def map_frame_name(frame: MapFrame) -> str:
-    """Returns the name of the map's frame in files: its source's name if both are the same, else ``map``."""
+    """Returns the map frame's name in files: its source's name if both are the same, else ``map``."""
     if frame.is_source and frame.name:
         return frame.name
     return "level_map" if frame.name == "map" else "map"
@@ -180,7 +180,7 @@ def _write_npz(motion: Any, path: Path, rate: float) -> None:
 
 
 def read_motion(path: str | os.PathLike, terrain: HeightMap | None, robot: Any) -> dict[str, Any]:
-    """Returns the fields of the motion in a file; see ``Motion.load``."""
+    """Returns the motion fields in a file; see ``Motion.load``."""
     path = existing_file(path, "motion")
     try:
         if path.suffix.lower() == ".npz":

@@ -1,4 +1,4 @@
-"""State of the robot at moments of a motion."""
+"""Robot state at moments in a motion."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from hdsp.base.short_repr import short_repr
 
 @dataclass(frozen=True, eq=False)
 class MotionState:
-    """Robot at one or several moments of a motion (``Motion.at``).
+    """Robot at one or several moments in a motion (``Motion.at``).
 
-    Convention: as in ``Motion``; ``...`` is the shape of ``time``, () for one moment.
+    Convention: as in ``Motion``; ``...`` is the shape that ``time`` has, () for one moment.
 
     Attributes:
         time: float64 [...], s from the start.
         base: float64 [..., 6]: x, y, z, roll, pitch, heading; m and rad. The heading does not jump at full turns.
         feet: float64 [..., 4, 3]: x, y, z, m.
-        carries: bool [..., 4], contact of each foot with the ground.
+        carries: bool [..., 4], ground contact for each foot.
         phase: uint8 [...], index into ``PHASES``.
-        action: int64 [...], index of the action in the plan.
-        margin: float64 [...], m: distance of the centre of mass inside the support polygon.
+        action: int64 [...], action index in the plan.
+        margin: float64 [...], m, as in ``Motion.margins``.
         base_velocity: float64 [..., 6], derivatives of ``base``, m/s and rad/s.
         feet_velocity: float64 [..., 4, 3], m/s, in the world frame.
-        configuration: int64 [...], index of the configuration that the motion reaches next.
+        configuration: int64 [...], index: the next configuration.
     """
 
     time: np.ndarray

@@ -1,4 +1,4 @@
-"""Paths of straight lines through given points, with corners rounded by parabolas.
+"""Straight lines through given points, with corners rounded by parabolas.
 
 Source: Kunz and Stilman, "Time-Optimal Trajectory Generation for Path Following with Bounded Acceleration and
 Velocity", RSS 2012; parabolas stand in for their circles, so that a quantity's second derivative is constant in each.
@@ -13,7 +13,7 @@ class RoundedPath:
     """Smooth path near points.
 
     Attributes:
-        at: float64 [m], path parameter s of each point, from 0 on.
+        at: float64 [m], path parameter s at each point, from 0 on.
         radius: float64 [m], s before and after each point in which the path leaves its lines.
     """
 
@@ -22,7 +22,7 @@ class RoundedPath:
 
         Args:
             points: float64 [m, d].
-            length: float64 [m - 1], positive length of each line, in s.
+            length: float64 [m - 1], positive line lengths, in s.
             radius: float64 [m], as in the attributes, 0 at both ends; two neighbours together are no longer than their
                 line.
         """
@@ -32,7 +32,7 @@ class RoundedPath:
         self._slopes = np.diff(points, axis=0) / length[:, None] if len(length) else np.zeros((1, points.shape[1]))
 
     def pieces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lengths (s) of the straight lines [m - 1] and of the parabolas [m - 2] between them."""
+        """Lengths (s): straight lines [m - 1], and the parabolas [m - 2] between them."""
         return np.diff(self.at) - self.radius[:-1] - self.radius[1:], 2 * self.radius[1:-1]
 
     def __call__(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,12 +1,12 @@
 """Times along a motion: a fast way through its configurations within the robot's speeds and accelerations.
 
 The path runs in straight lines through the configurations. Parabolas round its corners, at most half-way to the
-neighbours, and within ``_NEAR`` of the configuration. The path parameter s is the time that the robot needs at full
+neighbours, and within ``_NEAR`` around the configuration. The path parameter s is the time that the robot needs at full
 speed, so the speed along the path is at most 1. The robot stops only where a foot leaves or touches the ground.
 
-A backward and a forward pass over the pieces of the path give the speeds, as in time-optimal path parametrisation. In
-a parabola, the acceleration across the path takes at most the share ``_ACROSS`` of its limit; the acceleration along
-the path gets the rest. All limits therefore hold at each moment, at the price of a motion that is not the fastest.
+A backward and a forward pass over all path pieces give the speeds, as in time-optimal path parametrisation. In
+a parabola, the acceleration across the path takes at most ``_ACROSS`` times its limit; the acceleration along
+the path gets the rest. All limits therefore hold at each moment, but the motion is not quite the fastest.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _RESTS = 1e-7  # m, rad; smaller changes come from rounding, in coordinates of a
 
 
 class Timing:
-    """Times of a motion, and its points at any time.
+    """Motion times, and points at any time.
 
     A point holds base x, y, z, roll, pitch, heading, and the feet's x, y, z in turn, float64 [18], m and rad.
 
@@ -108,7 +108,7 @@ class _Limits:
     """Limits along a path.
 
     Attributes:
-        length: float64 [m - 1], s: time of each line at full speed.
+        length: float64 [m - 1], s: time for each line at full speed.
     """
 
     def __init__(self, robot: Robot, points: np.ndarray, carried: np.ndarray):

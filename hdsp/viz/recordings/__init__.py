@@ -1,6 +1,6 @@
-"""Recordings of motions: MCAP for Foxglove and other viewers, ROS 2 bags, animations.
+"""Motion recordings: MCAP for Foxglove and other viewers, ROS 2 bags, animations.
 
-- `track`: states at regular times with the poses of all parts
+- `track`: states at regular times with all part poses
 - `mcap_recording`: terrain, path, robot, frames and states as MCAP, by foxglove-sdk
 - `ros_bag`: path, trajectories, joint states and frames as a ROS 2 bag, by rosbags
 - `animation`: a motion as GIF or MP4

@@ -52,7 +52,7 @@ def save_animation(
     Args:
         motion: the motion.
         path: ``.gif`` or ``.mp4``.
-        speed: seconds of the motion in a second of the animation; None: at least 1, at most 12 s in all.
+        speed: motion seconds per animation second; None: at least 1, at most 12 s in all.
         fps: pictures per second.
         width: width, pixels; the height follows from the motion.
 
@@ -71,7 +71,7 @@ def save_animation(
 
 
 class _Film:
-    """The pictures of a motion."""
+    """A motion's pictures."""
 
     def __init__(self, motion: Motion, rate: float, speed: float, width: int):
         self._track = Track(motion, rate)
@@ -127,7 +127,7 @@ class _Film:
         canvas.pixels[seen] *= colors[cell[:, 0], cell[:, 1]]
 
     def _shaded(self, robot: Triangles) -> np.ndarray:
-        """Pixels of the ground below the robot, bool [rows, columns]."""
+        """Ground pixels below the robot, bool [rows, columns]."""
         above = ParallelCamera(np.pi / 2, np.pi / 2, robot.corners.reshape(-1, 3), 200)
         shade = Canvas(above)
         shade.draw(robot, _LIGHT)
@@ -169,7 +169,7 @@ def _crop(motion: Motion) -> HeightMap:
 
 
 def _sides(terrain: HeightMap, heights: np.ndarray, floor: float) -> np.ndarray:
-    """Triangles from the rim of the map down to a floor, as if it were cut out, float64 [4 (nx + ny), 3, 3]."""
+    """Triangles from the map's rim down to a floor, as if it were cut out, float64 [4 (nx + ny), 3, 3]."""
     (x0, y0), (length, across), cell = terrain.origin, terrain.size, terrain.resolution
     quads = []
     for count, rim, start, step in (

@@ -1,6 +1,6 @@
 """A motion as MCAP for Foxglove, rerun and other viewers, by foxglove-sdk.
 
-Topics: ``/terrain`` (a mesh), ``/terrain_grid`` (heights of the cells, NaN = unknown), ``/path`` (base poses),
+Topics: ``/terrain`` (a mesh), ``/terrain_grid`` (cell heights, NaN = unknown), ``/path`` (base poses),
 ``/robot`` (its shapes, each in its own frame), ``/tf`` (frames over time), ``/state`` (JSON: contacts, margin, phase,
 action, poses and velocities). The metadata record ``hdsp`` holds the robot, the frames and the limits. Times count from
 the start of the motion.
@@ -86,7 +86,7 @@ def _facts(motion: Motion) -> dict[str, str]:
 
 
 class _Recorder:
-    """Writes the messages of a track to the channels of a context."""
+    """Writes a track's messages to a context's channels."""
 
     def __init__(self, context: Any, track: Track):
         from foxglove import Channel, channels, messages

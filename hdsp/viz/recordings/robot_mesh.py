@@ -23,7 +23,7 @@ _FACES = np.concatenate([_QUADS[:, [0, 1, 2]], _QUADS[:, [0, 2, 3]]])
 
 
 class RobotMesh:
-    """Triangles of a robot in the states of a track."""
+    """Robot triangles for a track's states."""
 
     def __init__(self, track: Track):
         self._track, robot = track, track.motion.robot
@@ -58,18 +58,18 @@ def _placed(shape: np.ndarray, place: np.ndarray, turn: np.ndarray) -> np.ndarra
 
 
 def _box(size: tuple[float, float, float], center: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
-    """Triangles of a cuboid, float64 [12, 3, 3]."""
+    """Cuboid triangles, float64 [12, 3, 3]."""
     return (_CUBE * size + center)[_FACES]
 
 
 def _nose(robot: Robot) -> np.ndarray:
-    """A mark at the front of the base."""
+    """A mark at the base's front end."""
     (length, width, height), (x, y, z) = trunk(robot)[0]
     return _box((0.03, 0.5 * width, 0.35 * height), (x + length / 2 + 0.015, y, z))
 
 
 def _cylinder(radius: float, width: float) -> np.ndarray:
-    """Triangles of a cylinder about the y axis, float64 [4 _SIDES, 3, 3]."""
+    """Triangles for a cylinder about the y axis, float64 [4 _SIDES, 3, 3]."""
     angles = np.linspace(0, 2 * np.pi, _SIDES + 1)
     ring = np.stack([radius * np.cos(angles), np.zeros_like(angles), radius * np.sin(angles)], axis=1)
     left, right = ring + (0, width / 2, 0), ring - (0, width / 2, 0)

@@ -33,7 +33,7 @@ def write_ros_bag(motion: Motion, path: Path, rate: float) -> None:
 
     Args:
         motion: the motion.
-        path: folder of the bag, which must not exist.
+        path: the bag's folder, which must not exist.
         rate: states per second.
 
     Raises:
@@ -57,7 +57,7 @@ def write_ros_bag(motion: Motion, path: Path, rate: float) -> None:
 
 
 class _Messages:
-    """Messages of a track."""
+    """ROS 2 messages for a track."""
 
     def __init__(self, store: Any, track: Track):
         self._store, self._types, self._track = store, store.types, track
@@ -193,7 +193,7 @@ class _Messages:
 
 
 def angular_velocity(base: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Returns the angular velocity of the base in the map frame, float64 [3], rad/s.
+    """Returns the base's angular velocity in the map frame, float64 [3], rad/s.
 
     Args:
         base: float64 [6], with roll, pitch and heading.
@@ -206,7 +206,7 @@ def angular_velocity(base: np.ndarray, velocity: np.ndarray) -> np.ndarray:
 
 
 def _latched() -> Any:
-    """Quality of service of topics whose last message newcomers get."""
+    """Quality for latched topics: newcomers get the last message."""
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
     forever = QosTime(2147483647, 4294967295)

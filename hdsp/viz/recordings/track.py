@@ -1,4 +1,4 @@
-"""States of a motion at regular times, with the poses of all parts, for recordings.
+"""Motion states at regular times with all part poses, for recordings.
 
 Convention: metres, radians, seconds; quaternions are (x, y, z, w).
 """
@@ -24,7 +24,7 @@ class Track:
         state: its states, `MotionState` with arrays [n, ...].
         quaternions: float64 [n, 4], from the base frame to the map frame.
         rolled: float64 [n, 4], angles by which the wheels have turned.
-        joints: float64 [n, 4, 3], positions of the leg joints (`hdsp.robot.urdf`).
+        joints: float64 [n, 4, 3], leg joint positions (`hdsp.robot.urdf`).
     """
 
     def __init__(self, motion: Motion, rate: float):
@@ -46,17 +46,17 @@ class Track:
 
     @cached_property
     def nanoseconds(self) -> list[int]:
-        """Times of the states, whole nanoseconds from the start."""
+        """State times, whole nanoseconds from the start."""
         return np.round(self.state.time * 1e9).astype(np.int64).tolist()
 
     @cached_property
     def joint_velocities(self) -> np.ndarray:
-        """Velocities of the leg joints, float64 [n, 4, 3], m/s."""
+        """Leg joint velocities, float64 [n, 4, 3], m/s."""
         return np.gradient(self.joints, self.state.time, axis=0) if len(self) > 1 else np.zeros_like(self.joints)
 
     @cached_property
     def wheels(self) -> np.ndarray:
-        """Poses of the wheels in the map frame, float64 [n, 4, 7]: centre, quaternion; the y axes are the axles."""
+        """Wheel poses in the map frame, float64 [n, 4, 7]: centre, quaternion; the y axes are the axles."""
         from scipy.spatial.transform import Rotation
 
         turned = Rotation.from_quat(np.repeat(self.quaternions, 4, axis=0))
@@ -65,7 +65,7 @@ class Track:
 
     @cached_property
     def legs(self) -> np.ndarray:
-        """Poses of thighs and shanks in the map frame, float64 [n, 4, 2, 7]: middle, quaternion; x points to the foot.
+        """Thigh and shank poses in the map frame, float64 [n, 4, 2, 7]: middle, quaternion; x points to the foot.
 
         Both links are equally long, and the knees bend backward, as in `hdsp.viz.viewer.robot_pose`.
         """

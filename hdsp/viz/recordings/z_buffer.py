@@ -1,4 +1,4 @@
-"""Pictures of triangles from a camera without perspective, by a depth buffer.
+"""Triangle pictures from a camera without perspective, by a depth buffer.
 
 A scene rarely changes but for the robot in it: `Canvas.copy` keeps the ground for the next picture.
 """
@@ -23,14 +23,14 @@ class ParallelCamera:
     """
 
     def __init__(self, azimuth: float, elevation: float, points: np.ndarray, width: int, border: float = 0.04):
-        """Looks at points so that all of them fit.
+        """Looks at points; all fit into the picture.
 
         Args:
-            azimuth: direction of view, rad against the x axis.
-            elevation: height of the camera over the horizon, rad.
+            azimuth: view direction, rad against the x axis.
+            elevation: camera angle over the horizon, rad.
             points: float64 [n, 3], m.
-            width: width of the picture, pixels.
-            border: free part of the width at each side.
+            width: picture width, pixels.
+            border: free share at each side.
         """
         cos, sin, up, flat = math.cos(azimuth), math.sin(azimuth), math.sin(elevation), math.cos(elevation)
         self.axes = np.array([(sin, -cos, 0.0), (up * cos, up * sin, flat), (flat * cos, flat * sin, -up)])
@@ -50,7 +50,7 @@ class ParallelCamera:
         )  # fmt: skip
 
     def world(self, depth: np.ndarray) -> np.ndarray:
-        """Returns the point behind the middle of each pixel at a depth [rows, columns], float64 [rows, columns, 3]."""
+        """Returns the point behind each pixel centre at a depth [rows, columns], float64 [rows, columns, 3]."""
         rows, columns = np.indices(depth.shape)
         right = (columns + 0.5 - self._shift[0]) / self.scale
         up = (self._shift[1] - rows - 0.5) / self.scale
