@@ -27,6 +27,7 @@ repro: $(STAMP)  ## run the pipeline (only what changed) and print the paper's t
 	dvc repro
 	@cat reports/tables.md
 	@python -m pipeline.seconds
+	@echo "reports/index.html: tables, pictures, paths in 3D, data and hashes in one file"
 
 tables: $(STAMP)  ## print the tables of the last run
 	@cat reports/tables.md

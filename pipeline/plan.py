@@ -71,6 +71,7 @@ class Searches(NamedTuple):
 
 def plan(config: Config, folders: Folders) -> None:
     from hdsp.viz import save_planned_path, save_planned_paths, save_planning_bars
+    from pipeline.stored_paths import PathKey, write_paths
 
     robot = config.robot
     ground = read_ground(config.arena, folders)
@@ -110,16 +111,17 @@ def plan(config: Config, folders: Folders) -> None:
     }
     write_json(folders.write("reports", "planning.json"), report)
     save_planning_bars(runs, folders.write("reports", "figures", "planning.png"))
-    found = {(task, name, weight): p for name, part in searches for (task, weight), p in part.paths.items()}
+    found = {PathKey(task, name, weight): p for name, part in searches for (task, weight), p in part.paths.items()}
+    write_paths(folders.write("data", "paths.npz"), {key: (path.states, path.actions) for key, path in found.items()})
     task, name, weight = best_to_show(runs)
     title = f"Task {task}: {name} heuristic, W = {weight:g}"
     picture = folders.write("reports", "figures", "planned_path.png")
-    shown = found[task, name, weight]
+    shown = found[PathKey(task, name, weight)]
     save_planned_path(ground.terrain, shown.states, shown.actions, robot, picture, title, *tasks[task])
     name, weight = series_to_show(runs)
     save_planned_paths(
         ground.terrain,
-        {task: found[task, name, weight] for task in tasks},
+        {task: found[PathKey(task, name, weight)] for task in tasks},
         tasks,
         robot,
         folders.write("reports", "figures", "planned_paths.png"),

@@ -1,4 +1,7 @@
-"""Stage `report`: both paper tables beside ours, in reports/tables.md and docs/results.md; headlines in README.md."""
+"""Stage `report`: both paper tables beside ours, in reports/tables.md and docs/results.md; headlines in README.md.
+
+`reports/index.html` has them with pictures, paths in three dimensions, data and their hashes, in one file.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 from pipeline.config_types import Config
 from pipeline.headline import headline_table
+from pipeline.html_report import write_html_report
 from pipeline.stage import Folders, read_json, run_stage, write_json
 from pipeline.tables import abstraction_quality_table, heuristic_table, random_task_table
 
@@ -30,6 +34,8 @@ def report(config: Config, folders: Folders) -> None:
     ):
         if (folders.outputs / page).is_file():
             put_between_markers(folders.outputs / page, text, *markers)
+    reports = {"abstraction_quality": quality, "planning": planning, "training": training}
+    print(write_html_report(config, folders, reports))
 
 
 def all_tables(quality: dict[str, Any], planning: dict[str, Any], training: dict[str, Any]) -> str:

@@ -42,6 +42,7 @@ EXEMPT = {
     "hdsp.viz": "draws results",
     "pipeline.config": "composes settings; their values are parameters of each stage",
     "pipeline.config_types": "checks settings; their values are parameters of each stage",
+    "pipeline.html_report": "shows results on a page",
     "pipeline.served_model": "records results in MLflow",
     "pipeline.tracking": "records results in MLflow",
 }
