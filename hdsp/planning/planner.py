@@ -71,6 +71,13 @@ class Planner:
     Raises:
         InputError: a terrain that is no map, cells of another size without conditioning, an unknown robot or
             heuristic, an abstraction for another robot, or a margin below 0.
+
+    Example:
+        >>> import hdsp
+        >>> planner = hdsp.Planner(hdsp.HeightMap.flat((120, 120)), robot="momaro", heuristic="manual")
+        >>> plan = planner.plan(start=(1.0, 1.5, 0.0), goal=(2.0, 1.5, 0.0))
+        >>> str(plan.status), round(plan.cost, 3)
+        ('solved', 1.0)
     """
 
     def __init__(
@@ -219,6 +226,14 @@ class Planner:
 
         Raises:
             InputError: as from ``valid``, or a negative radius or distance.
+
+        Example:
+            >>> import hdsp
+            >>> heights = hdsp.HeightMap.flat((160, 160)).heights.copy()
+            >>> heights[80:84] = 1.0  # a wall at x = 2 m
+            >>> planner = Planner(heights, resolution=0.025)
+            >>> bool(planner.valid((2.0, 2.0, 0.0))), planner.nearest((2.0, 2.0, 0.0)).round(2)[:3].tolist()
+            (False, [1.54, 1.99, 0.0])
         """
         posed, free = with_heading(pose)
         values = pose_values(posed, "pose", self._wider)
@@ -367,6 +382,13 @@ class Planner:
             InputError: at once, for a value that is not a number, a pose off the map, or weights below 1 or not
                 falling.
             RefinementError: as in ``plan``.
+
+        Example:
+            >>> import hdsp
+            >>> planner = Planner(hdsp.HeightMap.flat((120, 120)), heuristic="manual")
+            >>> *_, best = planner.improve((1.0, 1.5, 0.0), (2.0, 1.8, 1.57))
+            >>> best.bound, best.stats.ended
+            (1.0, 'solved')
         """
         weights = falling_weights(weights)
         limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)

@@ -59,7 +59,12 @@ def heading_angle(index, headings: int = HEADINGS):
 
 
 def heading_index(theta, headings: int = HEADINGS):
-    """Returns the nearest heading index in ``[0, headings)`` for an angle in radians (scalar or array)."""
+    """Returns the nearest heading index in ``[0, headings)`` for an angle in radians (scalar or array).
+
+    Example:
+        >>> int(heading_index(math.pi / 2))
+        16
+    """
     index = np.floor(np.asarray(theta, dtype=float) * (headings / (2 * math.pi)) + 0.5)
     return np.mod(index, headings).astype(np.int64)
 
@@ -83,6 +88,10 @@ def robot_frame_goals(abstract_heading: int) -> np.ndarray:
     Returns:
         float32 [22, 3]: (dx, dy, dtheta) in abstract steps, in the start state's robot frame. Positions are fractional
             except at multiples of 90 degrees.
+
+    Example:
+        >>> robot_frame_goals(0)[0].tolist()
+        [1.0, 0.0, 0.0]
     """
     goals = ABSTRACT_ACTIONS.astype(float)
     goals[:, :2] = goals[:, :2] @ rotation(float(heading_angle(-abstract_heading, ABSTRACT_HEADINGS))).T

@@ -427,6 +427,11 @@ class Robot:
 
         Raises:
             InputError: the preset or file does not exist, a key is unknown or missing, or a value is out of range.
+
+        Example:
+            >>> robot = Robot.load("momaro")
+            >>> robot.name, robot.step.max_height
+            ('momaro', 0.3)
         """
         if not isinstance(source, str | Path):
             return load_settings(cls, source, "robot")

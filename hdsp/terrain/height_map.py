@@ -42,6 +42,12 @@ class HeightMap:
 
     Raises:
         InputError: if the heights are not a 2D array of finite or NaN numbers, or the resolution is not positive.
+
+    Example:
+        >>> import numpy as np
+        >>> terrain = HeightMap(np.zeros((80, 40)), origin=(1.0, 2.0), resolution=0.05)
+        >>> terrain.size
+        (4.0, 2.0)
     """
 
     heights: np.ndarray
@@ -194,7 +200,13 @@ class HeightMap:
     def height_at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray: ...
 
     def height_at(self, x, y):
-        """Height at world position(s) (x, y) in metres; NaN outside the map and where unknown."""
+        """Height at world position(s) (x, y) in metres; NaN outside the map and where unknown.
+
+        Example:
+            >>> terrain = HeightMap([[0.0, 0.1], [0.2, 0.3]], resolution=1.0)
+            >>> float(terrain.height_at(1.5, 0.5)), float(terrain.height_at(5.0, 0.5))
+            (0.20000000298023224, nan)
+        """
         ix, iy = (
             np.floor((np.asarray(value, float) - low) / self.resolution + TIE)
             for value, low in zip((x, y), self.origin, strict=True)
@@ -262,6 +274,14 @@ class HeightMap:
 
         Raises:
             InputError: if the cells are too coarse for planning.
+
+        Example:
+            >>> import numpy as np
+            >>> heights = np.zeros((80, 80))
+            >>> heights[40, 40] = np.nan
+            >>> terrain, report = HeightMap(heights, resolution=0.05).conditioned()
+            >>> terrain.shape, report.filled
+            ((160, 160), 1)
         """
         stages = self.stages(settings)
         return Conditioned(self.with_heights(stages.result, RESOLUTION, stages.report.notes), stages.report)

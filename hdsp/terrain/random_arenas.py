@@ -96,6 +96,11 @@ def random_arena(seed: int, size: float = 5.0, settings: ArenaSettings | None = 
 
     Raises:
         InputError: if the size is below 4 m, or no arena with these settings has enough free ground.
+
+    Example:
+        >>> terrain = random_arena(seed=7, size=5.0)
+        >>> terrain.size, float(terrain.heights.max())
+        ((5.0, 5.0), 1.0)
     """
     settings = settings or ArenaSettings()
     if not (math.isfinite(size) and size >= SMALLEST):

@@ -154,6 +154,10 @@ def random_map(
 
     Raises:
         InputError: as `random_scene`.
+
+    Example:
+        >>> random_map(seed=1, category="staircase", index=0).shape
+        (72, 72)
     """
     scene = random_scene(seed, category, index, settings)
     return scene.rasterise((cells, cells), (cells // 2, cells // 2), float(lattice.heading_angle(heading)))

@@ -156,6 +156,13 @@ class Plan:
             InputError: without a plan.
             RefinementError: the robot cannot carry out an action; the message names the action and the reason.
                 ``Planner.plan(..., refinable=True)`` looks for a plan without it.
+
+        Example:
+            >>> import hdsp
+            >>> plan = hdsp.Planner(hdsp.HeightMap.flat((120, 120))).plan((1.0, 1.5, 0.0), (1.5, 1.5, 0.0))
+            >>> motion = plan.refine()
+            >>> motion.check(), motion.base[-1, :3].round(2).tolist()  # no faults; x, y, z of the base at the end
+            ([], [1.51, 1.51, 0.65])
         """
         if not self.solved:
             raise InputError(f"there is no plan to refine: {self.explain()}")
