@@ -18,7 +18,7 @@ KERNEL_TESTS := tests/detailed tests/abstract/test_prepared_graph.py tests/label
 	tests/terrain/simulation/test_lidar_mapping.py \
 	--ignore tests/detailed/test_staircases.py
 
-.PHONY: help repro tables docs test test-checked lint format params clean
+.PHONY: help repro tables docs docs-links test test-checked lint format params clean
 
 help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
@@ -35,6 +35,9 @@ tables: $(STAMP)  ## print the tables of the last run
 docs: $(STAMP)  ## the documentation as a site in build/docs: notebooks run, each warning is an error
 	sphinx-build -q -E -W --keep-going -b html docs build/docs
 	@echo "build/docs/index.html"
+
+docs-links: $(STAMP)  ## the addresses of other sites in the documentation, each fetched once (needs a network)
+	sphinx-build -q -b linkcheck -D nb_execution_mode=off docs build/links
 
 test: $(STAMP)  ## all tests
 	python -m pytest --numprocesses 2 --dist loadgroup $(TEST_ARGS)

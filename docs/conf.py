@@ -71,6 +71,6 @@ html_theme_options = {
     "footer_end": [],
 }
 
-# Links between pages, headings and names are checked by the build. Addresses of other sites are listed by
-# `make docs-links` and not fetched by default, because builds run without a network.
+# Each build checks links between pages, headings and names. `make docs-links` fetches the addresses of other sites;
+# builds do not, because they also run without a network.
 linkcheck_timeout = 20

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ast
 import inspect
-import shutil
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -70,16 +69,25 @@ def _homes(package: str) -> dict[str, str]:
 
 
 def write_pages(folder: Path) -> None:
-    """Writes the pages of all packages into a folder."""
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    (folder / "index.rst").write_text("\n".join(_index()))
+    """Writes the pages of all packages into a folder; equal pages stay as they are, other files go."""
+    pages = {"index": _index()}
     for package, names in public_names().items():
         own = [name for name in names if name.shown == name.place]
         if package == "hdsp":
-            for name in own:
-                (folder / f"{name.place}.rst").write_text("\n".join([*_title(name.place), *_entry(name)]))
-        (folder / f"{package}.rst").write_text("\n".join(_page(package, names, own)))
+            pages |= {name.place: _single(name) for name in own}
+        pages[package] = _page(package, names, own)
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in set(folder.glob("*.rst")) - {folder / f"{page}.rst" for page in pages}:
+        old.unlink()
+    for page, lines in pages.items():
+        path, text = folder / f"{page}.rst", "\n".join(lines)
+        if not path.is_file() or path.read_text() != text:
+            path.write_text(text)
+
+
+def _single(name: PublicName) -> Iterator[str]:
+    yield from _title(name.place)
+    yield from _entry(name)
 
 
 def _index() -> Iterator[str]:
@@ -133,7 +141,28 @@ def skip_member(_app, _what: str, _name: str, value: Any, skip: bool, _options) 
     return True if described else None
 
 
+def readable_signature(_app, _what, _name, _value, _options, signature: str | None, returned: str | None):
+    """Leaves the checks of settings out of signatures: the type alone of ``Annotated[type, checks]``."""
+    return tuple(text and _without_checks(text) for text in (signature, returned))
+
+
+def _without_checks(text: str) -> str:
+    """Text without the second and further arguments of each ``Annotated``."""
+    before, found, rest = text.partition("Annotated[")
+    if not found:
+        return text
+    depth, first = 0, None
+    for place, letter in enumerate(rest):
+        if letter == "," and depth == 0 and first is None:
+            first = place
+        if letter == "]" and depth == 0:
+            return before.removesuffix("~typing.") + _without_checks(rest[:first]) + _without_checks(rest[place + 1 :])
+        depth += (letter in "[({") - (letter in "])}")
+    return text
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("builder-inited", lambda app: write_pages(Path(app.srcdir) / "api"))
     app.connect("autodoc-skip-member", skip_member)
+    app.connect("autodoc-process-signature", readable_signature)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
