@@ -32,6 +32,7 @@ default_role = "py:obj"
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "fieldlist"]
 myst_heading_anchors = 4
+suppress_warnings = ["myst-nb.lexer"]  # builds without execution know no language of a cell
 nb_execution_mode = "force"
 nb_execution_in_temp = True
 nb_execution_timeout = 300

@@ -26,6 +26,13 @@ GROUPS = sorted(path.name for path in (ROOT / "conf").iterdir() if path.is_dir()
 SECTIONS = sorted(yaml.safe_load((ROOT / "hdsp/robot/presets/momaro.yaml").read_text()))
 #: Variable names in the pages, and their classes.
 OBJECTS = {"plan": Plan, "planner": Planner, "motion": Motion}
+#: Results of the pipeline that are not under version control.
+MADE = {
+    out
+    for stage in yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"].values()
+    for out in stage.get("outs", [])
+    if isinstance(out, str)
+}
 SUFFIXES = {"md", "yaml", "json", "safetensors", "py", "png", "npz", "bag", "mcap", "csv"}
 
 
@@ -51,7 +58,7 @@ def spans(page: Path) -> list[str]:
 
 def exists(path: str) -> bool:
     """Whether a path leads to a file; a word in capitals or a shell variable matches any name."""
-    return any(ROOT.glob(re.sub(r"\$\w+|\b[A-Z]{2,}\b(?!\.md)", "*", path).rstrip("/")))
+    return path in MADE or any(ROOT.glob(re.sub(r"\$\w+|\b[A-Z]{2,}\b(?!\.md)", "*", path).rstrip("/")))
 
 
 def resolves(name: str) -> bool:
