@@ -18,7 +18,7 @@ KERNEL_TESTS := tests/detailed tests/abstract/test_prepared_graph.py tests/label
 	tests/terrain/simulation/test_lidar_mapping.py \
 	--ignore tests/detailed/test_staircases.py
 
-.PHONY: help repro tables docs docs-links test test-checked lint format params clean
+.PHONY: help repro demo tables docs docs-links test test-checked lint format params clean
 
 help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
@@ -28,6 +28,9 @@ repro: $(STAMP)  ## run the pipeline (only what changed) and print the paper's t
 	@cat reports/tables.md
 	@python -m pipeline.seconds
 	@echo "reports/index.html: tables, pictures, paths in 3D, data and hashes in one file"
+
+demo: $(STAMP)  ## a robot climbs stairs in the browser
+	hdsp demo
 
 tables: $(STAMP)  ## print the tables of the last run
 	@cat reports/tables.md

@@ -13,6 +13,7 @@ from hdsp.planning.commands.console import BAD_INPUT, INTERRUPTED, NO_PLAN, Cons
 from hdsp.planning.commands.info_command import add_info
 from hdsp.planning.commands.map_commands import add_map
 from hdsp.planning.commands.plan_command import add_plan
+from hdsp.planning.commands.view_command import add_demo, add_view
 from hdsp.planning.commands.warmup_command import add_warmup
 
 __all__ = ["NO_PLAN", "command_parser", "main"]
@@ -55,7 +56,7 @@ def command_parser() -> CommandParser:
     parser = CommandParser(prog="hdsp", description="Hybrid driving-stepping planning.", epilog=_EXAMPLES)
     parser.add_argument("--version", action="version", version=f"hdsp {version()}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for add in (add_map, add_plan, add_info, add_warmup):
+    for add in (add_map, add_plan, add_view, add_demo, add_info, add_warmup):
         add(commands)
     add_completion(commands, parser)
     for command in commands.choices.values():

@@ -3,7 +3,7 @@
 # Okabe and Ito's colours: people with the common colour vision deficiencies can tell them apart.
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
-GREY = "#8A8A8A"
+GREY, RED = "#8A8A8A", "#B2182B"
 
 START, GOAL = BLUE, VERMILLION
 FEET = (SKY, GREEN, YELLOW, PURPLE)

@@ -182,7 +182,7 @@ class Plan:
         return self.refine().save(path, rate)
 
     def refine_until(self, ends: float) -> bool:
-        """Refines the plan, at the latest until a moment on the clock `hdsp.base.gradual.now`.
+        """Refines the plan, at the latest until a moment on the clock `hdsp.base.gradual.now`; another call continues.
 
         Returns:
             whether the motion is complete; ``refine`` then returns it at once.
@@ -191,11 +191,19 @@ class Plan:
             RefinementError: as in ``refine``.
         """
         if "_motion" not in self.__dict__:
-            steps = Gradual(refine_steps(self.terrain, self.robot, self.states, self.actions))
-            if not steps.run(ends):
-                return False
+            steps = self._refinement
+            try:
+                if not steps.run(ends):
+                    return False
+            except RefinementError:
+                del self.__dict__["_refinement"]  # another call fails in the same way
+                raise
             self.__dict__["_motion"] = steps.result
         return True
+
+    @cached_property
+    def _refinement(self) -> Gradual[Motion]:
+        return Gradual(refine_steps(self.terrain, self.robot, self.states, self.actions))
 
     @cached_property
     def _motion(self) -> Motion:

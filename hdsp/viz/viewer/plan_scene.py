@@ -30,9 +30,12 @@ class PlanScene:
         server: the server; see `local_server.open_server`.
         terrain: the map.
         robot: the robot.
+        aside: distance by which the first view lies to the right of the map's centre, as a share of its size; space
+            for a panel at the right.
     """
 
-    def __init__(self, server: Any, terrain: HeightMap, robot: Robot):
+    def __init__(self, server: Any, terrain: HeightMap, robot: Robot, aside: float = 0.0):
+        self._aside = aside
         self.server, self.terrain, self.robot = server, terrain, robot
         self.body: RobotNodes | None = None
         self._layers: dict[str, Any] = {}
@@ -54,6 +57,7 @@ class PlanScene:
             surface = ground_mesh(terrain, unknown, walls=False)
             self.unknown = self.scene.add_glb("/unknown", textured(surface, unknown_colors(terrain)), cast_shadow=False)
         (x, y), size = terrain.center, max(terrain.size)
+        x += self._aside * size
         level = float(np.median(ground.vertices[:, 2])) if len(ground.vertices) else 0.0
         camera = self.server.initial_camera
         camera.position = (x - 0.25 * size, y - 0.85 * size, level + 0.85 * size)
@@ -148,7 +152,7 @@ class PlanScene:
         if failure.reached is not None:
             self.draw_layer("in reach", mark_colors(failure.reached, SKY))
         for number, mark in enumerate(failure.marks, 1):
-            self._pin(f"/failure/cause_{number}", mark.place, f"{number}: {mark.label}", VERMILLION)
+            self._pin(f"/failure/cause_{number}", mark.place, f"{number}: {mark.label.rstrip(',')}", VERMILLION)
         poses = dict.fromkeys(mark.pose for mark in failure.marks if mark.pose is not None)
         for number, pose in enumerate(poses):
             self._ghost(f"/failure/pose_{number}", pose, VERMILLION)

@@ -32,16 +32,25 @@ class PoseHandle:
         self, scene: Any, name: str, words: str, color: str, released: Callable[[tuple[float, float, float]], None]
     ):
         self.name, self.color, self._scene, self._released = name, color, scene, released
-        self.control = scene.add_transform_controls(name, scale=0.7, active_axes=(True, True, False), depth_test=False)
+        self.control = scene.add_transform_controls(
+            name, scale=0.7, active_axes=(True, True, False), depth_test=False, visible=False
+        )
         scene.add_label(f"{name}/words", words, position=(0.0, 0.0, 1.2), anchor="bottom-center")
         self._ghost: RobotNodes | None = None
+        self._held = False
         self.control.on_update(self._moved)
 
     def place(self, terrain: HeightMap, robot: Robot, pose: np.ndarray) -> None:
-        """Moves the handle to a pose (x, y, heading) or a state with 7 values, onto the ground."""
+        """Moves the handle to a pose (x, y, heading) or a state with 7 values, onto the ground.
+
+        A handle in a user's hand stays there.
+        """
+        if self._held:
+            return
         state = np.concatenate([np.asarray(pose, float), np.zeros(7 - len(pose))])
         base, feet = (rows[0] for rows in standing(terrain, robot, state))
         level = float(feet[:, 2].mean())
+        self.control.visible = True
         self.control.position = (state[0], state[1], level)
         self.control.wxyz = (math.cos(state[2] / 2), 0.0, 0.0, math.sin(state[2] / 2))
         if self._ghost is None or self._ghost.robot is not robot:
@@ -60,5 +69,6 @@ class PoseHandle:
         return float(x), float(y), math.remainder(2 * math.atan2(z, w), 2 * math.pi)
 
     def _moved(self, event: Any) -> None:
-        if event.phase == "end":
+        self._held = event.phase != "end"
+        if not self._held:
             self._released(self.pose())

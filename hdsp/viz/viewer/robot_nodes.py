@@ -27,10 +27,14 @@ class RobotNodes:
         robot: the robot.
         color: colour of the base; None: the usual one.
         opacity: opacity of all parts; None: opaque.
+
+    Attributes:
+        placed: poses of all moving parts, [7] each, the base first; empty before ``place``.
     """
 
     def __init__(self, scene: Any, name: str, robot: Robot, color: str | None = None, opacity: float | None = None):
         self.robot = robot
+        self.placed: list[np.ndarray] = []
         self.root = scene.add_frame(name, show_axes=False)
         look = {"opacity": opacity, "cast_shadow": opacity is None, "receive_shadow": False}
         self._base = scene.add_frame(f"{name}/base", show_axes=False)
@@ -59,9 +63,9 @@ class RobotNodes:
 
     def place(self, base: np.ndarray, feet: np.ndarray, rolled: np.ndarray | None = None) -> None:
         """Moves the robot to a configuration; arguments as for `robot_pose.parts`."""
-        placed = parts(self.robot, base, feet, rolled)
-        poses = [placed.base, *placed.links.reshape(-1, 7), *placed.wheels]
-        for node, pose in zip((self._base, *self._links, *self._wheels), poses, strict=True):
+        found = parts(self.robot, base, feet, rolled)
+        self.placed = [found.base, *found.links.reshape(-1, 7), *found.wheels]
+        for node, pose in zip((self._base, *self._links, *self._wheels), self.placed, strict=True):
             node.position, node.wxyz = pose[:3], pose[3:]
 
     def remove(self) -> None:

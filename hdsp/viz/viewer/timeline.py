@@ -11,16 +11,17 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.viz.viewer.robot_pose import standing, wheel_radius
 
-# Speeds of a playback without times: m/s of feet, m/s of the base, rad/s of the base.
+# Speeds through the states of a plan, which has no times: m/s of feet, m/s and rad/s of the base.
 _FOOT, _BASE, _TURN = 0.5, 0.4, 0.6
-_LEAST = 0.02  # s, from one configuration to the next
+_LEAST = 0.02  # s, from one state to the next
+_SAMPLE = 0.04  # s, between two samples of a motion
 
 
 class Timeline(NamedTuple):
     """Configurations at moments, linear between them.
 
     Attributes:
-        times: float64 [n], s, rising from 0.
+        times: float64 [n], s, from 0 on.
         base: float64 [n, 6]: x, y, z, roll, pitch, heading (continuous).
         feet: float64 [n, 4, 3].
         rolled: float64 [n, 4], angles by which the wheels have turned, rad.
@@ -49,16 +50,6 @@ class Timeline(NamedTuple):
 def timeline_of_states(terrain: HeightMap, robot: Robot, states: np.ndarray) -> Timeline:
     """Returns the timeline of a robot that stands in each state of a plan, float64 [n, 7]."""
     base, feet = standing(terrain, robot, states)
-    return _timeline(robot, base, feet, np.ones(feet.shape[:2], bool))
-
-
-def timeline_of_motion(motion: Motion) -> Timeline:
-    """Returns the timeline of a motion."""
-    return _timeline(motion.robot, motion.base, motion.feet, motion.carries)
-
-
-def _timeline(robot: Robot, base: np.ndarray, feet: np.ndarray, carries: np.ndarray) -> Timeline:
-    base = base.copy()
     base[:, 5] = np.unwrap(base[:, 5])
     moved = np.diff(feet, axis=0)
     seconds = np.stack([
@@ -67,7 +58,22 @@ def _timeline(robot: Robot, base: np.ndarray, feet: np.ndarray, carries: np.ndar
         abs(np.diff(base[:, 5])) / _TURN,
         np.full(len(moved), _LEAST),
     ]).max(axis=0)  # fmt: skip
+    times = np.concatenate([[0.0], np.cumsum(seconds)])
+    return _timeline(robot, times, base, feet, np.ones(feet.shape[:2], bool))
+
+
+def timeline_of_motion(motion: Motion) -> Timeline:
+    """Returns the timeline of a motion, with its times."""
+    times = np.linspace(0.0, motion.duration, max(2, int(np.ceil(motion.duration / _SAMPLE)) + 1))
+    state = motion.at(times)
+    base = np.array(state.base)
+    base[:, 5] = np.unwrap(base[:, 5])
+    return _timeline(motion.robot, times, base, state.feet, state.carries)
+
+
+def _timeline(robot: Robot, times: np.ndarray, base: np.ndarray, feet: np.ndarray, carries: np.ndarray) -> Timeline:
+    moved = np.diff(feet, axis=0)
     ahead = np.stack([np.cos(base[1:, 5]), np.sin(base[1:, 5])], axis=1)
     rolling = np.einsum("nfi,ni->nf", moved[..., :2], ahead) * (carries[1:] & carries[:-1])
     rolled = np.cumsum(np.concatenate([np.zeros((1, 4)), rolling]), axis=0) / wheel_radius(robot)
-    return Timeline(np.concatenate([[0.0], np.cumsum(seconds)]), base, feet, rolled)
+    return Timeline(times, base, feet, rolled)
