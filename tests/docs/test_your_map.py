@@ -94,8 +94,7 @@ def check_block(block, names, status=0):
 
 def shown(block):
     """Output that the page shows: its text block, or the comments behind its prints."""
-    beside = re.findall(r"^print\(.*\)  # (.*)$", block.code, re.MULTILINE)
-    return "\n".join([*beside, *([block.output] if block.output else [])])
+    return block.output or "\n".join(re.findall(r"^print\(.*\)  # (.*)$", block.code, re.MULTILINE))
 
 
 def matches(expected, printed):
