@@ -20,7 +20,8 @@ from hdsp.detailed.motion.motion_files import ANIMATIONS
 from hdsp.detailed.motion.phases import PHASES
 from hdsp.robot.robot import FEET
 from hdsp.terrain.height_map import HeightMap
-from hdsp.viz.palette import BLUE, UNKNOWN
+from hdsp.viz.palette import BLUE, UNKNOWN, VERMILLION
+from hdsp.viz.palette import FEET as FOOT_COLORS
 from hdsp.viz.recordings.robot_mesh import RobotMesh
 from hdsp.viz.recordings.track import Track
 from hdsp.viz.recordings.z_buffer import Canvas, ParallelCamera, Triangles
@@ -40,7 +41,7 @@ _WORDS = {
     "roll": "rolls on four wheels", "lean": "shifts its weight", "lift": "lifts the {} foot",
     "swing": "swings the {} foot", "lower": "lowers the {} foot",
 }  # fmt: skip
-_COLORS = 96  # in a GIF
+_COLORS, _STRIP = 112, 90  # colours in a GIF; rows of pixels
 _STRENGTH = 0.62  # of the colours of heights
 
 
@@ -192,10 +193,18 @@ def _write_gif(path: Path, frames: Iterator[Any], fps: float) -> None:
     from PIL import Image
 
     pictures = list(frames)
-    # One palette for all pictures: pixels that do not change stay equal, and cost nothing.
-    sample = Image.new("RGB", (pictures[0].width, 3 * pictures[0].height))
+    # One palette for all pictures: pixels that do not change stay equal, and cost nothing. Wheels are too small to
+    # count among the colours of a picture, so the sample has theirs in a strip.
+    width, height = pictures[0].size
+    sample = Image.new("RGB", (width, 3 * height + _STRIP))
     for number, picture in enumerate((pictures[0], pictures[len(pictures) // 2], pictures[-1])):
-        sample.paste(picture, (0, number * picture.height))
+        sample.paste(picture, (0, number * height))
+    small = [
+        tuple(round(shade * part) for part in rgb(c)) for c in (*FOOT_COLORS, VERMILLION) for shade in (1, 0.8, 0.6)
+    ]
+    for number, color in enumerate(small):
+        ends = [width * k // len(small) for k in (number, number + 1)]
+        sample.paste(color, (ends[0], 3 * height, ends[1], 3 * height + _STRIP))
     palette = sample.quantize(_COLORS, method=Image.Quantize.MEDIANCUT)
     drawn = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     lengths = [round(1000 / fps)] * (len(drawn) - 1) + [1500]
