@@ -21,6 +21,8 @@ from hdsp.base.errors import InputError, RefinementError
 from hdsp.base.files import replacing
 from pipeline.config_types import Config
 from pipeline.headline import headline_table
+from pipeline.seconds import PLACE
+from pipeline.seconds import table as seconds_table
 from pipeline.stage import Folders, read_json
 from pipeline.stored_paths import PathKey, StoredPath, read_paths
 from pipeline.tables import HEURISTIC_NAMES, abstraction_quality_table, heuristic_table, markdown, random_task_table
@@ -73,6 +75,7 @@ def write_html_report(config: Config, folders: Folders, reports: Mapping[str, An
         training=as_html(_training(training)),
         sources=as_html(_sources(folders)),
         stages=as_html(stage_table(folders)),
+        seconds=as_html(_seconds(folders)),
         versions=", ".join(f"{name} {version(name)}" for name in PACKAGES if _installed(name)),
         python=f"Python {platform.python_version()}",
         parameters=_parameters(folders),
@@ -235,6 +238,12 @@ def stage_table(folders: Folders) -> str:
         shown = ", ".join(f"`{out['path']}` {_hash(out)}" for out in outs)
         rows.append([f"`{stage['cmd']}`", *(code or ["–"]), shown])
     return markdown(["command", "code", "results"], rows)
+
+
+def _seconds(folders: Folders) -> str:
+    """Durations of the stages before this one; empty outside of DVC."""
+    folder = folders.read(*PLACE.parts)
+    return seconds_table(folder) if folder.is_dir() else ""
 
 
 def _hash(entry: Mapping[str, Any]) -> str:
