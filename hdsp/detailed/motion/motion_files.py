@@ -67,7 +67,7 @@ def check_motion_path(path: str | os.PathLike) -> Path:
 def animate_motion(motion: Any, path: str | os.PathLike, **look: float | None) -> Path:
     """Writes an animation; see ``Motion.animate``."""
     if not _ANIMATORS:
-        raise InputError("animations need the package hdsp.viz.recordings; import it first")
+        raise InputError("animations need hdsp.viz.recordings.recording_formats; import it first")
     return _ANIMATORS[-1](motion, Path(path), **look)
 
 

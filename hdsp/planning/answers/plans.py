@@ -29,7 +29,7 @@ from hdsp.planning.answers.plan_table import SourcePoses, ground_poses, source_p
 from hdsp.planning.answers.plan_view import PLAN_VIEW
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
-from hdsp.viz import recordings  # noqa: F401, registers formats of motions
+from hdsp.viz.recordings import recording_formats  # noqa: F401, registers formats of motions
 
 if TYPE_CHECKING:
     from hdsp.viz import Failure
