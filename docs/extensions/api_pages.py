@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import re
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -21,6 +22,8 @@ PACKAGES = (
     "hdsp", "hdsp.planning", "hdsp.terrain", "hdsp.terrain.pointcloud", "hdsp.terrain.simulation", "hdsp.robot",
     "hdsp.detailed", "hdsp.abstract", "hdsp.labels", "hdsp.learning", "hdsp.viz", "hdsp.base",
 )  # fmt: skip
+#: A field for several names, as napoleon writes it.
+_SHARED = re.compile(r"^:(?:ivar|param) \w+(?:, \w+)+:")
 LONGEST_VALUE = 60  # characters of the value of a constant
 
 
@@ -141,6 +144,12 @@ def skip_member(_app, _what: str, _name: str, value: Any, skip: bool, _options) 
     return True if described else None
 
 
+def shared_descriptions(_app, _what, _name, _value, _options, lines: list[str]) -> None:
+    """Keeps names with one description together: Sphinx takes words before the last one for a type."""
+    for number, line in enumerate(lines):
+        lines[number] = _SHARED.sub(lambda found: found[0].replace(", ", ","), line)
+
+
 def readable_signature(_app, _what, _name, _value, _options, signature: str | None, returned: str | None):
     """Leaves the checks of settings out of signatures: the type alone of ``Annotated[type, checks]``."""
     return tuple(text and _without_checks(text) for text in (signature, returned))
@@ -164,5 +173,6 @@ def _without_checks(text: str) -> str:
 def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("builder-inited", lambda app: write_pages(Path(app.srcdir) / "api"))
     app.connect("autodoc-skip-member", skip_member)
+    app.connect("autodoc-process-docstring", shared_descriptions, priority=900)  # after napoleon
     app.connect("autodoc-process-signature", readable_signature)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
