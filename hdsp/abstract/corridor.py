@@ -14,7 +14,7 @@ and visits no state beyond.
 Edges are evaluated where the search needs them (lazy weighted A*, Cohen, Phillips & Likhachev, RSS 2014). An action
 without evaluation counts its least cost. All states of the corridor, and some around it, are then evaluated, and the
 search begins again, until the corridor holds evaluated states alone. Its costs are then exact, and independent of edges
-elsewhere: with all edges of the map, the corridor is the same.
+elsewhere: with all map edges, the corridor is the same.
 
 Convention: states are flat indices ``(heading * nx + ix) * ny + iy``.
 """
@@ -69,7 +69,7 @@ def least_costs_from(states: np.ndarray, open_states: np.ndarray, least: np.ndar
     Args:
         states: int64 [n, 3], abstract states (ix, iy, heading).
         open_states: bool [16, nx, ny], states that a way may pass.
-        least: float64 [16, 22], least cost of an action by the heading of its start.
+        least: float64 [16, 22], least cost of an action by its start's heading.
     """
     headings, nx, ny = open_states.shape
     flat = _flat(states, nx, ny)
@@ -89,7 +89,7 @@ def connected(
         goals: int64 [m, 3], states (ix, iy, heading).
         costs: float64 [m], >= 0, cost that is left at each of them.
         open_states: bool [16, nx, ny], states that a way may pass.
-        prices: float64 [16, 22], price of an action by the heading of its start.
+        prices: float64 [16, 22], price of an action by its start's heading.
         most: largest cost.
     """
     shape, queue, prices = open_states.shape, Waiting.none(open_states.size), np.array(prices, np.float32, order="C")
@@ -156,7 +156,7 @@ def costs_around(
         corridor: a corridor with evaluated edges.
         incoming, least: as for ``find_corridor``.
         standing: bool [16, nx, ny], states at which the robot can stand.
-        prices: float64 [16, 22], price of an action that is judged infeasible, by the heading of its start.
+        prices: float64 [16, 22], price of an action that is judged infeasible, by its start's heading.
         excess: costs in the corridor exceed the costs-to-go by this much.
     """
     values, reached = _around(corridor.costs, corridor.behind, corridor.limit, incoming, standing, least, PASSED)

@@ -18,7 +18,7 @@ def reconnect(distances: np.ndarray, states: np.ndarray, prices: np.ndarray) -> 
     Args:
         distances: float64 [16, nx, ny], costs-to-go, inf without a path.
         states: bool [16, nx, ny], states that a robot may pass; all others stay inf.
-        prices: float64 [16, 22], price of an action by the heading of its start.
+        prices: float64 [16, 22], price of an action by its start's heading.
     """
     _reconnect(distances, states, prices, ABSTRACT_ACTIONS)
 

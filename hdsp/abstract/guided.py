@@ -50,7 +50,7 @@ class MixedEdges:
     """Edges by end state: those of a guide where no others were entered.
 
     Args:
-        guide: all edges of the guide.
+        guide: all the guide's edges.
 
     Attributes:
         incoming: float32 [16, nx, ny, 22], see ``PreparedGraph``.

@@ -42,7 +42,7 @@ class CoarsePoseCells(NamedTuple):
         around: int64 [16, n, 2], cells whose height range makes the ground uneven.
         around_counts: int64 [16], rows in use.
         body: int64 [16, n, 2], cells below the body.
-        places: float64 [16, n, 3], their place in the robot frame (m), and the height of the body above ground (m).
+        places: float64 [16, n, 3], their place in the robot frame (m), and the body height above ground (m).
         body_counts: int64 [16], rows in use.
         limits: float64 [4], half of the feet's distance along x and along y (m), steepest gradients ahead and left.
     """

@@ -245,7 +245,7 @@ def least_incoming(standing, least, actions):
 
     Args:
         standing: bool [16, nx, ny]; states without standing have no edges.
-        least: float32 [16, 22], by the heading of the start.
+        least: float32 [16, 22], by the start's heading.
         actions: the abstract actions.
     """
     headings, nx, ny = standing.shape
@@ -282,7 +282,7 @@ def enter_edges(incoming, edges, states, corner, least, actions):
         edges: float32 [16, nx, ny, 22], edges of the part.
         states: bool [16, nx, ny], those with new edges.
         corner: int64 [2], first cell of the part.
-        least: float32 [16, 22], least cost of an action by the heading of its start.
+        least: float32 [16, 22], least cost of an action by its start's heading.
         actions: the abstract actions.
 
     Returns:

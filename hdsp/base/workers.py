@@ -67,7 +67,7 @@ class ClusterSettings:
         memory: memory limit per local worker, e.g. ``2GB``; a worker above it is restarted. None = no limit.
 
     Raises:
-        InputError: the number of workers is below 1, or the scheduler kind is unknown.
+        InputError: the worker count is below 1, or the scheduler kind is unknown.
     """
 
     workers: Count | None = None

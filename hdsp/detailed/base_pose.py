@@ -4,7 +4,7 @@ The ground of the base is the plane through the ground under the four feet. Its 
 between the mean heights of the front and the rear feet over their mean distance; its gradient to the left follows from
 the left and the right feet. Both are exact on any plane, with feet at any offsets. Between feet on steps, the plane
 would be steeper than any slope; the base leans by no more than the steepest slope (``Slope``). The base lies above the
-plane, at the height of its centre.
+plane, at its centre's height.
 
 Search, relaxed problems, refinement and reasons all take the base pose from here. Source: ours; the paper says nothing
 about it. Evidence: docs/cost-model.md.
@@ -48,7 +48,7 @@ def base_poses(robot: Robot, offsets: np.ndarray, heights: np.ndarray) -> np.nda
         heights: float64 [n, 4], ground under the feet, m.
 
     Returns:
-        Float64 [n, 3]: height of the ground under the base centre (m), roll and pitch (rad). Positive roll leans to the
+        Float64 [n, 3]: ground height under the base centre (m), roll and pitch (rad). Positive roll leans to the
         right, positive pitch lowers the nose, as in `hdsp.detailed.motion.motion`.
     """
     feet, steepest = robot.feet, robot.slope.steepest()

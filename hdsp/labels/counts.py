@@ -16,11 +16,11 @@ class LabelCounts:
     """Label counts for some maps; counts can be added.
 
     Attributes:
-        maps, dropped: number of maps with and without a valid start.
-        reasons: int64 [256], number of tasks for each ``Status``.
+        maps, dropped: map count with and without a valid start.
+        reasons: int64 [256], task count for each ``Status``.
         feasible: number of feasible tasks.
         cost_sum, cost_squares: sums over feasible tasks: costs, and squared costs.
-        compared: int64 [16, 22], number of tasks with both kinds of costs, by abstract heading and action.
+        compared: int64 [16, 22], task count with both kinds of costs, by abstract heading and action.
         ratios: float64 [16, 22], sums of label cost over planning cost of these tasks.
     """
 

@@ -1,6 +1,6 @@
 """Labels published by the paper's authors: download, reading, and writing in the same format.
 
-The format is text. A header contains the number of maps. Each map follows: a line with its number; a line with 72 x 72
+The format is text. A header contains the map count. Each map follows: a line with its number; a line with 72 x 72
 heights in metres; 22 lines `x y yaw cost` (m, m, rad) in the order of `hdsp.robot.lattice.ABSTRACT_ACTIONS`, where
 infeasible tasks have cost `inf`. The robot stands in the middle of the patch with heading 0.
 

@@ -45,7 +45,7 @@ class ScanFolder(NamedTuple):
 
     Attributes:
         tasks: all labelled tasks; the category is the place.
-        used: number of maps from each scan or shard, by name.
+        used: map count from each scan or shard, by name.
         skipped: reason for each scan or shard without maps, by name.
     """
 

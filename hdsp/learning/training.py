@@ -206,7 +206,7 @@ def _loggers(logger: Logger | Iterable[Logger] | None) -> list[Logger] | bool:
 def _training_batches(
     settings: TrainerSettings, tasks: "TaskSet | Sequence[Place]", targets: Targets
 ) -> tuple[Any, int]:
-    """An epoch's batches, and their number of maps."""
+    """An epoch's batches, and their map count."""
     from hdsp.labels.tasks import TaskSet
 
     order: dict[str, Any] = {"shuffle": True, "mirror": settings.mirror, "seed": settings.seed, "targets": targets}

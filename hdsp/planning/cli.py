@@ -1,4 +1,4 @@
-"""The command `hdsp`: maps from files, plans on them, and the contents of a file."""
+"""The command `hdsp`: maps from files, plans on them, and a file's contents."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def check_heuristic(
 
     Args:
         make: makes the heuristic for a compiled terrain and the same terrain.
-        robot: robot, name of a preset, or path of a YAML file.
+        robot: robot, preset's name, or path of a YAML file.
         terrain: height map on which the robot can stand; None = random cuboids of 1.8 x 1.8 m.
         states: number of sampled states, and of actions on a random way to a goal.
 

@@ -59,7 +59,7 @@ class Planner:
     Args:
         terrain: height map with cells of up to 0.2 m, an array [nx, ny] of heights in m with ``resolution``, or the
             path of a map file.
-        robot: a ``Robot``, the name of a preset, or the path to a YAML file.
+        robot: a ``Robot``, a preset's name, or the path to a YAML file.
         heuristic: ``"geometric"``, ``"grid"``, ``"manual"``, ``"learned"`` (the shipped abstraction for this robot),
             ``"learned:FOLDER"`` (a trained abstraction), any ``AbstractCosts``, or a ``Heuristic`` for the same terrain
             and robot.

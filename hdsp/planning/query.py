@@ -144,7 +144,7 @@ class Query:
             bounded: whether a plan from a heuristic that is not admissible gets a proved bound nevertheless.
             hard: whether the grid heuristic counts from the beginning, because an earlier search asked for it.
             turns: turns of other guides.
-            first_turn: length of the turn before them, in expansions; None = ``TURN``.
+            first_turn: turn length before them, in expansions; None = ``TURN``.
         """
         # No bound is lost without reopening: the heuristic proves none, or it is consistent. At W = 1, a consistent
         # heuristic leads to hardly any state twice, and reopening keeps the optimum up to rounding.

@@ -159,7 +159,7 @@ class Grid:
 
     Attributes:
         origin: world (x, y) in metres of the lower corner of cell (0, 0).
-        shape: number of cells (nx, ny).
+        shape: cell count (nx, ny).
     """
 
     origin: tuple[float, float]

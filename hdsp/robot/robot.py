@@ -447,7 +447,7 @@ class Robot:
 
     @staticmethod
     def presets() -> list[str]:
-        """Returns the names of all presets."""
+        """Returns the preset names."""
         return sorted(f.name[:-5] for f in _PRESETS.iterdir() if f.name.endswith(".yaml"))
 
     def to_dict(self) -> dict[str, Any]:

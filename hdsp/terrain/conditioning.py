@@ -106,7 +106,7 @@ class Stages:
 
     Args:
         heights: float32 [nx, ny], m, NaN = unknown.
-        resolution: side of a cell, m.
+        resolution: cell size, m.
         settings: settings of the conditioning; None = defaults.
 
     Raises:

@@ -22,7 +22,7 @@ def filled(heights: np.ndarray, radius: int) -> np.ndarray:
 
 
 def _everywhere(heights: np.ndarray) -> np.ndarray:
-    """Gives each unknown cell the height of the nearest known cell."""
+    """Gives each unknown cell the nearest known cell's height."""
     from scipy.ndimage import distance_transform_edt
 
     nearest = distance_transform_edt(np.isnan(heights), return_distances=False, return_indices=True)

@@ -250,7 +250,7 @@ def _median(heights: np.ndarray, window: int, passes: int = 1) -> np.ndarray:
 
 
 def _everywhere(heights: np.ndarray) -> np.ndarray:
-    """Gives each unknown cell the height of the nearest known cell; 0 without any."""
+    """Gives each unknown cell the nearest known cell's height; 0 without any."""
     from scipy.ndimage import distance_transform_edt
 
     unknown = np.isnan(heights)

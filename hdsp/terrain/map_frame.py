@@ -14,7 +14,7 @@ class MapFrame:
     """Relation between a height map and its source: a point cloud, a survey, a robot's odometry.
 
     Attributes:
-        name: name of the source frame, e.g. ``odom``; "" if the source has none.
+        name: source frame's name, e.g. ``odom``; "" if the source has none.
         crs: coordinate reference system of the source, e.g. ``EPSG:25832`` or WKT; "" if unknown.
         to_source: float64 [4, 4], rigid motion from the map frame to the source frame, metres; a read-only copy. The
             identity unless the source was levelled, turned or lifted.

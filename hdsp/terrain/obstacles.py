@@ -24,7 +24,7 @@ class Face(NamedTuple):
         x, y: centre, m.
         yaw: direction of the length, rad.
         length, width: m.
-        height: height of its centre, m.
+        height: its centre's height, m.
         slope_along, slope_across: rise over run along the length and to its left.
     """
 
@@ -116,7 +116,7 @@ class Bank(Block):
 
 @dataclass(frozen=True)
 class Tilted(Block):
-    """A block with a plane upper side; ``height`` is the height of its middle, and may be less than half its rise.
+    """A block with a plane upper side; ``height`` is its middle's height, and may be less than half its rise.
 
     Attributes:
         slope_along, slope_across: rise over run along the length and to its left.

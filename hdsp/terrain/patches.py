@@ -1,7 +1,7 @@
 """Patches: squares of a height map in the robot frame, the input of networks.
 
 Convention: patch cell ``(i, j)`` has the height at ``base + R(theta) * (i - c, j - c) * resolution``, where ``c`` is
-half the patch size in cells. The x axis is the heading of the base, and the base stands at the centre of patch cell
+half the patch size in cells. The x axis is the base heading, and the base stands at the centre of patch cell
 ``(c, c)``. Sampling takes the nearest cell; heights outside the map are NaN.
 """
 

@@ -71,7 +71,7 @@ class Scan:
         name: unique name.
         place: the scanned place; scans of one place share this value.
         what: a sentence about the scan.
-        sensor: name of the sensor.
+        sensor: sensor name.
         licence: licence for the files.
         source: web page with the files, for people.
         address: download address for programs; ends with a slash.

@@ -72,7 +72,7 @@ class TerrainSettings:
         long_ramp_slope, long_ramp_run, long_ramp_width: angle (rad), horizontal length and width (m) of a ramp between
             two landings.
         landing: length of the level ground behind a long ramp or a kerb, m.
-        tilted_side, tilted_height, tilted_slope: side lengths of a tilted block and height of its middle, m; angle of
+        tilted_side, tilted_height, tilted_slope: side lengths of a tilted block and its middle's height, m; angle of
             its upper side, rad.
         kerb_height, kerb_length: m.
         kerb_smear: horizontal length over which a coarse map shows a kerb's edge, m.

@@ -55,7 +55,7 @@ def view_of(
         title: title of the page.
         rows: its table; names and values are plain text.
         draw: draws the picture; may load Matplotlib.
-        width: largest width of the picture on the page, pixels.
+        width: largest picture width on the page, pixels.
     """
 
     def picture(value: Any) -> bytes | None:

@@ -51,7 +51,7 @@ class Action:
 
     Attributes:
         kind: kind of action.
-        foot: name of the moving foot, one of ``hdsp.robot.robot.FEET``; None for other kinds.
+        foot: moving foot's name, one of ``hdsp.robot.robot.FEET``; None for other kinds.
         length: way of the foot, m, forward positive; None for driving and turning. For a base shift and an arc only the
             sign counts: the heading decides its length.
     """

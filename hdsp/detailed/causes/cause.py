@@ -18,7 +18,7 @@ class Kind(StrEnum):
     - ``border``: the place is off the map
     - ``edge``: no wheel passes an edge (largest height difference to a neighbouring cell, m)
     - ``slope``: the ground is too steep (inclination, rad)
-    - ``body``: the body hits the ground (height of the ground, m)
+    - ``body``: the body hits the ground (ground height, m)
     - ``reach``: a foot is out of its reach (offset from the neutral position, m)
     - ``separation``: two feet of one side are too close (distance, m)
     - ``heading``: the robot can be at the place, but cannot turn to a heading there (heading, rad)
@@ -44,7 +44,7 @@ class Cause:
             ``border`` a point off the map; for the other kinds the base.
         amount: the amount, see ``Kind``; None for ``unknown`` and ``border``.
         limit: the robot's limit for the amount; None without one.
-        foot: name of the foot; None for the base and the body.
+        foot: foot's name; None for the base and the body.
         foot_place: (x, y), the centre of the cell in which this foot cannot stand.
         pose: the state (x, y, theta, four foot offsets) that the cause makes invalid; None for a foot on its way.
     """

@@ -225,7 +225,7 @@ class Motion:
         return result
 
     def inclinations(self) -> Inclination:
-        """Ground under the feet in its steepest direction, arrays [4 n] in the order of configurations, then feet."""
+        """Ground under the feet in its steepest direction, arrays [4 n] in configuration order, then feet."""
         origin, cell = np.array(self.terrain.origin), self.terrain.resolution
         centers = origin + (np.floor((self.feet[..., :2] - origin) / cell) + 0.5) * cell
         headings = np.repeat(self.base[:, 5], 4)

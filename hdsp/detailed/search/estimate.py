@@ -40,7 +40,7 @@ class Estimate(NamedTuple):
         layered: whether the table has two layers, one for neutral feet and one for any feet.
         follow: cost subtracted from a table entry per cell of the summed foot offsets, counted from the lowest.
         neutral: offset of a neutral foot, counted from the lowest.
-        table_nx, table_ny: size of the table, in table cells.
+        table_nx, table_ny: table size, in table cells.
         cells: detailed cells per table cell.
         heading_steps: detailed headings per table heading.
         outside: cost added to the geometric part where the table is inf or ends; inf excludes these states.

@@ -101,7 +101,7 @@ def run(world, rules, heuristic, store, open_list, weight, goals, goal_cost, cos
         goal_cost: float32 [n], inf where a goal is not settled; changed in place.
         cost_limit: states with a higher cost from the start are left out.
         f_limit: the search stops when all remaining states have a larger ``g + W h``.
-        expansions: number of expansions before the call returns, so the caller can check the clock.
+        expansions: expansion count before the call returns, so the caller can check the clock.
         reopen: whether a state found cheaper after its expansion is expanded again in this round; otherwise, it waits
             for the next round of an anytime search.
 

@@ -55,7 +55,7 @@ class GuideTurn(NamedTuple):
     Attributes:
         number: which search; 0 is the first one.
         guide: returns the estimate before a moment on the clock ``now``; None if the time is too short.
-        expansions: length of the turn.
+        expansions: turn length.
     """
 
     number: int
@@ -105,7 +105,7 @@ class Search:
         goal_cost: float32 [n], inf where a goal is not settled.
         invalid: per goal, the status for an invalid start or goal, None if both are valid. A search may begin if one
             entry is None.
-        alone: number of expansions before a proof takes turns with the search.
+        alone: expansion count before a proof takes turns with the search.
         impossible: the status of ``invalid`` if no search may begin, else None.
         store, lists: states seen, and open lists; from ``begin`` on.
     """
@@ -177,7 +177,7 @@ class Search:
         Args:
             back: backward search from the goals, of which the heuristic has none; it is continued as far as the search
                 asks.
-            after: number of expansions.
+            after: expansion count.
         """
         self._later = after, back.within(self.limits.memory // 2)
 
@@ -330,7 +330,7 @@ class Search:
         """Continues the search for a slice; returns its final status, None if the search continues.
 
         Args:
-            pause: number of expansions at which a slice ends.
+            pause: expansion count at which a slice ends.
         """
         done, own = self._total(EXPANDED), self._own()
         left = self.limits.expansions - done
@@ -404,7 +404,7 @@ class Search:
         return least * max(0.0, 1 - rounding(self.world) * least) if np.isfinite(least) else least
 
     def nbytes(self) -> int:
-        """Total size of all arrays in bytes, a backward search of the heuristic included."""
+        """Total array size in bytes, a backward search of the heuristic included."""
         return sum(store.nbytes() for store in self.stores()) + self._open_nbytes() + self._back.nbytes()
 
     def _open_nbytes(self) -> int:

@@ -75,7 +75,7 @@ def run_guides(
         weight: W1 >= 1.
         cheapest: int64 [1], node of the cheapest goal so far, any goal without one; changed in place.
         cost_limit: states with a higher cost from the start are left out.
-        expansions: number of expansions before the call returns, so the caller can check the clock.
+        expansions: expansion count before the call returns, so the caller can check the clock.
 
     Returns:
         SOLVED with a plan, EXHAUSTED when no guide has a state to expand, RUNNING or FULL.
@@ -139,7 +139,7 @@ def run(
         cheapest: int64 [1], node of the cheapest goal so far, any goal without one; changed in place.
         cost_limit: states with a higher cost from the start are left out; the search stops when no plan within the
             limit remains.
-        expansions: number of expansions before the call returns, so the caller can check the clock.
+        expansions: expansion count before the call returns, so the caller can check the clock.
         once: flag bits for states that the anchor does not expand again: ``ANCHORED``, or 0 if it may expand any.
 
     Returns:

@@ -33,7 +33,7 @@ class OpenList(NamedTuple):
     counts: np.ndarray  # int64 [2], entries near and far
 
     def nbytes(self) -> int:
-        """Total size of all arrays in bytes."""
+        """Total array size in bytes."""
         return sum(array.nbytes for array in self)
 
 

@@ -57,7 +57,7 @@ class Store(NamedTuple):
     out_action: np.ndarray
 
     def nbytes(self) -> int:
-        """Total size of all arrays in bytes."""
+        """Total array size in bytes."""
         return sum(array.nbytes for array in self if isinstance(array, np.ndarray))
 
 

@@ -13,7 +13,7 @@ class TaskProgress:
 
     Args:
         name: name shown before the bar.
-        total: number of maps.
+        total: map count.
         show: False shows messages, but no bar.
     """
 

@@ -46,7 +46,7 @@ class SplitSettings:
 
     Attributes:
         seed: seed for the random maps.
-        maps_per_category: number of maps before maps without a valid start are dropped.
+        maps_per_category: map count before maps without a valid start are dropped.
         heading_residues: abstract start headings, [0, 16), used in turn. Goals in the robot frame repeat at every
             quarter turn, so [0, 1, 2, 3] covers all goals that a planner needs.
         categories: terrain categories.
@@ -82,7 +82,7 @@ class ShardPlan(NamedTuple):
 
 @dataclass(frozen=True)
 class LabelRun:
-    """Everything that determines the labels of a split, except the number of maps."""
+    """Everything that determines the labels of a split, except the map count."""
 
     split: SplitSettings
     robot: Robot

@@ -44,7 +44,7 @@ class Graph:
         return name
 
     def operation(self, kind: str, inputs: Sequence[str], output: str, **integers: int) -> str:
-        """Adds an operation with integer attributes; returns the name of its output."""
+        """Adds an operation with integer attributes; returns its output's name."""
         node = b"".join(_field(1, name.encode()) for name in inputs)
         node += _field(2, output.encode()) + _field(4, kind.encode())
         for name, number in integers.items():
@@ -53,17 +53,17 @@ class Graph:
         return output
 
     def linear(self, values: str, name: str, weight: np.ndarray, bias: np.ndarray, *, relu: bool = True) -> str:
-        """Adds a linear layer for rows ``values`` [n, in], with weight [in, out]; returns the name of its output."""
+        """Adds a linear layer for rows ``values`` [n, in], with weight [in, out]; returns its output's name."""
         parts = [values, self.constant(f"{name}.weight", weight), self.constant(f"{name}.bias", bias)]
         output = self.operation("Gemm", parts, name if not relu else f"{name}.linear")
         return self.operation("Relu", [output], name) if relu else output
 
     def product(self, values: str, name: str, weight: np.ndarray, code: float | None = None) -> str:
-        """Adds a product of rows ``values`` [n, in] with weight [in, out]; returns the name of its output.
+        """Adds a product of rows ``values`` [n, in] with weight [in, out]; returns its output's name.
 
         Args:
             values: name of float rows, or of rows with codes.
-            name: name of the output.
+            name: output's name.
             weight: float32 [in, out].
             code: value of one code; None for float rows. The weights are then quantised, each column with its own
                 scale, and the sums are exact.

@@ -20,7 +20,7 @@ class CompactOptions:
         widths: channels per stage; each stage halves the resolution, the first works at 36 x 36 cells.
         blocks: residual blocks per stage.
         map_features: channels after the reduction that precedes flattening.
-        hidden: width of the layers that see the goal.
+        hidden: layer width behind the goal.
     """
 
     widths: Annotated[tuple[Width, ...], Field(min_length=1, max_length=5)] = (32, 48, 64)

@@ -23,7 +23,7 @@ class DilatedOptions:
         kernels: kernel sides in cells.
         dilations: cells between neighbouring kernel taps.
         pool: side in cells of the max pooling squares.
-        hidden: width of the layers that see the goal.
+        hidden: layer width behind the goal.
     """
 
     widths: Annotated[tuple[Width, ...], Field(min_length=1, max_length=20)] = (16, 32, 32, 32)

@@ -14,7 +14,7 @@ class PlanStatistics(Mapping[str, Any]):
     Attributes are the normal access, ``stats.expansions``. A mapping offers the same values, ``stats["expansions"]``.
 
     Attributes:
-        heuristic: name of the heuristic.
+        heuristic: heuristic's name.
         weight: W in weighted A*.
         expansions: expanded states.
         seen: generated states.

@@ -26,7 +26,7 @@ class SourcePoses:
     Attributes:
         positions: float64 [n, 3], m: the point on the ground between the feet, under the base.
         quaternions: float64 [n, 4]: x, y, z, w; rotation from the base frame (x ahead, y left, z up) to the source.
-        frame: name of the source frame; "" if it has none.
+        frame: source frame's name; "" if it has none.
         crs: its coordinate reference system; "" if unknown.
     """
 

@@ -272,7 +272,7 @@ class Plan:
     def ground_poses(self) -> np.ndarray:
         """Returns the base poses over the ground, map frame, float64 [n, 6]: x, y, z, roll, pitch, heading.
 
-        Convention: m and rad; z is the height of the ground under the base, between the feet. ``Rz(heading) Ry(pitch)
+        Convention: m and rad; z is the ground height under the base, between the feet. ``Rz(heading) Ry(pitch)
         Rx(roll)`` rotates the base frame to the map frame.
         """
         return ground_poses(self.terrain, self.robot, self.states)

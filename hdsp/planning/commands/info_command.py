@@ -1,4 +1,4 @@
-"""The command `hdsp info`: the contents of a file, a robot or a trained abstraction."""
+"""The command `hdsp info`: a file's contents, a robot or a trained abstraction."""
 
 from __future__ import annotations
 

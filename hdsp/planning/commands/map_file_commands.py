@@ -135,7 +135,7 @@ def describe_map_file(path: Path, chosen: argparse.Namespace) -> dict[str, Any]:
 
 
 def about_map(terrain: HeightMap) -> str:
-    """Size, place, known share and heights of a map, in words."""
+    """Size, place, known share and map heights, in words."""
     known = terrain.heights[np.isfinite(terrain.heights)]
     (nx, ny), (length, width) = terrain.shape, terrain.size
     text = f"height map of {nx} x {ny} cells of {terrain.resolution:g} m, {length:.2f} x {width:.2f} m from "

@@ -4,7 +4,7 @@ A map often shows the robot: unknown cells that its sensors do not see, or its o
 this reason is examined again on a map that is changed within the footprint alone:
 
 - Unknown cells become ground, interpolated from the known ground around the footprint.
-- If this does not suffice, objects that end within body and feet, and rise to the height of the body, are the robot
+- If this does not suffice, objects that end within body and feet, and rise to the body height, are the robot
   itself, and become ground as well. An object that continues beyond the robot, or lies beside it, is none: the start
   stays invalid.
 
@@ -160,7 +160,7 @@ def _own_parts(objects: np.ndarray, rise: np.ndarray, body: np.ndarray, belly: f
         objects: bool [nx, ny], cells above the ground by more than a wheel passes.
         rise: float64 [nx, ny], height above the ground, m.
         body: bool [nx, ny], cells under body and feet.
-        belly: least height of the body above the ground, m.
+        belly: least body height above the ground, m.
     """
     from scipy.ndimage import binary_dilation, label
 

@@ -25,8 +25,8 @@ def guided_steps(
     They depend neither on edges that other queries have evaluated, nor on the steps.
 
     Args:
-        known: edges of the abstraction; missing ones are evaluated near the way.
-        guide: edges of the guide.
+        known: the abstraction's edges; missing ones are evaluated near the way.
+        guide: the guide's edges.
         start: int64 [7], lattice units.
         sources: abstract states around the goals.
         prices: float64 [16, 22], price of an action that both judge infeasible. It counts only where no way leads from

@@ -109,7 +109,7 @@ class ControlPanel:
         self.play.label = "Pause" if playing else "Play"
 
     def show_duration(self, duration: float | None) -> None:
-        """Sets the length of the motion, s; None without a motion."""
+        """Sets the motion's length, s; None without a motion."""
         self.time.disabled = self.play.disabled = duration is None
         if duration is not None:
             self.time.value = 0.0

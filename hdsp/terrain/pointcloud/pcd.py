@@ -46,7 +46,7 @@ class _Header(NamedTuple):
 
 
 def read_pcd(content: bytes) -> np.ndarray:
-    """Reads points float64 [n, 3], in the file's units, from the contents of a file.
+    """Reads points float64 [n, 3], in the file's units, from a file's contents.
 
     Raises:
         ValueError: if the header is no PCD header, x, y or z is missing, or the number of points is another one.

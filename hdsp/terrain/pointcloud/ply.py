@@ -40,7 +40,7 @@ class _Element(NamedTuple):
 
 
 def read_ply(content: bytes) -> np.ndarray:
-    """Reads the vertices float64 [n, 3], in the file's units, in their order, from the contents of a file.
+    """Reads the vertices float64 [n, 3], in the file's units, in their order, from a file's contents.
 
     Raises:
         ValueError: if the header is damaged, no element ``vertex`` has x, y and z, or vertices are missing.

@@ -41,7 +41,7 @@ _SURVEY = {
 
 
 def read_text(content: bytes) -> np.ndarray:
-    """Reads points float64 [n, 3], in the file's units, from the contents of a file.
+    """Reads points float64 [n, 3], in the file's units, from a file's contents.
 
     Raises:
         ValueError: if lines differ in their number of columns, commas can be read in two ways, a coordinate is no

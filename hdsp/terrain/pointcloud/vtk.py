@@ -16,7 +16,7 @@ _POINTS = re.compile(rb"^POINTS\s+(\d+)\s+(\w+)[ \t]*\r?\n", re.MULTILINE)
 
 
 def read_vtk(content: bytes) -> np.ndarray:
-    """Reads points [n, 3] from the contents of a file.
+    """Reads points [n, 3] from a file's contents.
 
     Raises:
         ValueError: if the file is no legacy VTK file, has no points, is cut off, or has numbers in another type.

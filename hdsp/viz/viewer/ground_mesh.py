@@ -44,7 +44,7 @@ def ground_mesh(terrain: HeightMap, cells: np.ndarray | None = None, raised: flo
     Args:
         terrain: the map.
         cells: bool [nx, ny], the cells; None: all known cells. An unknown cell has the height of the nearest known one.
-        raised: height of the mesh above the ground, m.
+        raised: mesh height above the ground, m.
         walls: whether vertical faces at edges belong to the mesh.
 
     Returns:
@@ -62,7 +62,7 @@ def ground_mesh(terrain: HeightMap, cells: np.ndarray | None = None, raised: flo
 
 
 def filled(heights: np.ndarray) -> np.ndarray:
-    """Returns heights, float64 [nx, ny], in which unknown cells have the height of the nearest known cell, else 0."""
+    """Returns heights, float64 [nx, ny], in which unknown cells have the nearest known cell's height, else 0."""
     from scipy.ndimage import distance_transform_edt
 
     unknown = np.isnan(heights)

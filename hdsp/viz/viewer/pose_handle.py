@@ -22,7 +22,7 @@ class PoseHandle:
 
     Args:
         scene: the scene of a viser server.
-        name: name of the node.
+        name: node name.
         words: label beside the handle.
         color: colour of the robot.
         released: called with (x, y, heading) in m and rad after a drag, in a thread of viser.

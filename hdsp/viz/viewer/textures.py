@@ -28,7 +28,7 @@ def shaded(values: np.ndarray, colors: tuple[str, ...], low: float, high: float)
 
 
 def height_colors(terrain: HeightMap) -> np.ndarray:
-    """Returns colours for the heights of a map, uint8 [nx, ny, 4], darker at edges; unknown cells are transparent."""
+    """Returns colours for the map heights, uint8 [nx, ny, 4], darker at edges; unknown cells are transparent."""
     known = np.isfinite(terrain.heights)
     heights = np.where(known, terrain.heights, 0.0)
     lowest = float(np.min(heights, where=known, initial=np.inf)) if known.any() else 0.0
