@@ -40,7 +40,7 @@ def bridge(incoming: np.ndarray, distances: np.ndarray, passed: np.ndarray) -> n
     return _bridge(incoming, distances, passed, PASSED)
 
 
-@njit()
+@njit(nogil=True)
 def _passed_over(incoming, passed):
     headings, nx, ny, _ = incoming.shape
     result = np.zeros((headings, nx, ny), dtype=np.bool_)
@@ -54,7 +54,7 @@ def _passed_over(incoming, passed):
     return result
 
 
-@njit()
+@njit(nogil=True)
 def _bridge(incoming, distances, passed_over, passed):
     headings, nx, ny = distances.shape
     result = distances.copy()

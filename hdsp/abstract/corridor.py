@@ -175,7 +175,7 @@ def _width(least: np.ndarray) -> float:
     return float(max(finite.min(), finite.max() / 64, 1e-6)) if len(finite) else 1.0
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def _spread(sources, costs, open_states, nx, ny, least, direction, most, cost, after, ahead, heads, counts, per_width):
     """Dijkstra search with the same edges everywhere, forward (direction 1) or backward (-1); fills ``cost``."""
     for i in range(len(sources)):
@@ -202,7 +202,7 @@ def _spread(sources, costs, open_states, nx, ny, least, direction, most, cost, a
         counts[0] += 1
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def _settle(
     incoming,
     nx,
@@ -268,7 +268,7 @@ def _settle(
     return best
 
 
-@njit()
+@njit(nogil=True)
 def _around(costs, behind, limit, incoming, standing, least, passed):
     """Costs with those of states between the ends of an action, and the states that ``reconnect`` may reach."""
     headings, nx, ny = costs.shape

@@ -23,7 +23,7 @@ def reconnect(distances: np.ndarray, states: np.ndarray, prices: np.ndarray) -> 
     _reconnect(distances, states, prices, ABSTRACT_ACTIONS)
 
 
-@njit()
+@njit(nogil=True)
 def _reconnect(distances, states, prices, actions):
     headings, nx, ny = distances.shape
     waiting = [(np.inf, 0)]

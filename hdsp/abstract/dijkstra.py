@@ -59,7 +59,7 @@ class BucketRing(NamedTuple):
         return self._replace(entries=np.concatenate([self.entries, np.empty_like(self.entries)], axis=1))
 
 
-@njit()
+@njit(nogil=True)
 def search(incoming, offsets, queue, margin, per_width, most):
     """Empties the queue, or stops before; the next call continues.
 

@@ -101,7 +101,7 @@ def filled(rows: list[list], width: int, kind: type) -> tuple[np.ndarray, np.nda
     return result, counts
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def find_costs(ground, cells, known, heading, places, shape, goals, which, unevenness_cost, step_cost, costs):
     """Computes costs of actions.
 

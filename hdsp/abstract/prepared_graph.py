@@ -214,7 +214,7 @@ class PreparedGraph:
         return -((ABSTRACT_ACTIONS[:, 2] * nx + ABSTRACT_ACTIONS[:, 0]) * ny + ABSTRACT_ACTIONS[:, 1])
 
 
-@njit()
+@njit(nogil=True)
 def _invert(edges, actions):
     """Edges by end state, smallest and largest finite cost, and whether all costs are >= 0."""
     headings, nx, ny, count = edges.shape
@@ -239,7 +239,7 @@ def _invert(edges, actions):
     return incoming, cheapest, most_expensive, valid
 
 
-@njit()
+@njit(nogil=True)
 def least_incoming(standing, least, actions):
     """Edges by end state, float32 [16, nx, ny, 22], with the least cost of each action.
 
@@ -260,7 +260,7 @@ def least_incoming(standing, least, actions):
     return incoming
 
 
-@njit()
+@njit(nogil=True)
 def replace_edges(incoming, states, costs, actions):
     """Writes new edges at some states into ``incoming``; arguments as for ``PreparedGraph.with_edges``."""
     headings, nx, ny, count = incoming.shape

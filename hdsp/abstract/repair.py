@@ -9,7 +9,7 @@ from hdsp.base.jit import njit
 from hdsp.robot.lattice import N_ABSTRACT_ACTIONS
 
 
-@njit()
+@njit(nogil=True)
 def repair(incoming, offsets, distance, margin, initial, sources, most):
     """Updates `distance` in place; flat arrays and indices as in `hdsp.abstract.dijkstra.search`.
 

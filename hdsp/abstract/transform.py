@@ -30,7 +30,7 @@ def feet_at_all(world: World, bases: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return states, valid
 
 
-@njit()
+@njit(nogil=True)
 def best_feet(world, ix, iy, heading):
     """Least value of ``max S + sum S + neutral_penalty * sum |offset|``, and its four foot offsets (steps).
 
@@ -82,7 +82,7 @@ def best_feet(world, ix, iy, heading):
     return least, best
 
 
-@njit()
+@njit(nogil=True)
 def _fill_feet(world, states, valid):
     for i in range(len(states)):
         cost, offsets = best_feet(world, states[i, 0], states[i, 1], states[i, 2])

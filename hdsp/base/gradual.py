@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from typing import Generic, TypeVar
 
 Result = TypeVar("Result")
@@ -18,6 +19,34 @@ Steps = Generator[None, None, Result]
 
 #: Moment in seconds; every deadline is on this clock.
 now = time.perf_counter
+
+
+_thread = threading.local()
+
+
+class Cancelled(Exception):
+    """Another thread has cancelled the computation."""
+
+
+@contextmanager
+def cancelled_by(event: threading.Event) -> Iterator[None]:
+    """Within this block, ``checkpoint`` raises ``Cancelled`` in this thread once the event is set."""
+    before, _thread.event = getattr(_thread, "event", None), event
+    try:
+        yield
+    finally:
+        _thread.event = before
+
+
+def checkpoint() -> None:
+    """Place at which a computation may end early, without harm to results that others continue.
+
+    Raises:
+        Cancelled: see ``cancelled_by``.
+    """
+    event = getattr(_thread, "event", None)
+    if event is not None and event.is_set():
+        raise Cancelled
 
 
 def finished(steps: Steps[Result]) -> Result:
@@ -68,9 +97,13 @@ class Gradual(Generic[Result]):
 
         The longest step so far tells whether another one fits. The first step always runs, so that repeated queries
         with little time get to an end.
+
+        Raises:
+            Cancelled: between two steps; a later call continues.
         """
         longest = 0.0
         while not self.done:
+            checkpoint()
             began = now()
             self.step()
             longest = max(longest, now() - began)

@@ -19,9 +19,9 @@ def njit(
 
     Args:
         allocates: whether the kernel creates or returns arrays. A kernel without new arrays needs no reference counts
-            for its arguments, because its caller holds them. With tuples of dozens of arrays (``World``), counting
-            takes longer than the work, once per call and again in every loop.
-        options: ``numba.njit`` options.
+            for its arguments, because its caller holds them.
+        options: ``numba.njit`` options. ``nogil=True`` is for kernels that may take longer than a millisecond: other
+            threads go on meanwhile. A short kernel would wait longer for the lock than it works.
     """
     if not allocates:
         options["_nrt"] = False  # numba's option for code without run-time memory management

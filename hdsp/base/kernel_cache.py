@@ -138,6 +138,7 @@ def content_of(kernel: Any) -> str:
         TypeError: the kernel names a value whose text does not identify it.
     """
     digest = hashlib.sha256(f"bounds checked: {_CONFIG.BOUNDSCHECK}".encode())  # missing in Numba's key
+    digest.update(_layout())
     found = [kernel]
     numbers = {id(_python(kernel)): 0}
     package = _python(kernel).__module__.partition(".")[0]
@@ -152,6 +153,12 @@ def content_of(kernel: Any) -> str:
                 text = f"function {numbers[id(code)]}"
             digest.update(f"{text}\n".encode())
     return digest.hexdigest()
+
+
+@cache
+def _layout() -> bytes:
+    """Text of the module by which kernels read records, because machine code depends on it."""
+    return Path(__file__).with_name("records.py").read_bytes()
 
 
 def _python(value: Any) -> FunctionType | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -41,6 +41,7 @@ from hdsp.planning.margin import with_margin
 from hdsp.planning.measured_map import MeasuredMap
 from hdsp.planning.polish import DEFAULT, Polish, polish_seconds, weight_and_polish
 from hdsp.planning.query import Query
+from hdsp.planning.query_turns import QueryTurns
 from hdsp.planning.refinable import refinable_plan
 from hdsp.robot.lattice import Grid
 from hdsp.robot.robot import Robot
@@ -55,6 +56,8 @@ class Planner:
     Life of a planner: construction compiles the terrain, and in a new installation the planner's code once
     (`hdsp warmup` does so earlier); ``prepare`` computes the map-wide part of the heuristic, else the first query does;
     ``plan`` and ``improve`` answer queries; ``update`` takes over a changed terrain; ``clear`` forgets the last query.
+
+    Several threads may share a planner; their queries and updates take turns. ``cancel`` ends queries of other threads.
 
     Args:
         terrain: height map with cells of up to 0.2 m, an array [nx, ny] of heights in m with ``resolution``, or the
@@ -98,6 +101,7 @@ class Planner:
         self.grid = Grid(self.terrain.origin, self.terrain.shape)
         self.world = build_world(self.terrain, self._wider)
         self.heuristic = self._make_heuristic(heuristic)
+        self._queries = QueryTurns()
         compile_for(self.robot, self.heuristic)
 
     def __repr__(self) -> str:
@@ -147,7 +151,8 @@ class Planner:
 
     def prepare(self) -> Planner:
         """Computes the map-wide part of the heuristic now instead of at the first query; returns the planner."""
-        self.heuristic.prepare()
+        with self._queries.lock:
+            self.heuristic.prepare()
         return self
 
     def update(self, terrain: HeightMap, region: Region | None = None) -> Planner:
@@ -155,7 +160,8 @@ class Planner:
 
         The update computes only the parts that the changed cells touch: conditioned heights (with the noise estimated
         at construction), terrain costs, and places to stand. The next query computes abstract edges and costs-to-go
-        that depend on them. A map with another shape or origin needs everything.
+        that depend on them. A map with another shape or origin needs everything. A query in another thread keeps its
+        map: the update waits for its end (``cancel`` shortens it).
 
         Args:
             terrain: the whole height map after the change.
@@ -167,24 +173,34 @@ class Planner:
         """
         if not isinstance(terrain, HeightMap):
             raise InputError(f"terrain is a {type(terrain).__name__}; need a HeightMap")
-        before, region = self.terrain, self._map.update(terrain, region)
-        self.terrain = terrain = self._map.terrain
-        changed = changed_cells(before, terrain, region)
-        if changed is None:
-            self.grid, self.world = Grid(terrain.origin, terrain.shape), build_world(terrain, self._wider)
-        else:
-            self.world = updated_world(self.world, terrain, self._wider, changed)
-        self.heuristic.update(self.world, terrain, region)
+        with self._queries.lock:
+            before, region = self.terrain, self._map.update(terrain, region)
+            self.terrain = terrain = self._map.terrain
+            changed = changed_cells(before, terrain, region)
+            if changed is None:
+                self.grid, self.world = Grid(terrain.origin, terrain.shape), build_world(terrain, self._wider)
+            else:
+                self.world = updated_world(self.world, terrain, self._wider, changed)
+            self.heuristic.update(self.world, terrain, region)
         return self
+
+    def cancel(self) -> None:
+        """Ends the queries that have begun in other threads: ``plan`` returns a plan with status ``cancelled``.
+
+        ``improve`` ends after its last plan, and ``stats.ended`` of this plan is ``cancelled``. Within 50 ms, a query
+        gets to the next place at which it may end; compilation goes on. Results that later queries share are kept.
+        """
+        self._queries.cancel()
 
     def clear(self) -> None:
         """Forgets earlier queries: poses looked at, costs-to-go for the last goal. Map-wide results stay.
 
         For measurements: the next query takes as long as a first query.
         """
-        self.world.base[:] = 0
-        self.world.level_ground[:] = 0
-        self.heuristic.clear()
+        with self._queries.lock:
+            self.world.base[:] = 0
+            self.world.level_ground[:] = 0
+            self.heuristic.clear()
 
     def valid(self, pose) -> bool:
         """Whether the robot can stand at a world pose (x, y, theta) with some feet, or in a state with 7 values.
@@ -303,24 +319,29 @@ class Planner:
         unbounded = not self.heuristic.admissible and anchored is None
         weight, polish = weight_and_polish(weight, polish, unbounded)
         compile_for(self.robot, self.heuristic, anchored=anchored is not None, refinable=refinable)
-        began = now()
-        query = self._query(start, goal, tolerance, start_free, way_out, weight, limits, callback("progress", progress))
-        if isinstance(query, Plan):
-            return query
-        prepared = now() - began
+        progress = callback("progress", progress)
 
-        def search(query: Query, hopeless: Hopeless | None = None) -> Plan:
-            if anchored is None or query.admissible:
-                return query.guided(weight, hopeless)
-            return query.anchored(weight, anchored, hopeless)
+        def answer() -> Plan:
+            began = now()
+            query = self._query(start, goal, tolerance, start_free, way_out, weight, limits, progress)
+            if isinstance(query, Plan):
+                return query
+            prepared = now() - began
 
-        plan = query.search_or_prove(search)
-        if refinable:
-            plan = refinable_plan(query, search, plan, Polish(polish, second=True))
-        else:
-            plan = Polish(polish, second=True).of(query, plan)
-        spent = {"heuristic_seconds": prepared + plan.stats.heuristic_seconds, "seconds": now() - began}
-        return query.from_start(plan.renewed(spent))
+            def search(query: Query, hopeless: Hopeless | None = None) -> Plan:
+                if anchored is None or query.admissible:
+                    return query.guided(weight, hopeless)
+                return query.anchored(weight, anchored, hopeless)
+
+            plan = query.search_or_prove(search)
+            if refinable:
+                plan = refinable_plan(query, search, plan, Polish(polish, second=True))
+            else:
+                plan = Polish(polish, second=True).of(query, plan)
+            spent = {"heuristic_seconds": prepared + plan.stats.heuristic_seconds, "seconds": now() - began}
+            return query.from_start(plan.renewed(spent))
+
+        return self._queries.answer(answer, self._cancelled(weight, (start, goal)))
 
     def plan_each(self, start, goals: Sequence, weight: float | None = None, **options) -> list[Plan]:
         """Plans from start to each of several goals; returns one plan for each goal.
@@ -395,15 +416,17 @@ class Planner:
         start_free, way_out = choice("start_free", start_free), choice("way_out", way_out)
         polish = polish_seconds(polish, DEFAULT)
         compile_for(self.robot, self.heuristic, anytime=True, refinable=refinable)
+        progress = callback("progress", progress)
+        cancelled = self._cancelled(weights[0], (start, goal))
         began = now()
-        query = self._query(
-            start, goal, tolerance, start_free, way_out, weights[0], limits, callback("progress", progress)
+        query = self._queries.answer(
+            lambda: self._query(start, goal, tolerance, start_free, way_out, weights[0], limits, progress), cancelled
         )
         if isinstance(query, Plan):
             query.stats.end(str(query.status))
             return iter([query])
         plans = improving_plans(query, weights, refinable, Polish(polish), now() - began)
-        return (query.from_start(plan) for plan in plans)
+        return (query.from_start(plan) for plan in self._queries.answers(plans, cancelled))
 
     def _query(
         self,
@@ -470,6 +493,10 @@ class Planner:
             whole=None if self.heuristic.covers_map(found) else partial(estimate_of, self.heuristic),
             others=tuple(partial(estimate_of, other) for other in self.heuristic.others()),
         )
+
+    def _cancelled(self, weight: float, asked: tuple) -> Callable[[], Plan]:
+        """Makes the answer to a cancelled query."""
+        return partial(self._no_plan, Status.CANCELLED, weight, now(), asked)
 
     def _no_plan(
         self, status: Status, weight: float, began: float, asked: tuple, faults: Sequence[Cause | str] = ()

@@ -126,7 +126,7 @@ def _disc_weights(radius: float) -> np.ndarray:
     return np.column_stack([offsets, weight])[weight > 0]
 
 
-@njit()
+@njit(nogil=True)
 def _highest_nearby(heights, reach):
     nx, ny = heights.shape
     result = heights.copy()
@@ -140,7 +140,7 @@ def _highest_nearby(heights, reach):
     return result
 
 
-@njit()
+@njit(nogil=True)
 def _height_difference(heights):
     nx, ny = heights.shape
     result = np.zeros((nx, ny), dtype=np.float32)
@@ -157,7 +157,7 @@ def _height_difference(heights):
     return result
 
 
-@njit()
+@njit(nogil=True)
 def _steep(heights, edge, reach, rolled_over, offsets, limits):
     nx, ny = heights.shape
     steep = np.zeros((nx, ny), dtype=np.uint64)
@@ -179,7 +179,7 @@ def _steep(heights, edge, reach, rolled_over, offsets, limits):
     return steep
 
 
-@njit()
+@njit(nogil=True)
 def _unevenness(difference, weights):
     # Most cells are even. A loop over the uneven cells that adds to their neighbourhood therefore costs less than a sum
     # over the neighbourhood of every cell.
@@ -196,7 +196,7 @@ def _unevenness(difference, weights):
     return total.astype(np.float32)
 
 
-@njit()
+@njit(nogil=True)
 def _near(mask, offsets):
     nx, ny = mask.shape
     result = np.zeros((nx, ny), dtype=np.bool_)

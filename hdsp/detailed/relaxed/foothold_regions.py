@@ -100,7 +100,7 @@ def efforts_to(regions: FootholdRegions, world: World, goals: np.ndarray) -> np.
     return result
 
 
-@njit()
+@njit(nogil=True)
 def _collect_steps(world, region, first, end, headings, counted_per_cell, effort):
     t, c = world.tables, world.constants
     standable, height, swing, edge = world.standable, world.height, world.swing, world.edge

@@ -157,7 +157,7 @@ def _new_masks(world: World) -> HeadingMasks:
     return HeadingMasks(even, np.zeros((world.nx, world.ny), np.uint8), *masks)
 
 
-@njit()
+@njit(nogil=True)
 def _flood(world, allowed, tables, masks, reached, wanted, queue, distance, least, visits, drive_only):
     """Empties the queue or reaches a goal; returns False after so many visits to cells, and the next call continues.
 

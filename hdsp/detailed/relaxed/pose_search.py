@@ -38,7 +38,7 @@ class Wave(NamedTuple):
     backward: bool
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def spread(world, rules, poses, wave, sources, initial, wanted, left):
     """Runs a wave to its end; returns whether ``most`` kept a node out.
 

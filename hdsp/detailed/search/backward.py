@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.base.records import by_reference
 from hdsp.detailed.actions.action import ARCS, DRIVES, TURN_LEFT, TURN_RIGHT, arc_turn
 from hdsp.detailed.actions.any_feet import can_step_from_neutral, least_pose_cost
 from hdsp.detailed.actions.successors import arc_cost, neutral_rows
@@ -42,6 +43,7 @@ _OUT = np.int32(-(2**31))
 _ROUNDED_DOWN = 1 - 2.0**-23
 
 
+@by_reference
 class Backward(NamedTuple):
     """A backward search from goals, in arrays with fixed length; empty if ``place`` is.
 
@@ -194,7 +196,7 @@ def advance(world, b, layer, ix, iy, heading, wanted):
         _empty_bucket(world, b, until)
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def settle(world, b, layer, ix, iy, heading, nodes):
     """Continues until the lower bound of a pose in a layer is final, or until ``nodes`` nodes are settled."""
     begin_toward(world, b, ix, iy, heading)
@@ -203,7 +205,7 @@ def settle(world, b, layer, ix, iy, heading, nodes):
         _empty_bucket(world, b, until)
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def settle_any(world, b, nodes):
     """Continues a begun search until ``nodes`` nodes are settled, or until no more can be."""
     until = b.counts[SETTLED] + nodes
@@ -211,7 +213,7 @@ def settle_any(world, b, nodes):
         _empty_bucket(world, b, until)
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def _from_start(b, ix, iy, heading):
     """Least cost from the forward search's start to a pose on even ground."""
     if len(b.free.norm) > 0:
@@ -258,7 +260,7 @@ def _sum(so_far, edge):
     return np.float32((np.float64(so_far) + edge) * _ROUNDED_DOWN)
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def _offer(world, b, layer, ix, iy, heading, cost):
     """Queues a pose at a cost, float32, if this is cheaper."""
     place = _place(world, b, layer, ix, iy)
@@ -337,7 +339,7 @@ def _empty_bucket(world, b, until):
     b.counts[BUCKET] += 1
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def _stands(world, heading, p):
     """Whether the robot can stand on neutral feet."""
     t, uneven = world.tables, world.uneven
@@ -352,7 +354,7 @@ def _stands(world, heading, p):
     return body == FREE
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def _is_level(world, heading, p):
     """Whether neutral feet are level, or on a slope."""
     feet, height = world.tables.feet, world.height

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.base.records import by_reference
 from hdsp.detailed.search.backward import (
     Backward,
     advance,
@@ -25,6 +26,7 @@ from hdsp.detailed.states import unpack
 from hdsp.robot.lattice import CELLS_PER_ABSTRACT, HEADINGS, metres
 
 
+@by_reference
 class Estimate(NamedTuple):
     """Parameters of ``estimate``.
 
@@ -109,7 +111,7 @@ def _way(e, ix, iy, heading):
     return least
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def estimate(world, e, key):
     """Estimated cost from a packed state to the goal, float64."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
@@ -196,14 +198,14 @@ def begin_from(world, e, key):
     begin_toward(world, e.back, ix, iy, heading)
 
 
-@njit()
+@njit(nogil=True)
 def settle_for(world, e, key, nodes):
     """Continues the backward search for a state by about so many nodes; ``estimate`` needs no end of it."""
     ix, iy, heading, o0, o1, o2, o3 = unpack(key)
     settle(world, e.back, _layer(e, o0, o1, o2, o3), ix, iy, heading, nodes)
 
 
-@njit()
+@njit(nogil=True)
 def final_estimates(world, e, keys):
     """Final estimates, float64 [n], for packed states int64 [n]."""
     result = np.empty(len(keys))

@@ -8,18 +8,17 @@ import numpy as np
 
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.action import START
-from hdsp.detailed.actions.successors import other_successors, pose_successors
+from hdsp.detailed.actions.successors import successors
 from hdsp.detailed.search.backward import SETTLED
 from hdsp.detailed.search.estimate import estimate, resume
 from hdsp.detailed.search.open_list import push
 from hdsp.detailed.search.store import CLOSED, CUT, SEEN, node_of
-from hdsp.detailed.states import FEET_MASK
 
 #: Nodes that the backward search settles in the time of an expansion, roughly.
 _SETTLED = 4
 
 
-@njit(inline="always")
+@njit(allocates=False)
 def begin_at(store, start):
     """Puts the packed start state into an empty store; returns its node."""
     node = node_of(store, start)
@@ -32,13 +31,7 @@ def begin_at(store, start):
 @njit(inline="always")
 def expand(world, rules, store, key):
     """Writes the successors of a packed state into the store's buffers; returns their number."""
-    if key & FEET_MASK == store.neutral:
-        n = pose_successors(world, rules, key, store.out_key, store.out_cost, store.out_action)
-    elif not rules.drive_only:
-        n = other_successors(world, key, store.out_key, store.out_cost, store.out_action)
-    else:
-        n = 0
-    return n
+    return successors(world, rules, key, store.out_key, store.out_cost, store.out_action)
 
 
 @njit(inline="always")

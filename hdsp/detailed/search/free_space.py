@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.base.records import by_reference
 from hdsp.detailed.actions.action import DRIVES
 from hdsp.detailed.world.world import DRIVE_MOVES, World
 from hdsp.robot.lattice import HEADINGS
@@ -35,6 +36,7 @@ _MOST = 2 * (_ROUND + 1) * (_ROUND + 2)  # intervals for one list, at most
 _ROOM = 1 << 14  # intervals in all lists
 
 
+@by_reference
 class FreeSpace(NamedTuple):
     """Costs from one pose; empty for a robot that the rule does not cover.
 
@@ -106,7 +108,7 @@ def _norms(price: bytes, shifts: bytes, shift_price: bytes, signs: int) -> np.nd
     return norm
 
 
-@njit()
+@njit(nogil=True)
 def _hulls(directions, price):
     """Cost of a step in each direction as the cheapest sum of moves, ``FreeSpace.norm``."""
     n = len(directions)

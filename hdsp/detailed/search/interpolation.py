@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.base.records import by_reference
 from hdsp.detailed.actions.state_costs import foot_row, merged_cost
 from hdsp.detailed.states import FEET_MASK, foot_offset, foot_shift, neutral_feet, unpack
 from hdsp.detailed.world.world import cell_index, step_effort
@@ -35,6 +36,7 @@ _AHEAD = 8  # cells; farthest look ahead for falling costs-to-go
 PUT_OFF = 100.0
 
 
+@by_reference
 class CostsToGo(NamedTuple):
     """Costs-to-go at abstract states.
 

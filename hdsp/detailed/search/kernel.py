@@ -64,7 +64,7 @@ def insert_start(store, open_list, f, start):
     push(open_list, f, begin_at(store, start))
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def push_waiting(world, store, open_list, heuristic, weight):
     """Begins a round: fills an empty open list with all waiting states."""
     for node in range(BLOCK, BLOCK * store.counts[BLOCKS]):
@@ -73,7 +73,7 @@ def push_waiting(world, store, open_list, heuristic, weight):
             offer(world, open_list, store, heuristic, weight, key_of(store, node), node)
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def least_f(world, store, heuristic):
     """Least ``g + h`` over all waiting states; inf if no state waits.
 
@@ -87,7 +87,7 @@ def least_f(world, store, heuristic):
     return least
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def run(world, rules, heuristic, store, open_list, weight, goals, goal_cost, cost_limit, f_limit, expansions, reopen):
     """Continues the search until it ends, needs more memory or has used its expansions.
 

@@ -55,7 +55,7 @@ class _Outward(Search):
         return _run(self.world, self.rules, self.store, self.lists[0], x, y, self._distance, expansions)
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def _run(world, rules, store, open_list, x, y, distance, expansions):
     flags, count, lowest = store.flags, store.counts, world.tables.lowest
     until = count[EXPANDED] + expansions
@@ -84,7 +84,7 @@ def _run(world, rules, store, open_list, x, y, distance, expansions):
     return RUNNING
 
 
-@njit()
+@njit(nogil=True)
 def _seen(store):
     """Packed states that were seen, int64 [n]."""
     keys = np.empty(store.counts[SEEN], np.int64)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hdsp.base.gradual import now
+from hdsp.base.gradual import checkpoint, now
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.state_costs import state_cost, state_costs
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, successors
@@ -79,6 +79,7 @@ FEW = 50_000
 #: Share of the time for a proof that takes turns with a search.
 PROOF_SHARE = 0.75
 _SLICE = 20_000  # expansions between two checks of the clock, at most
+_LOOK = 0.02  # s, the same on a slow machine, so that a query soon notices that it was cancelled
 _FIRST = 2_000  # the same while their time is unknown
 _LEAST = 200  # the same shortly before the time limit
 _ENDS = {
@@ -331,7 +332,11 @@ class Search:
 
         Args:
             pause: expansion count at which a slice ends.
+
+        Raises:
+            Cancelled: another thread has cancelled the query.
         """
+        checkpoint()
         done, own = self._total(EXPANDED), self._own()
         left = self.limits.expansions - done
         if left <= 0:
@@ -364,8 +369,8 @@ class Search:
         done, elapsed = self._total(EXPANDED), now() - self.began
         if done == 0:
             return min(_FIRST, _SLICE)
-        possible = (self.limits.time - elapsed) * done / max(elapsed - self.paused, 1e-6)
-        return int(min(max(possible / 2, _LEAST), _SLICE))
+        per_second = done / max(elapsed - self.paused, 1e-6)
+        return int(min(max(min((self.limits.time - elapsed) / 2, _LOOK) * per_second, _LEAST), _SLICE))
 
     def _run(self, expansions: int) -> int:
         """Expands at most ``expansions`` states; returns the kernel's code."""

@@ -34,7 +34,7 @@ def insert_start(store, guide_lists, f, start):
             push(guide_lists[i], f[i], node)
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def push_waiting(world, store, anchor_list, anchor):
     """Fills the anchor's empty list with all waiting states."""
     for node in range(BLOCK, BLOCK * store.counts[BLOCKS]):
@@ -59,7 +59,7 @@ def _have_room(guide_lists):
     return room
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def run_guides(
     world, rules, guides, store, guide_lists, guided, weight, cheapest, cost_limit, expansions
 ):  # fmt: skip
@@ -118,7 +118,7 @@ def run_guides(
     return RUNNING
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def run(
     world, rules, anchor, guides, store, anchor_list, guide_lists, guided, weight, bound, cheapest, cost_limit,
     expansions, once,

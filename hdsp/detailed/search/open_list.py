@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.base.records import by_reference
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS
 from hdsp.detailed.search.store import CLOSED
 
@@ -24,6 +25,7 @@ _SAMPLE = 128  # far entries in the sample that sets the bound
 _ROOM = 1 << 11  # entries in a new list
 
 
+@by_reference
 class OpenList(NamedTuple):
     """Entries (f, node) in arrays with fixed length; ``with_room`` replaces them by longer arrays."""
 
@@ -89,7 +91,7 @@ def _new_room(entries: OpenList, flags: np.ndarray, more: int) -> int:
     return max(int(1.25 * room), int(1.25 * (used + more)))
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def _drop_outdated(entries, flags):
     f, nodes, count = entries.f, entries.node, entries.counts
     first = len(f) - count[FAR]

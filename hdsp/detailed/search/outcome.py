@@ -18,6 +18,7 @@ class Status(IntEnum):
     TIME_LIMIT = 5
     INVALID_START = 6
     INVALID_GOAL = 7
+    CANCELLED = 8  # by another thread
 
     def __str__(self) -> str:
         return self.name.lower()

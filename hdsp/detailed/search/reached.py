@@ -40,7 +40,7 @@ def reached_by(search: Search, goal: np.ndarray) -> Reached:
     return Reached(headings, unpack_states(nearest, world.tables.lowest))
 
 
-@njit()
+@njit(nogil=True)
 def _collect(store, goal, per_heading, headings, nearest, least):
     """Marks the headings of all states in a store; returns the packed state nearest to a goal, and how near it is.
 

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hdsp.base.jit import njit
+from hdsp.base.records import by_reference
 from hdsp.detailed.actions.action import START, undo
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS
 from hdsp.detailed.states import FEET_MASK, pack, unpack
@@ -34,6 +35,7 @@ SPARE_BLOCKS = 32
 _GROWTH = 1.25
 
 
+@by_reference
 class Store(NamedTuple):
     """States seen by a search; ``grown`` exchanges the fixed arrays for larger ones.
 
@@ -106,7 +108,7 @@ def grown(store: Store) -> Store:
     return store._replace(**changed)
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def emptied(store):
     """Empties the store for another search, within the touched parts alone; goal marks vanish as well."""
     count = store.counts
@@ -222,7 +224,7 @@ def _hash(key, mask):
     return np.int64((mixed ^ (mixed >> np.uint64(32))) & np.uint64(mask))
 
 
-@njit()
+@njit(nogil=True)
 def _fill_slots(slot, keys, n):
     mask = len(slot) - 1
     for i in range(n):
@@ -266,7 +268,7 @@ def waits(store, node):
     return store.g[node] < np.inf and store.flags[node] & CLOSED == 0
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def count_waiting(store):
     """Number of waiting states."""
     n = 0

@@ -9,7 +9,7 @@ longer than a short search.
 
 import numpy as np
 
-from hdsp.base.gradual import now
+from hdsp.base.gradual import checkpoint, now
 from hdsp.base.jit import njit
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules
 from hdsp.detailed.search import open_list
@@ -75,6 +75,7 @@ class Windows:
         push(self._list, np.float32(estimate(self._world, to_goal, first)), begin_at(self._store, first))
         code, done = RUNNING, 0
         while code == FULL or (code == RUNNING and done < expansions and now() < ends):
+            checkpoint()
             until = min(done + _SLICE, expansions)
             code = _run(self._world, self._rules, to_goal, self._store, self._list, last, float(limit), until)
             done = int(self._store.counts[EXPANDED])
@@ -106,7 +107,7 @@ class Windows:
         return True
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def _run(world, rules, heuristic, store, entries, goal, limit, expansions):
     """Continues a search; returns SOLVED, EXHAUSTED (no path below the limit), RUNNING (too long) or FULL."""
     flags, count = store.flags, store.counts

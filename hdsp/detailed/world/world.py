@@ -12,6 +12,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.jit import njit
+from hdsp.base.records import by_reference
 from hdsp.detailed.states import MAX_CELLS, pack_steps
 from hdsp.detailed.world.geometry import (
     MOVE_SAMPLES,
@@ -33,6 +34,7 @@ from hdsp.terrain.height_map import HeightMap
 _CELL = metres(1.0)  # m, side of a cell
 
 
+@by_reference
 class Tables(NamedTuple):
     """Values for a robot and the size of the padded map, independent of the terrain."""
 
@@ -69,6 +71,7 @@ class Tables(NamedTuple):
     outline: np.ndarray  # int64 [64, n], cells on the outline of the rectangle between neutral feet
 
 
+@by_reference
 class Constants(NamedTuple):
     """Scalars in the cost model, in metres and unitless costs."""
 
@@ -95,6 +98,7 @@ class Constants(NamedTuple):
     steepest_left: float
 
 
+@by_reference
 class World(NamedTuple):
     """Terrain with nx x ny cells inside a border of ``pad`` cells.
 
@@ -309,7 +313,7 @@ def _arc_table(arcs: ArcMoves, flat: Callable[[np.ndarray], np.ndarray], contact
     return np.ascontiguousarray(np.concatenate([own, samples], axis=2))
 
 
-@njit()
+@njit(nogil=True)
 def _possible_steps(standable, height, swing, edge, near_edge, line, max_height, max_clearance):
     """Headings toward which a foot in a cell can step over an edge, as bits; uint64 flat."""
     n_headings, reach = line.shape

@@ -75,6 +75,7 @@ def explain_ending(
         Status.EXPANSION_LIMIT: f"not decided: stopped after {stats.expansions:,} expansions",
         Status.MEMORY_LIMIT: f"not decided: stopped at {stats.memory / 2**20:,.0f} MiB of states",
         Status.TIME_LIMIT: f"not decided: stopped after {stats.seconds:.1f} s",
+        Status.CANCELLED: f"not decided: cancelled after {stats.seconds:.1f} s",
     }
     words = endings[status]
     reasons = [str(findings.gap)] if findings.gap is not None else []

@@ -90,7 +90,7 @@ def uneven_cells(world: World) -> np.ndarray:
     return maximum_filter(blocks, width, mode="constant", cval=True)
 
 
-@njit(allocates=False)
+@njit(allocates=False, nogil=True)
 def _find_standing(world, result, k, first, end, left, right):
     """Fills rows ``first`` to ``end`` and columns ``left`` to ``right`` of ``result`` at one abstract heading."""
     standable, feet, samples, n = world.standable, world.tables.feet, world.tables.n_samples, world.tables.n_offsets
