@@ -11,6 +11,7 @@
 - `collisions`: an independent check of plans against arenas
 - `heuristic_conformance`: a check of your own heuristic
 - `margin`: a margin around the base
+- `viewing`: the viewer in the browser, with a session that follows its user
 - `cli`, `commands`: the command `hdsp`
 """
 

@@ -1,9 +1,11 @@
-"""Figures as PNG files.
+"""Figures as PNG files, and plans in three dimensions.
 
 - `path_figure`, `motion_figure`: plans on their map, motions from the side
 - `arena_figure`, `scan_figure`, `patch_figure`: arenas, scanned maps, labelled patches
 - `charts`, `pareto`: qualities, times and training curves of networks
 - `robot_drawing`, `style`: the robot and the terrain on axes; colours and names of all figures
+- `palette`, `failure_marks`: colours, and the absence of a plan, for figures and the browser
+- `viewer`: plans in three dimensions in a browser
 
 Matplotlib is loaded by the first use of a name; no other package in `hdsp` loads it.
 """

@@ -25,7 +25,7 @@ FLAGS = [
 ]  # fmt: skip
 #: Software renders slowly, and kernels may be compiled first.
 PATIENCE = 120
-WIDTH, HEIGHT = 560, 420
+WIDTH, HEIGHT = 800, 420
 START, GOAL, ON_WALL = (0.8, 0.8, 0.0), (2.2, 2.2, 0.0), (1.5, 1.0, 0.0)
 #: Messages of the browser that say nothing about the page.
 HARMLESS = "favicon", "GPU stall", "THREE.Clock", "swiftshader", "software WebGL"
@@ -50,9 +50,9 @@ def chromium():
 @pytest.fixture(scope="module")
 def viewer():
     shown = MapViewer(room(), PlanningRequest(START, GOAL), port=8970)
-    # From straight above, where the place of a handle in the picture is easy to compute.
-    shown.server.initial_camera.position, shown.server.initial_camera.look_at = (1.5, 1.48, 5.0), (1.5, 1.5, 0.0)
     assert shown.session.wait(PATIENCE)
+    # The handles lie beside the panel.
+    shown.server.initial_camera.position, shown.server.initial_camera.look_at = (2.1, -1.2, 3.6), (2.1, 1.3, 0.0)
     yield shown
     shown.close()
 
@@ -132,7 +132,11 @@ def drag(tab, viewer, handle, way):
 def test_a_dragged_goal_gets_a_new_plan(tab, viewer):
     before = viewer.answer
     tab.shows(f"{before.plan.cost:.3f}")
-    drag(tab, viewer, viewer.goal, (0.0, -1.0))
+    end = time.monotonic() + PATIENCE
+    while viewer.session.request is before.request:  # a scene that is not yet drawn has no handles
+        assert time.monotonic() < end, "the handle cannot be dragged"
+        drag(tab, viewer, viewer.goal, (0.0, -1.0))
+        time.sleep(3.0)
     until(lambda: viewer.answer.request is not before.request)
     answer = viewer.answer
     assert answer.plan.solved

@@ -15,6 +15,7 @@ from hdsp.viz.viewer.robot_nodes import RobotNodes
 from hdsp.viz.viewer.robot_pose import standing
 
 _OPACITY = 0.4
+_WORDS = 0.5  # m, of the label above the hips
 
 
 class PoseHandle:
@@ -35,7 +36,7 @@ class PoseHandle:
         self.control = scene.add_transform_controls(
             name, scale=0.7, active_axes=(True, True, False), depth_test=False, visible=False
         )
-        scene.add_label(f"{name}/words", words, position=(0.0, 0.0, 1.2), anchor="bottom-center")
+        self._words = scene.add_label(f"{name}/words", words, anchor="bottom-center")
         self._ghost: RobotNodes | None = None
         self._held = False
         self.control.on_update(self._moved)
@@ -60,6 +61,7 @@ class PoseHandle:
         ahead = feet.copy()
         ahead[:, :2] = (feet[:, :2] - state[:2]) @ rotation(float(state[2]))
         ahead[:, 2] -= level
+        self._words.position = (0.0, 0.0, base[2] - level + _WORDS)
         self._ghost.place(np.array([0.0, 0.0, base[2] - level, base[3], base[4], 0.0]), ahead)
 
     def pose(self) -> tuple[float, float, float]:
