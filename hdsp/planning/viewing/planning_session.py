@@ -133,6 +133,9 @@ class PlanningSession:
             self._wanted, self._asked_at = request, now()
             self._number += 1
             self._idle.clear()
+            # The thread sees the number before it sees the end of its query, and begins no other one meanwhile.
+            for planner in list(self._planners.values()):
+                planner.cancel()
             self._changed.notify_all()
 
     def change(self, **changes: Any) -> None:
