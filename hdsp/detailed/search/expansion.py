@@ -12,7 +12,8 @@ from hdsp.detailed.actions.successors import successors
 from hdsp.detailed.search.backward import SETTLED
 from hdsp.detailed.search.estimate import estimate, resume
 from hdsp.detailed.search.open_list import push
-from hdsp.detailed.search.store import CLOSED, CUT, SEEN, node_of
+from hdsp.detailed.search.store import CLOSED, CUT, SEEN, look_ahead, node_of
+from hdsp.detailed.states import FEET_MASK
 
 #: Nodes that the backward search settles in the time of an expansion, roughly.
 _SETTLED = 4
@@ -31,7 +32,10 @@ def begin_at(store, start):
 @njit(inline="always")
 def expand(world, rules, store, key):
     """Writes the successors of a packed state into the store's buffers; returns their number."""
-    return successors(world, rules, key, store.out_key, store.out_cost, store.out_action)
+    n = successors(world, rules, key, store.out_key, store.out_cost, store.out_action)
+    if key & FEET_MASK != store.neutral:
+        look_ahead(store, n)
+    return n
 
 
 @njit(inline="always")

@@ -10,8 +10,9 @@ from hdsp.detailed.search.kernel import EXHAUSTED, FULL, OVER_COST_LIMIT, RUNNIN
 from hdsp.detailed.search.open_list import first_f, list_has_room, pop, push
 from hdsp.detailed.search.store import BLOCK, BLOCKS, CLOSED, CUT, EXPANDED, GOAL, has_room, key_of, waits
 
-#: More bits of ``Store.flags``: expanded for the anchor, expanded for the guides.
-ANCHORED, GUIDED = 8, 16
+#: More bits of ``Store.flags``: expanded for the anchor, expanded for the guides. No search has rounds as well, and
+#: ``VISITED`` shares a bit with the first.
+ANCHORED, GUIDED = 4, 8
 
 #: Nodes of the backward search that a guide settles per expansion, in about the same time, and expansions between.
 _SETTLED = 4

@@ -23,6 +23,7 @@ NEAR, FAR = range(2)
 
 _SAMPLE = 128  # far entries in the sample that sets the bound
 _ROOM = 1 << 11  # entries in a new list
+_MOST_NEAR = 1 << 14  # entries in a heap that leaves the cache
 
 
 @by_reference
@@ -83,8 +84,10 @@ def growth_nbytes(entries: OpenList, flags: np.ndarray, more: int) -> int:
 
 
 def _new_room(entries: OpenList, flags: np.ndarray, more: int) -> int:
-    """Drops outdated entries; returns the array length with room for ``more`` entries."""
+    """Drops outdated entries, and shortens a long heap; returns the array length with room for ``more`` entries."""
     _drop_outdated(entries, flags)
+    if entries.counts[NEAR] > _MOST_NEAR:
+        _shorten(entries)
     room, used = len(entries.f), int(entries.counts[NEAR] + entries.counts[FAR])
     if 5 * (used + more) <= 4 * room:
         return room
@@ -100,6 +103,27 @@ def _drop_outdated(entries, flags):
             f[i], nodes[i] = f[first], nodes[first]
             first += 1
     count[FAR] = len(f) - first
+
+
+@njit(allocates=False)
+def _shorten(entries):
+    """Moves all but the first entries of the heap to the far list."""
+    f_of, node_of, count, n = entries.f, entries.node, entries.counts, entries.counts[NEAR]
+    _sample_least(f_of[:n], entries.least)
+    i = 0
+    while i < n:
+        f, node = f_of[i], node_of[i]
+        if f <= entries.least[-1]:
+            i += 1
+            continue
+        n -= 1
+        f_of[i], node_of[i] = f_of[n], node_of[n]
+        count[FAR] += 1
+        at = len(f_of) - count[FAR]
+        f_of[at], node_of[at] = f, node
+    count[NEAR] = 0
+    for i in range(n):
+        _push_near(f_of, node_of, count, f_of[i], node_of[i])
 
 
 @njit(inline="always")
