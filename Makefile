@@ -18,7 +18,7 @@ KERNEL_TESTS := tests/detailed tests/abstract/test_prepared_graph.py tests/label
 	tests/terrain/simulation/test_lidar_mapping.py \
 	--ignore tests/detailed/test_staircases.py
 
-.PHONY: help repro demo tables docs docs-links test test-checked lint format params clean
+.PHONY: help install repro demo tables docs docs-links test test-checked warm-checked lint format params clean
 
 help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
@@ -28,6 +28,8 @@ repro: $(STAMP)  ## run the pipeline (only what changed) and print the paper's t
 	@cat reports/tables.md
 	@python -m pipeline.seconds
 	@echo "reports/index.html: tables, pictures, paths in 3D, data and hashes in one file"
+
+install: $(STAMP)  ## the environment alone
 
 demo: $(STAMP)  ## a robot climbs stairs in the browser
 	hdsp demo
@@ -46,11 +48,14 @@ test: $(STAMP)  ## all tests
 	python -m pytest --numprocesses 2 --dist loadgroup $(TEST_ARGS)
 
 # Compiled for itself: with checks of every index, which a kernel otherwise goes without.
-test-checked: export NUMBA_BOUNDSCHECK := 1
-test-checked: export OMP_NUM_THREADS := 1
-test-checked: export NUMBA_CACHE_DIR := $(CURDIR)/$(VENV)/numba-checked
+test-checked warm-checked: export NUMBA_BOUNDSCHECK := 1
+test-checked warm-checked: export OMP_NUM_THREADS := 1
+test-checked warm-checked: export NUMBA_CACHE_DIR := $(CURDIR)/$(VENV)/numba-checked
 test-checked: $(STAMP)  ## the tests of the kernels, with every index checked
 	python -m pytest --numprocesses 2 --dist loadgroup $(KERNEL_TESTS) $(TEST_ARGS)
+
+warm-checked: $(STAMP)  # one process compiles for both of the tests
+	hdsp warmup
 
 lint: $(STAMP)  ## style, types, layers of imports, words of docstrings
 	ruff check .
