@@ -25,7 +25,9 @@ def main(argv=None) -> dict:
     parser.add_argument("--out", type=Path, default=DOCS / "figures" / "climb.gif", help=".gif or .mp4")
     parser.add_argument("--width", type=int, default=640, help="pixels")
     arguments = parser.parse_args(argv)
-    plan = Planner(CLIMB.terrain(), heuristic="manual").plan(CLIMB.start, CLIMB.goal, weight=1.25, refinable=True)
+    plan = Planner(CLIMB.terrain(), heuristic="manual").plan(
+        CLIMB.start, CLIMB.goal, weight=1.25, refinable=True, polish=0
+    )
     motion = plan.refine()
     path = motion.animate(arguments.out, speed=round(motion.duration / SHOWN), width=arguments.width)
     result = {

@@ -17,7 +17,7 @@ from hdsp.base.progress_line import ProgressLine
 from hdsp.planning.cli import NO_PLAN, command_parser, main
 from hdsp.planning.commands.console import plain
 from hdsp.robot.robot import Robot
-from tests import ROOT
+from tests import ROOT, heed_interrupts
 
 ENDS = "--start", "0.9", "0.9", "0", "--goal", "1.6", "1.1", "-20"
 
@@ -180,8 +180,9 @@ def test_ctrl_c_ends_a_command_with_one_line_and_no_file(tmp_path):
     command = [sys.executable, "-c", script, "plan", "m.npz", *ENDS, "--out", "p.csv"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     running = subprocess.Popen(
-        command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+        command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=heed_interrupts,
+    )  # fmt: skip
     assert running.stdout.readline() == "ready\n"
     running.send_signal(signal.SIGINT)
     _, error = running.communicate(timeout=30)

@@ -9,6 +9,7 @@ import pytest
 
 from hdsp import HeightMap
 from hdsp.planning.cli import NO_PLAN, main
+from tests import heed_interrupts
 
 QUICK = ["--heuristic", "geometric", "--port", "0", "--quiet"]
 
@@ -50,7 +51,8 @@ def test_wrong_options_give_one_line(map_file, options, words, capsys, tmp_path,
 
 def test_ctrl_c_ends_quietly(map_file):
     command = [sys.executable, "-m", "hdsp", "view", map_file, "--no-browser", *QUICK]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes, text=True, preexec_fn=heed_interrupts) as running:
         assert running.stdout.readline().startswith("http://127.0.0.1:")
         assert running.stdout.readline().startswith("solved")
         running.send_signal(signal.SIGINT)

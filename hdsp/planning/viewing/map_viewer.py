@@ -20,10 +20,10 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.viz.palette import GOAL, PURPLE, START
 from hdsp.viz.viewer.local_server import PORT, address, close_server, open_server
-from hdsp.viz.viewer.plan_page import plan_page
 from hdsp.viz.viewer.plan_scene import PlanScene
 from hdsp.viz.viewer.playback import Playback
 from hdsp.viz.viewer.pose_handle import PoseHandle
+from hdsp.viz.viewer.static_page import plan_page
 from hdsp.viz.viewer.textures import mark_colors
 from hdsp.viz.viewer.timeline import Timeline, timeline_of_motion, timeline_of_states
 

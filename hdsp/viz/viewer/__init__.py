@@ -9,7 +9,7 @@ Arrays, states and motions are drawn; the viewer knows no planner. viser is load
 """
 
 from hdsp.viz.viewer.local_server import PORT, address, open_server
-from hdsp.viz.viewer.plan_page import plan_page, save_page, temporary_page
 from hdsp.viz.viewer.plan_scene import PlanScene
+from hdsp.viz.viewer.static_page import plan_page, save_page, temporary_page
 
 __all__ = ["PORT", "PlanScene", "address", "open_server", "plan_page", "save_page", "temporary_page"]

@@ -189,7 +189,7 @@ def test_a_run_killed_in_the_middle_leaves_whole_shards_and_is_continued(tmp_pat
     folder = tmp_path / "killed"
     script = (
         "from tests.labels.run.test_split_run import *; from pathlib import Path; "
-        f"label(Path({str(folder)!r}), {split!r}, 2, slow_fake_label)"
+        f"label(Path({str(folder)!r}), replace(SPLIT, maps_per_category=8), 2, slow_fake_label)"
     )
     run = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT)
     deadline = time.time() + 60
