@@ -3,12 +3,15 @@
 `make docs` builds the site into build/docs; each warning is an error. The notebooks need the extras viz and learning.
 """
 
+import os
 import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE)]
+# The notebooks run in processes of their own, and import examples/.
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(HERE.parent), os.environ.get("PYTHONPATH")]))
 
 project = "hdsp"
 author = "The hdsp authors"
