@@ -124,13 +124,16 @@ def scenes_of(config: Config, folders: Folders, planning: Mapping[str, Any]) -> 
         chosen = chosen_series(paths)
         from hdsp.viz.viewer import plan_page
 
-        terrain = read_ground(config.arena, folders).terrain
+        ground = read_ground(config.arena, folders)
+        terrain = ground.terrain
+        # The mesh of a scan, with its noise, takes several MB for each task.
+        drawn = terrain if ground.truth is None else ground.truth.height_map()
         tasks = {name: ends for name, ends in read_tasks(terrain, config).items() if PathKey(name, *chosen) in paths}
         pages = {}
         for name, ends in tasks.items():
             states, actions = paths[PathKey(name, *chosen)]
             motion = _motion(terrain, config, states, actions)
-            pages[name] = plan_page(terrain, config.robot, states, actions, motion, [np.array(pose) for pose in ends])
+            pages[name] = plan_page(drawn, config.robot, states, actions, motion, [np.array(pose) for pose in ends])
     except InputError as error:
         return nothing, str(error)
     heuristic, weight = chosen
