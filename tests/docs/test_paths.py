@@ -164,3 +164,12 @@ def test_a_link_to_a_heading_leads_to_one():
             if anchor not in slugs:
                 missing.append((page.name, f"{target}#{anchor}"))
     assert missing == []
+
+
+def test_the_page_of_benchmarks_lists_each_of_them_once():
+    page = (ROOT / "docs" / "benchmarks.md").read_text()
+    listed = re.findall(r"`python -m benchmarks\.(\w+)", page)
+    folder = ROOT / "benchmarks"
+    runnable = {path.stem for path in folder.glob("*.py") if "__main__" in path.read_text()}
+    runnable |= {path.parent.name for path in folder.glob("*/__main__.py")}
+    assert sorted(listed) == sorted(runnable)
