@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hdsp.base.bucket_links import OUT, link, unlink
 from hdsp.base.jit import njit
 
 #: Buckets of a queue.
 BUCKETS = 1 << 13
 _FAR = BUCKETS - 1  # a state in a later bucket waits in this one, and comes again
-_OUT = np.int32(-(2**31))
 
 
 class Waiting(NamedTuple):
@@ -32,7 +32,7 @@ class Waiting(NamedTuple):
     @classmethod
     def none(cls, states: int) -> Waiting:
         """Returns an empty queue for a number of states."""
-        links = np.empty(states, np.int32), np.full(states, _OUT, np.int32)
+        links = np.empty(states, np.int32), np.full(states, OUT, np.int32)
         return cls(*links, np.full(BUCKETS, -1, np.int32), np.zeros(2, np.int64))
 
 
@@ -40,24 +40,14 @@ class Waiting(NamedTuple):
 def put(after, ahead, heads, counts, state, bucket):
     """Puts a state into a bucket, out of its present one."""
     slot = min(max(bucket, counts[0]), counts[0] + _FAR) % BUCKETS
-    if ahead[state] != _OUT:
+    if ahead[state] != OUT:
         remove(after, ahead, heads, counts, state)
-    second = heads[slot]
-    heads[slot], after[state], ahead[state] = state, second, -1 - slot
-    if second >= 0:
-        ahead[second] = state
+    link(heads, after, ahead, state, slot)
     counts[1] += 1
 
 
 @njit(inline="always")
 def remove(after, ahead, heads, counts, state):
     """Removes a waiting state."""
-    one, other = ahead[state], after[state]
-    if one >= 0:
-        after[one] = other
-    else:
-        heads[-1 - one] = other
-    if other >= 0:
-        ahead[other] = one
-    ahead[state] = _OUT
+    unlink(heads, after, ahead, state)
     counts[1] -= 1

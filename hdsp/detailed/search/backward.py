@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hdsp.base.bucket_links import OUT, link, unlink
 from hdsp.base.jit import njit
 from hdsp.base.records import by_reference
 from hdsp.detailed.actions.action import ARCS, DRIVES, TURN_LEFT, TURN_RIGHT, arc_turn
@@ -39,7 +40,6 @@ USED, BUCKET, WAITING, SETTLED, FULL, BEGUN = range(6)
 _SIDE = 8  # cells along the side of a block
 _NODES = HEADINGS * _SIDE * _SIDE  # poses in a block
 _BUCKETS = 1 << 13
-_OUT = np.int32(-(2**31))
 _ROUNDED_DOWN = 1 - 2.0**-23
 
 
@@ -250,7 +250,7 @@ def _new_block(b, place):
     b.counts[USED] += 1
     b.place[place], b.where[block] = block, place
     for node in range(block * _NODES, (block + 1) * _NODES):
-        b.cost[node], b.ahead[node] = np.inf, _OUT
+        b.cost[node], b.ahead[node] = np.inf, OUT
     return block
 
 
@@ -276,27 +276,15 @@ def _offer(world, b, layer, ix, iy, heading, cost):
     f = np.int64((np.float64(cost) + _from_start(b, ix, iy, heading)) / b.width)
     # A node beyond the last bucket waits in it: a node that comes too early comes again when it becomes cheaper.
     slot = min(max(f, b.counts[BUCKET]), b.counts[BUCKET] + _BUCKETS - 1) % _BUCKETS
-    heads, after, ahead = b.heads, b.after, b.ahead
-    if ahead[node] != _OUT:
+    if b.ahead[node] != OUT:
         _take(b, node)
-    second = heads[slot]
-    heads[slot], after[node], ahead[node] = node, second, -1 - slot
-    if second >= 0:
-        ahead[second] = node
+    link(b.heads, b.after, b.ahead, node, slot)
     b.counts[WAITING] += 1
 
 
 @njit(inline="always")
 def _take(b, node):
-    heads, after, ahead = b.heads, b.after, b.ahead
-    one, other = ahead[node], after[node]
-    if one >= 0:
-        after[one] = other
-    else:
-        heads[-1 - one] = other
-    if other >= 0:
-        ahead[other] = one
-    ahead[node] = _OUT
+    unlink(b.heads, b.after, b.ahead, node)
     b.counts[WAITING] -= 1
 
 
