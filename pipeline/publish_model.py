@@ -133,17 +133,20 @@ def summary(
 
 def in_progress(source: Path, robot: Robot, config: Config, folders: Folders) -> LearnedAbstraction:
     """Loads the best epoch so far from an unfinished training of `config.model`."""
-    import torch
-
     from hdsp.learning import LearnedAbstraction, Provenance
+    from hdsp.learning.checkpoints import read_checkpoint
     from hdsp.learning.networks import build_network
     from pipeline.train import folder_hash
 
     model = config.model
     network = build_network(model)
-    state = torch.load(source / CHECKPOINT, map_location="cpu", weights_only=False)
+    state = read_checkpoint(source / CHECKPOINT)
     prefix = "network."
-    network.load_state_dict({k.removeprefix(prefix): v for k, v in state["state_dict"].items() if k.startswith(prefix)})
+    weights = {key.removeprefix(prefix): value for key, value in state["state_dict"].items() if key.startswith(prefix)}
+    try:
+        network.load_state_dict(weights)
+    except RuntimeError as error:
+        raise InputError(f"{source / CHECKPOINT}: does not fit {model.architecture}: {error}".splitlines()[0]) from None
     hashes = [folder_hash(shards_place(config, folders.inputs, name)) for name in config.trainer.splits]
     epoch = f"epoch {state['epoch'] + 1} of {config.trainer.epochs}, the best of those done when it was published"
     return LearnedAbstraction(

@@ -1,6 +1,8 @@
 """Learned abstraction as an MLflow model: `mlflow.pyfunc.load_model(uri).predict({"heights": ..., "goals": ...})`.
 
-MLflow logs the model from code: it runs this file on loading, and the network comes from its safetensors. No pickle.
+MLflow logs the model from code: it runs this file on loading, and says so; the network comes from its safetensors. No
+pickle. A model from strangers is loaded by `hdsp.load_abstraction` from its folder ``artifacts/abstraction``, which
+runs nothing of it.
 """
 
 from __future__ import annotations
@@ -75,6 +77,9 @@ class _Judge:
 def _define() -> None:
     import mlflow
 
+    warnings.warn(
+        "this MLflow model runs code from its folder; hdsp.load_abstraction of its artifacts runs none", stacklevel=2
+    )
     mlflow.models.set_model(type("Served", (_Judge, mlflow.pyfunc.PythonModel), {})())
 
 

@@ -63,7 +63,7 @@ def read_paths(path: Path) -> dict[PathKey, StoredPath]:
     if not path.is_file():
         raise InputError(f"no paths in {path}; the stage plan writes them")
     found = {}
-    with np.load(path) as arrays:
+    with np.load(path, allow_pickle=False) as arrays:
         for name in arrays.files:
             *parts, kind = name.split(_SEPARATOR)
             if kind == "states":

@@ -69,7 +69,7 @@ class KeptCosts:
         path = self.folder / f"{name}.npz"
         known, costs = np.zeros_like(mask), np.empty((0, 22), np.float32)
         if path.is_file():
-            with np.load(path) as file:
+            with np.load(path, allow_pickle=False) as file:
                 known, costs = file["known"], file["costs"]
         edges = np.full((*mask.shape, costs.shape[-1]), np.inf, np.float32)
         edges[known] = costs

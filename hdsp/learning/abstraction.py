@@ -1,7 +1,6 @@
 """Trained abstraction: a network that judges tasks, with its calibration."""
 
 import hashlib
-import json
 import math
 from collections.abc import Iterator, Mapping
 from copy import copy
@@ -24,6 +23,7 @@ from hdsp.learning.saved_abstraction import (
     WEIGHTS,
     Precision,
     Provenance,
+    config_text,
     lattice_contract,
     read_saved,
     replace_folder,
@@ -306,9 +306,8 @@ class LearnedAbstraction:
             "edges_threshold": self.edges_threshold,
             "weights_sha256": hashlib.sha256(weights).hexdigest(),
         }
-        text = json.dumps(config, indent=2) + "\n"
         others = {name: content.encode() for name, content in (beside or {}).items()}
-        return replace_folder(Path(folder), {WEIGHTS: weights, CONFIG: text.encode(), **others})
+        return replace_folder(Path(folder), {WEIGHTS: weights, CONFIG: config_text(config).encode(), **others})
 
     @classmethod
     def from_pretrained(

@@ -4,6 +4,7 @@ The configuration carries everything in which inference has to agree with traini
 """
 
 import hashlib
+import json
 import os
 import secrets
 import shutil
@@ -17,7 +18,7 @@ import numpy as np
 from hdsp.abstract.flat_table import flat_table
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
-from hdsp.base.settings import checked, load_settings, read_json, shown
+from hdsp.base.settings import Share, checked, load_settings, read_json, shown
 from hdsp.base.short_repr import short_repr
 from hdsp.learning.calibration import Calibration
 from hdsp.learning.learning_settings import ModelSettings
@@ -27,6 +28,7 @@ from hdsp.terrain.cost_maps import COST_MODEL_VERSION
 
 CONFIG, WEIGHTS = "config.json", "model.safetensors"
 FORMAT_VERSION = 1
+_CHECKSUM = "config_sha256"
 #: Earlier cost models whose abstractions still load; version 3 knows no slopes.
 EARLIER_COST_MODELS = (3,)
 Precision = Literal["float32", "float16"]
@@ -76,6 +78,8 @@ class SavedAbstraction:
         calibration: corrections fitted after training.
         precision: precision of the trained values in the file.
         edges_threshold: see ``LearnedAbstraction``.
+        config_sha256: checksum of all other values, for damage that types and ranges do not show; empty = not recorded.
+            Who edits the file removes it.
     """
 
     format_version: int
@@ -86,7 +90,8 @@ class SavedAbstraction:
     weights_sha256: str
     calibration: Calibration = field(default_factory=Calibration)
     precision: Precision = "float32"
-    edges_threshold: float = 0.5
+    edges_threshold: Share = 0.5
+    config_sha256: str = ""
 
 
 def _never_feasible(robot: Robot) -> tuple[tuple[float, float, float], ...]:
@@ -120,6 +125,16 @@ def replace_folder(folder: Path, files: Mapping[str, bytes]) -> Path:
     return folder
 
 
+def config_text(values: Mapping[str, Any]) -> str:
+    """Text of ``config.json`` with its checksum."""
+    return json.dumps({**values, _CHECKSUM: _config_sha256(values)}, indent=2) + "\n"
+
+
+def _config_sha256(values: Mapping[str, Any]) -> str:
+    others = {key: value for key, value in values.items() if key != _CHECKSUM}
+    return hashlib.sha256(json.dumps(others, sort_keys=True).encode()).hexdigest()
+
+
 def read_saved(folder: Path, robot: Robot | None = None) -> tuple[SavedAbstraction, bytes]:
     """Reads configuration and weights, and checks that they fit each other and this program.
 
@@ -145,6 +160,8 @@ def read_saved(folder: Path, robot: Robot | None = None) -> tuple[SavedAbstracti
         raise InputError(
             f"{config_path}: trained for another robot ({provenance.robot!r}) than {robot.name!r} as it is now"
         )
+    if saved.config_sha256 not in ("", _config_sha256(config)):
+        raise InputError(f"{config_path}: damaged, or edited with its {_CHECKSUM} left in: the checksum differs")
     weights = weights_path.read_bytes()
     if hashlib.sha256(weights).hexdigest() != saved.weights_sha256:
         raise InputError(

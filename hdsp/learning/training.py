@@ -24,6 +24,7 @@ from hdsp.base.settings import load_settings
 from hdsp.base.short_repr import short_repr
 from hdsp.learning.abstraction import LearnedAbstraction
 from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, LOSSES, AveragedWeights, EpochPosition
+from hdsp.learning.checkpoints import read_checkpoint
 from hdsp.learning.hardware import channels_last
 from hdsp.learning.history import EpochHistory, OnEpoch
 from hdsp.learning.learning_settings import BatchSettings, ModelSettings, TrainerSettings, TrainingConfig
@@ -151,12 +152,12 @@ def train(
             num_sanity_val_steps=0,
             log_every_n_steps=1_000_000,
         )
-        trainer.fit(module, batches, val_loaders, ckpt_path=last, weights_only=False if last else None)
+        trainer.fit(module, batches, val_loaders, ckpt_path=last, weights_only=True if last else None)
 
     if not math.isfinite(min(row["score"] for row in history.rows)):
         raise InputError(_without_score(history.rows, trainer_settings))
     best_path = checkpoints / "best.ckpt"
-    state = torch.load(best_path, map_location="cpu", weights_only=False)
+    state = read_checkpoint(best_path)
     module.load_state_dict(state["state_dict"])
     best_epoch = int(state["epoch"])
     metrics = {key: value for key, value in history.rows[best_epoch].items() if key != "epoch"}
@@ -241,6 +242,7 @@ def _checkpoint_to_resume(folder: Path, fingerprint: str) -> Path | None:
     """Returns the last checkpoint from the same training; removes checkpoints from another training."""
     mark, last = folder / "fingerprint.txt", folder / "last.ckpt"
     if mark.is_file() and mark.read_text() == fingerprint and last.is_file():
+        read_checkpoint(last)  # damage, or an object in place of numbers, is named before the training goes on
         return last
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True, exist_ok=True)

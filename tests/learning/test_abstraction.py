@@ -38,6 +38,7 @@ def edit(folder, change):
     path = folder / "config.json"
     config = json.loads(path.read_text())
     change(config)
+    config["config_sha256"] = ""
     path.write_text(json.dumps(config))
 
 

@@ -1,9 +1,9 @@
 """Arrays in files: .npz and HDF5 with the entries heights, origin and resolution, and bare .npy arrays.
 
-A map with a frame of its own also has the entry frame, a JSON text with the fields of `MapFrame`. HDF5 has no checksum
-for small entries, so it gets the entry digest, the SHA-256 of all others. Files of other programs may have other
-entries: the option layer names the heights, and the options resolution and origin (default: 0, 0) stand for missing
-entries.
+A map with a frame of its own also has the entry frame, a JSON text with the fields of `MapFrame`. The entry digest is
+the SHA-256 of all others: HDF5 has no checksum for small entries, and an archive none for the names in its directory.
+Files of other programs may have other entries: the option layer names the heights, and the options resolution and
+origin (default: 0, 0) stand for missing entries.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from hdsp.terrain.map_formats.fields import (
     MapFields,
     MissingOption,
     ReadOptions,
-    check_cells,
     frame_of_text,
     frame_text,
 )
+from hdsp.terrain.map_formats.hdf5_entries import MOST_ENTRIES, Entry, hdf5_entries
 
 _HEIGHTS, _ORIGIN, _RESOLUTION, _FRAME, _DIGEST = "heights", "origin", "resolution", "frame", "digest"
 
-#: Access to an entry: its shape and type, and a function that reads it.
-_Entry = tuple[tuple[int, ...], np.dtype, Callable[[], np.ndarray]]
+#: Largest number of elements in an entry beside the heights.
+_SMALL = 1_000_000
 
 
 def read_npz(path: Path, options: ReadOptions) -> MapFields:
@@ -42,7 +42,7 @@ def read_npz(path: Path, options: ReadOptions) -> MapFields:
 
 def read_hdf5(path: Path, options: ReadOptions) -> MapFields:
     """Reads an HDF5 file."""
-    with _hdf5_entries(path) as entries:
+    with hdf5_entries(path, (_layer(options), _ORIGIN, _RESOLUTION, _FRAME, _DIGEST)) as entries:
         return _fields(entries, options)
 
 
@@ -51,7 +51,7 @@ def read_npy(path: Path, options: ReadOptions) -> MapFields:
     resolution = options.cell_size("a bare array has no cell size")
     with path.open("rb") as file:
         shape, dtype = _array_header(file, path.stat().st_size)
-        _check_heights("the array", shape, dtype)
+        _check_heights("the array", shape, dtype, options)
         file.seek(0)
         heights = np.lib.format.read_array(file, allow_pickle=False)
     return MapFields(heights, options.origin or (0.0, 0.0), resolution)
@@ -65,7 +65,7 @@ def npz_contents(path: Path) -> str:
 
 def hdf5_contents(path: Path) -> str:
     """Entries of an HDF5 file."""
-    with _hdf5_entries(path) as entries:
+    with hdf5_entries(path) as entries:
         return _listed(entries)
 
 
@@ -78,7 +78,9 @@ def npy_contents(path: Path) -> str:
 def npz_bytes(fields: MapFields) -> bytes:
     """File contents of a map in .npz."""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **_arrays(fields))
+    arrays = _arrays(fields)
+    # The digest comes first: damage to a directory may hide the entries behind the damaged one.
+    np.savez_compressed(buffer, allow_pickle=False, **{_DIGEST: _digest(arrays)}, **arrays)
     return buffer.getvalue()
 
 
@@ -114,11 +116,11 @@ def _digest(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.frombuffer(state.digest(), np.uint8)
 
 
-def _fields(entries: Mapping[str, _Entry], options: ReadOptions) -> MapFields:
-    layer = _HEIGHTS if options.layer is None else str(options.layer)
+def _fields(entries: Mapping[str, Entry], options: ReadOptions) -> MapFields:
+    layer = _layer(options)
     _check_complete(layer, entries, options)
     shape, dtype, read = entries[layer]
-    _check_heights(f"entry {layer}", shape, dtype)
+    _check_heights(f"entry {layer}", shape, dtype, options)
     small = {name: _small(name, entries) for name in (_ORIGIN, _RESOLUTION, _FRAME, _DIGEST) if name in entries}
     heights = read()
     if _DIGEST in small:
@@ -133,7 +135,11 @@ def _fields(entries: Mapping[str, _Entry], options: ReadOptions) -> MapFields:
     )
 
 
-def _check_complete(layer: str, entries: Mapping[str, _Entry], options: ReadOptions) -> None:
+def _layer(options: ReadOptions) -> str:
+    return _HEIGHTS if options.layer is None else str(options.layer)
+
+
+def _check_complete(layer: str, entries: Mapping[str, Entry], options: ReadOptions) -> None:
     """Names everything at once that neither the entries nor the options have."""
     missing = []
     if layer not in entries:
@@ -148,7 +154,7 @@ def _check_complete(layer: str, entries: Mapping[str, _Entry], options: ReadOpti
         raise MissingOption("; ".join(missing))
 
 
-def _missing_origin(entries: Mapping[str, _Entry], options: ReadOptions) -> list[str]:
+def _missing_origin(entries: Mapping[str, Entry], options: ReadOptions) -> list[str]:
     if _ORIGIN in entries or options.origin is not None:
         return []
     return ["entry origin is missing; give the option origin, in metres, unless it is (0, 0)"]
@@ -162,36 +168,38 @@ def _own(name: str, small: Mapping[str, np.ndarray], option: Any, options: ReadO
     return small[name] if name == _ORIGIN else small[name][()]
 
 
-def _small(name: str, entries: Mapping[str, _Entry]) -> np.ndarray:
+def _small(name: str, entries: Mapping[str, Entry]) -> np.ndarray:
     shape, dtype, read = entries[name]
-    if np.prod(shape, dtype=float) > 10_000_000 or dtype.kind not in "iuf":
+    if np.prod(shape, dtype=float) > _SMALL or dtype.kind not in "iuf":
         raise InputError(f"entry {name} is {_of_kind(shape, dtype)}; need a few numbers")
     return np.asarray(read())
 
 
-def _check_heights(name: str, shape: tuple[int, ...], dtype: np.dtype) -> None:
+def _check_heights(name: str, shape: tuple[int, ...], dtype: np.dtype, options: ReadOptions) -> None:
     if len(shape) != 2 or dtype.kind not in "iuf":
         raise InputError(f"{name} is {_of_kind(shape, dtype)}; need numbers in two axes [nx, ny]")
-    check_cells(*shape)
+    options.check_cells(*shape)
 
 
 def _of_kind(shape: tuple[int, ...], dtype: np.dtype) -> str:
     return f"{dtype.name} [{', '.join(str(length) for length in shape)}]"
 
 
-def _names(entries: Mapping[str, _Entry]) -> str:
+def _names(entries: Mapping[str, Entry]) -> str:
     names = sorted(entries)
     return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
 
 
-def _listed(entries: Mapping[str, _Entry]) -> str:
+def _listed(entries: Mapping[str, Entry]) -> str:
     return "entries " + ", ".join(f"{name} {_of_kind(*entries[name][:2])}" for name in sorted(entries)[:20])
 
 
 @contextmanager
 def _npz_entries(path: Path):
     with zipfile.ZipFile(path) as archive:
-        entries: dict[str, _Entry] = {}
+        entries: dict[str, Entry] = {}
+        if len(archive.infolist()) > MOST_ENTRIES:
+            raise InputError(f"it has more than {MOST_ENTRIES:,} entries")
         for info in archive.infolist():
             if info.filename.endswith(".npy"):
                 with archive.open(info) as file:
@@ -208,29 +216,6 @@ def _npz_reader(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Callable[[],
         return array
 
     return read
-
-
-@contextmanager
-def _hdf5_entries(path: Path):
-    import h5py
-
-    with h5py.File(path) as file:
-        entries: dict[str, _Entry] = {}
-
-        def collect(name: str, item: Any) -> None:
-            if isinstance(item, h5py.Dataset) and item.shape is not None:
-                entries[name] = tuple(item.shape), item.dtype, lambda: _dataset(item)
-
-        file.visititems(collect)  # follows no link into another file
-        yield entries
-
-
-def _dataset(item: Any) -> np.ndarray:
-    if item.external or item.is_virtual:
-        raise InputError(f"entry {item.name} refers to other files; need the heights in this file")
-    if item.chunks:
-        check_cells(1, int(np.prod(item.chunks, dtype=float)))
-    return item[()]
 
 
 def _array_header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], np.dtype]:

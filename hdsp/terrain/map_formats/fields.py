@@ -13,7 +13,7 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.terrain.map_frame import MapFrame
 
-#: Largest number of cells in a file. A damaged header may claim any size.
+#: Largest number of cells in a file unless the option max_cells is another. A damaged header may claim any size.
 MAX_CELLS = 100_000_000
 
 
@@ -55,6 +55,7 @@ class ReadOptions:
         layer: name or number of a layer, band or entry.
         topic: topic of a bag.
         message: index of a message in its topic; -1 is the last.
+        max_cells: largest number of cells; None = 100 million.
 
     Raises:
         InputError: an unknown option, or a value of another kind.
@@ -68,6 +69,7 @@ class ReadOptions:
     layer: str | int | None = None
     topic: str | None = None
     message: int | None = None
+    max_cells: int | None = None
 
     def __post_init__(self):
         for name, need in (("resolution", "positive"), ("scale", "non-zero"), ("offset", "finite")):
@@ -79,8 +81,12 @@ class ReadOptions:
                 raise InputError(f"option {name} is {value!r}; need a {need} number of metres")
         if self.nodata is not None and not _is_number(self.nodata):
             raise InputError(f"option nodata is {self.nodata!r}; need a number")
-        if self.message is not None and (isinstance(self.message, bool) or not isinstance(self.message, int)):
-            raise InputError(f"option message is {self.message!r}; need a whole number")
+        for name, need in (("message", "whole"), ("max_cells", "positive whole")):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            if isinstance(value, bool) or not isinstance(value, int) or (need != "whole" and value < 1):
+                raise InputError(f"option {name} is {value!r}; need a {need} number")
         if self.origin is not None:
             object.__setattr__(self, "origin", _point(self.origin))
 
@@ -104,6 +110,10 @@ class ReadOptions:
             raise MissingOption(f"{why}; give the option resolution, the side of a cell in metres{further}")
         return self.resolution
 
+    def check_cells(self, nx: int, ny: int) -> None:
+        """Refuses a claimed size before memory is taken for it."""
+        check_cells(nx, ny, self.max_cells or MAX_CELLS)
+
     def refuse(self, names: Sequence[str], why: str) -> None:
         """Refuses options by name, with the reason."""
         for name in names:
@@ -111,12 +121,12 @@ class ReadOptions:
                 raise InputError(f"option {name} does not apply: {why}")
 
 
-def check_cells(nx: int, ny: int) -> None:
-    """Refuses a claimed size before memory is taken for it."""
+def check_cells(nx: int, ny: int, most: int = MAX_CELLS) -> None:
+    """Refuses a claimed size, of more than ``most`` cells, before memory is taken for it."""
     if nx < 1 or ny < 1:
         raise InputError(f"the file has {nx} x {ny} cells; need at least one")
-    if nx * ny > MAX_CELLS:
-        raise InputError(f"the file claims {nx} x {ny} cells; at most {MAX_CELLS:,} are read, so cut a part out")
+    if nx * ny > most:
+        raise InputError(f"the file claims {nx} x {ny} cells; at most {most:,} are read (max_cells), so cut a part out")
 
 
 def frame_text(frame: MapFrame | None) -> str:

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.terrain.map_formats.fields import MapFields, MissingOption, ReadOptions, check_cells
+from hdsp.terrain.map_formats.fields import MapFields, MissingOption, ReadOptions
 from hdsp.terrain.map_frame import MapFrame
 
 _TYPE = "grid_map_msgs/msg/GridMap"
@@ -62,7 +62,7 @@ def read_grid_map(path: Path, options: ReadOptions) -> MapFields:
         index = -1 if options.message is None else options.message
         raw, place = _message(reader, connections, index)
     message = _decoded(raw, path)
-    return _fields(message, options.layer, f"topic {topic}, {place}")
+    return _fields(message, options, f"topic {topic}, {place}")
 
 
 def bag_contents(path: Path) -> str:
@@ -168,16 +168,16 @@ def _types(version: int) -> Any:
     return store
 
 
-def _fields(message: Any, layer: str | int | None, place: str) -> MapFields:
+def _fields(message: Any, options: ReadOptions, place: str) -> MapFields:
     header = message.header if hasattr(message, "header") else message.info.header
     info = message.info
-    name = _layer(list(message.layers), layer)
+    name = _layer(list(message.layers), options.layer)
     if len(message.data) != len(message.layers):
         raise InputError(f"the message has {len(message.layers)} layers, but {len(message.data)} matrices")
     resolution, lengths = float(info.resolution), (float(info.length_x), float(info.length_y))
     if not (math.isfinite(resolution) and resolution > 0 and all(math.isfinite(v) and v > 0 for v in lengths)):
         raise InputError(f"the message claims {lengths[0]} x {lengths[1]} m with cells of {resolution} m")
-    matrix = _matrix(message.data[list(message.layers).index(name)])
+    matrix = _matrix(message.data[list(message.layers).index(name)], options)
     expected = tuple(round(min(length / resolution, 1e9)) for length in lengths)
     if matrix.shape != expected:
         raise InputError(f"layer {name} has {matrix.shape} cells, but the message claims {expected}")
@@ -209,13 +209,13 @@ def _layer(layers: list[str], wanted: str | int | None) -> str:
     raise InputError(f"option layer is {wanted!r}; need one of {listed}")
 
 
-def _matrix(array: Any) -> np.ndarray:
+def _matrix(array: Any, options: ReadOptions) -> np.ndarray:
     """Matrix [rows, columns] of a layer."""
     dimensions = [(str(dimension.label), int(dimension.size)) for dimension in array.layout.dim]
     if len(dimensions) != 2:
         raise InputError(f"a layer has {len(dimensions)} axes; need column_index and row_index")
     (first, outer), (second, inner) = dimensions
-    check_cells(outer, inner)
+    options.check_cells(outer, inner)
     values = np.asarray(array.data, np.float32)[int(array.layout.data_offset) :]
     if values.size != outer * inner:
         raise InputError(f"a layer has {values.size} values for {outer} x {inner} cells")

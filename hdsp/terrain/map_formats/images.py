@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.terrain.map_formats.fields import MapFields, MissingOption, ReadOptions, check_cells
+from hdsp.terrain.map_formats.fields import MapFields, MissingOption, ReadOptions
 
 _FORMATS = {".png": ["PNG"], ".pgm": ["PPM"]}
 
@@ -25,24 +25,24 @@ def read_image_map(path: Path, options: ReadOptions) -> MapFields:
     resolution = options.cell_size("an image has no cell size", further)
     if further:
         raise MissingOption(units)
-    with _opened(path) as image:
+    with _opened(path, options) as image:
         grey = _grey(image)
     return MapFields(grey.T[:, ::-1], options.origin or (0.0, 0.0), resolution)
 
 
 def image_contents(path: Path) -> str:
     """Size, mode and range of grey values of an image."""
-    with _opened(path) as image:
+    with _opened(path, ReadOptions()) as image:
         grey = _grey(image)
         return f"{image.width} x {image.height} pixels, mode {image.mode}, grey values {grey.min()} to {grey.max()}"
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _opened(path: Path, options: ReadOptions) -> Iterator[Any]:
     from PIL import Image
 
     with Image.open(path, formats=_FORMATS[path.suffix.lower()]) as image:
-        check_cells(image.width, image.height)
+        options.check_cells(image.width, image.height)
         yield image
 
 

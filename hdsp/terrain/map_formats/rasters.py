@@ -23,10 +23,10 @@ from hdsp.terrain.map_formats.fields import (
     MapFields,
     MissingOption,
     ReadOptions,
-    check_cells,
     frame_of_text,
     frame_text,
 )
+from hdsp.terrain.map_formats.file_checksum import check_file, with_checksum
 from hdsp.terrain.map_frame import MapFrame
 
 #: Drivers by suffix. Drivers whose files refer to other files or addresses are left out.
@@ -61,8 +61,9 @@ _BYTE_ORDER_MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe
 
 def read_raster(path: Path, options: ReadOptions) -> MapFields:
     """Reads one band of a raster."""
+    check_file(path)
     with _opened(path) as raster:
-        check_cells(raster.width, raster.height)
+        options.check_cells(raster.width, raster.height)
         band = _band(raster, options.layer)
         kind = np.dtype(raster.dtypes[band - 1]).kind
         if kind not in "iuf":
@@ -117,7 +118,7 @@ def geotiff_bytes(fields: MapFields) -> bytes:
             raster.set_band_description(1, "elevation")
             if text := frame_text(fields.frame):
                 raster.update_tags(**{_TAG: text})
-        return memory.read()
+        return with_checksum(memory.read())
 
 
 @contextmanager
@@ -135,10 +136,20 @@ def _opened(path: Path) -> Iterator[Any]:
                 first = file.read(100).lstrip().lower()
             driver = next((name for name, words in _TEXTS.items() if first.startswith(words)), driver)
         if encoding is None:
-            yield stack.enter_context(rasterio.open(path, driver=driver))
+            raster = stack.enter_context(rasterio.open(path, driver=driver))
+            _check_files(path, raster)
+            yield raster
         else:  # GDAL knows no byte-order marks
             text = path.read_text(encoding).encode()
             yield stack.enter_context(stack.enter_context(MemoryFile(text, ext=".asc")).open(driver=driver))
+
+
+def _check_files(path: Path, raster: Any) -> None:
+    """Refuses a raster with parts in other folders; a file beside it with its own name, such as .prj, is welcome."""
+    folder = path.resolve().parent
+    for name in raster.files:
+        if Path(name).resolve().parent != folder:
+            raise InputError(f"it refers to {name}, outside its folder")
 
 
 @contextmanager

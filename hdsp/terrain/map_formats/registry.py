@@ -30,14 +30,14 @@ from hdsp.terrain.map_formats.archives import (
     read_npy,
     read_npz,
 )
-from hdsp.terrain.map_formats.fields import MapFields, MissingOption, ReadOptions, check_cells
+from hdsp.terrain.map_formats.fields import MapFields, MissingOption, ReadOptions
 from hdsp.terrain.map_formats.grid_map_bags import bag_contents, is_bag_folder, read_grid_map
 from hdsp.terrain.map_formats.images import image_contents, read_image_map
 from hdsp.terrain.map_formats.rasters import geotiff_bytes, raster_contents, read_raster
 from hdsp.terrain.map_frame import MapFrame
 from hdsp.terrain.no_data import without_no_data
 
-_HEIGHTS = ("scale", "offset", "nodata")
+_HEIGHTS = ("scale", "offset", "nodata", "max_cells")
 _PLACE = ("resolution", "origin")
 
 
@@ -49,7 +49,7 @@ class MapFormat:
         name: name for people.
         read: file and options -> contents; errors of any type are reported as one line.
         contents: file -> its parts in words.
-        options: names of the options that apply, beside scale, offset and nodata.
+        options: names of the options that apply, beside scale, offset, nodata and max_cells.
         write: contents -> bytes; None = the format is only read.
         library: module that must be installed, "" if none.
         self_contained: whether a file needs no option.
@@ -277,7 +277,7 @@ def _in_metres(fields: MapFields, options: ReadOptions) -> MapFields:
     """Contents with float heights in m, NaN = unknown, and notes on the changes."""
     if np.ndim(fields.heights) != 2:
         raise InputError(f"its heights have shape {np.shape(fields.heights)}; need two axes")
-    check_cells(*np.shape(fields.heights))
+    options.check_cells(*np.shape(fields.heights))
     if not _SMALLEST <= float(fields.resolution) <= _LARGEST:
         raise InputError(f"its cells of {float(fields.resolution):g} m are none; need {_SMALLEST:g} to {_LARGEST:g} m")
     values = np.ma.getdata(fields.heights)

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import bz2
-import gzip
-import io
 import os
-import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -14,48 +10,64 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
+from hdsp.terrain.pointcloud.cloud_limits import DEFAULT_LIMITS, CloudLimits
+from hdsp.terrain.pointcloud.las import read_las
 from hdsp.terrain.pointcloud.octree import read_octree
 from hdsp.terrain.pointcloud.pcd import read_pcd
 from hdsp.terrain.pointcloud.ply import read_ply
 from hdsp.terrain.pointcloud.text import read_text
 from hdsp.terrain.pointcloud.vtk import read_vtk
 
-_UNPACK: dict[str, Callable[[bytes], bytes]] = {".gz": gzip.decompress, ".bz2": bz2.decompress}
+_PACKED = (".gz", ".bz2")
 
 #: Axes by name, as (index, sign).
 _AXES = {f"{sign}{name}": (k, -1.0 if sign == "-" else 1.0) for k, name in enumerate("xyz") for sign in ("", "+", "-")}
 
 
-def read_points(path: str | os.PathLike, units: float = 1.0, axes: Sequence[str] = ("x", "y", "z")) -> np.ndarray:
+def read_points(
+    path: str | os.PathLike,
+    units: float = 1.0,
+    axes: Sequence[str] = ("x", "y", "z"),
+    *,
+    max_points: int | None = None,
+    max_bytes: int | None = None,
+) -> np.ndarray:
     """Reads the points in a file and drops points that are not finite (no echo).
 
     Args:
         path: the file; its suffix selects the format (`FORMATS`), and .gz or .bz2 may follow.
         units: metres per unit in the file, e.g. 0.001 for millimetres.
         axes: the file's axes for our x (forward), y (left) and z (up), e.g. ("z", "-x", "-y") for a camera.
+        max_points: largest number of points; None = 50 million in binary formats, 10 million lines in texts.
+        max_bytes: largest contents, unpacked; None = 1 GiB.
 
     Returns:
         float64 [n, 3], metres.
 
     Raises:
-        InputError: if the file is missing or damaged, has another format or no finite point, or units or axes are
-            invalid.
+        InputError: if the file is missing, damaged or too large, has another format or no finite point, or units or
+            axes are invalid.
     """
+    limits = CloudLimits.of(max_points, max_bytes)
     suffixes = [suffix.lower() for suffix in Path(path).suffixes[-2:]]
-    unpack = _UNPACK.get(suffixes[-1]) if suffixes else None
-    suffix = (suffixes[-2] if len(suffixes) > 1 else "") if unpack else (suffixes[-1] if suffixes else "")
+    packed = bool(suffixes) and suffixes[-1] in _PACKED
+    suffix = (suffixes[-2] if len(suffixes) > 1 else "") if packed else (suffixes[-1] if suffixes else "")
     if suffix not in FORMATS:
         raise InputError(
             f"point cloud {path}: suffix {suffix!r}; need one of {', '.join(FORMATS)}, or these + .gz, .bz2"
         )
     path = existing_file(path, "point cloud")
     try:
-        content = path.read_bytes()
-        points = np.asarray(FORMATS[suffix](unpack(content) if unpack else content), dtype=float)
+        content = limits.read(path, suffix in _TEXTS)
+        points = np.asarray(FORMATS[suffix](content, limits), dtype=float)
     except ImportError as error:
         raise InputError(
             f"point cloud {path}: {error}; install the extra 'scans': pip install 'hdsp[scans]'"
         ) from error
+    except InputError as error:
+        raise InputError(f"point cloud {path}: {error}") from None
+    except MemoryError:
+        raise InputError(f"point cloud {path}: it needs more memory than there is") from None
     except Exception as error:  # file libraries raise errors of many types for damaged files
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(f"point cloud {path} cannot be read: {reason}") from error
@@ -67,49 +79,24 @@ def read_points(path: str | os.PathLike, units: float = 1.0, axes: Sequence[str]
     return _turned(finite, axes) * _positive(units)
 
 
-def _read_obj(content: bytes) -> np.ndarray:
+def _read_obj(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray:
     """Reads the vertices of a Wavefront file, lines ``v x y z``, in their order; faces and textures do not matter."""
     lines = [
         line.split()[1:4] for line in content.decode("utf-8", "replace").splitlines() if line.startswith(("v ", "v\t"))
     ]
+    limits.check_rows(len(lines))
     if any(len(words) < 3 for words in lines):
         raise ValueError("a vertex has fewer than three numbers")
     return np.array(lines, dtype=float).reshape(-1, 3)
 
 
-def _check_las(content: bytes) -> None:
-    """Checks the numbers of records in the header of a LAS file, which laspy trusts: it reads on for hours."""
-    if len(content) < 227 or content[:4] != b"LASF":
-        raise ValueError("not a LAS file, or cut off")
-    header, start, variable = struct.unpack_from("<HII", content, 94)
-    if not header <= start <= len(content) or 54 * variable > start - header:
-        raise ValueError(f"cut off or damaged: {variable} records of variable length, points at byte {start}")
-    if content[25] >= 4 and len(content) >= 375:
-        at, extended = struct.unpack_from("<QI", content, 235)
-        if extended and at + 60 * extended > len(content):
-            raise ValueError(f"cut off or damaged: {extended} extended records at byte {at}")
-        count = struct.unpack_from("<Q", content, 247)[0]
-    else:
-        count = struct.unpack_from("<I", content, 107)[0]
-    kind, length = struct.unpack_from("<BH", content, 104)
-    if kind < 128 and start + count * length > len(content):  # higher numbers are compressed points
-        raise ValueError(f"cut off: {(len(content) - start) // max(1, length)} of {count} points")
-
-
-def _read_las(content: bytes) -> np.ndarray:
-    import laspy
-
-    _check_las(content)
-    return np.asarray(laspy.read(io.BytesIO(content)).xyz)
-
-
-#: Reader for each suffix: file contents -> points [n, 3] in the file's units.
-FORMATS: dict[str, Callable[[bytes], np.ndarray]] = {
+#: Reader for each suffix: file contents, limits of size -> points [n, 3] in the file's units.
+FORMATS: dict[str, Callable[[bytes, CloudLimits], np.ndarray]] = {
     ".pcd": read_pcd,
     ".ply": read_ply,
     ".obj": _read_obj,
-    ".las": _read_las,
-    ".laz": _read_las,
+    ".las": read_las,
+    ".laz": read_las,
     ".vtk": read_vtk,
     ".bt": read_octree,
     ".xyz": read_text,
@@ -118,6 +105,7 @@ FORMATS: dict[str, Callable[[bytes], np.ndarray]] = {
     ".csv": read_text,
     ".dat": read_text,
 }
+_TEXTS = {suffix for suffix, reader in FORMATS.items() if reader in (read_text, _read_obj)}
 
 
 def _turned(points: np.ndarray, axes: Sequence[str]) -> np.ndarray:

@@ -13,6 +13,9 @@ from hdsp.base.files import existing_file
 from hdsp.base.settings import Count, NotNegative, Positive, checked, fault
 from hdsp.terrain.no_data import unmasked
 
+#: Formats of images by Pillow's names; others, such as PostScript, start programs.
+_FORMATS = ("PNG", "PPM", "TIFF", "JPEG", "BMP")
+
 
 @checked
 class Camera:
@@ -111,19 +114,28 @@ def elevation_points(image: np.ndarray, highest: float, pixel: float, spacing: f
     return np.stack([x, y, heights], axis=-1)[known]
 
 
-def read_image(path: str | os.PathLike) -> np.ndarray:
+def read_image(path: str | os.PathLike, max_pixels: int = 100_000_000) -> np.ndarray:
     """Reads grey values [rows, columns] from an 8 or 16 bit image; a colour image must have three equal channels.
 
+    Args:
+        path: a PNG, PGM, TIFF, JPEG or BMP file.
+        max_pixels: largest number of pixels.
+
     Raises:
-        InputError: if the file is missing or is no grey image.
+        InputError: if the file is missing, too large, or no grey image.
     """
     path = existing_file(path, "image")
     try:
         from PIL import Image
 
-        with Image.open(path) as image:
+        with Image.open(path, formats=_FORMATS) as image:
+            if image.width * image.height > max_pixels:
+                size = f"{image.width} x {image.height} pixels"
+                raise InputError(f"image {path} has {size}; at most {max_pixels:,} are read (max_pixels)")
             values = np.array(image)
-    except (OSError, ValueError, SyntaxError) as error:  # Pillow raises SyntaxError for a broken PNG
+    except InputError:
+        raise
+    except Exception as error:  # Pillow raises errors of many types for damaged files
         raise InputError(f"image {path} cannot be read: {' '.join(str(error).split())}") from error
     if values.ndim == 3 and values.shape[2] >= 3 and (values[..., :3] == values[..., :1]).all():
         values = values[..., 0]

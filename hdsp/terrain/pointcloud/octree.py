@@ -12,24 +12,29 @@ from __future__ import annotations
 
 import numpy as np
 
+from hdsp.terrain.pointcloud.cloud_limits import DEFAULT_LIMITS, CloudLimits
+
 _LEVELS = 16
 _OCCUPIED, _INNER = 2, 3
 
 
-def read_octree(content: bytes) -> np.ndarray:
+def read_octree(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray:
     """Reads the centres of the smallest occupied cells, [n, 3], in metres.
 
     A larger occupied cell contributes the smallest cells on its surface.
 
     Raises:
         ValueError: if the file has another format or is cut off.
+        InputError: if it has more nodes or cells than the limits.
     """
     header, resolution = _header(content)
+    limits.check_rows((len(content) - header) // 2, "nodes")
     nodes = np.frombuffer(content, np.uint8, offset=header)
     lows, sizes = _occupied(nodes.tobytes())
     if not len(lows):
         return np.zeros((0, 3))
-    cells = np.concatenate([_surface(int(size)) + low for size in np.unique(sizes) for low in lows[sizes == size]])
+    limits.check_points(sum(_surface_size(int(size)) * int(count) for size, count in _numbers_of(sizes)))
+    cells = np.concatenate([_cells(lows[sizes == size], int(size)) for size in np.unique(sizes)])
     return (cells - 2 ** (_LEVELS - 1) + 0.5) * resolution
 
 
@@ -69,9 +74,23 @@ def _occupied(nodes: bytes) -> tuple[np.ndarray, np.ndarray]:
     return array[:, :3], array[:, 3]
 
 
-def _surface(size: int) -> np.ndarray:
-    """Smallest cells on the surface of a cube with a side of ``size`` cells, int64 [n, 3]."""
+def _numbers_of(sizes: np.ndarray) -> zip:
+    return zip(*np.unique(sizes, return_counts=True), strict=True)
+
+
+def _surface_size(size: int) -> int:
+    """Number of smallest cells on the surface of a cube with a side of ``size`` cells."""
     if size > 64:
         raise ValueError(f"an occupied cell of {size} smallest cells; a map of that is no scan")
+    return size**3 - max(0, size - 2) ** 3
+
+
+def _cells(lows: np.ndarray, size: int) -> np.ndarray:
+    """Smallest cells on the surfaces of cubes, int64 [n, 3], from their lower corners [m, 3]."""
+    return (lows[:, None] + _surface(size)).reshape(-1, 3)
+
+
+def _surface(size: int) -> np.ndarray:
+    """Smallest cells on the surface of a cube with a side of ``size`` cells, int64 [n, 3]."""
     cells = np.stack(np.meshgrid(*[np.arange(size)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     return cells[((cells == 0) | (cells == size - 1)).any(axis=1)]

@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hdsp.terrain.pointcloud.cloud_limits import DEFAULT_LIMITS, CloudLimits
+
 _HEADER_BYTES = 65536  # far more than any header
 _MOST_FIELDS = 1000
 _KINDS = {"F": (2, 4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
@@ -45,15 +47,18 @@ class _Header(NamedTuple):
         return [places[0] for places in found]
 
 
-def read_pcd(content: bytes) -> np.ndarray:
+def read_pcd(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray:
     """Reads points float64 [n, 3], in the file's units, from a file's contents.
 
     Raises:
         ValueError: if the header is no PCD header, x, y or z is missing, or the number of points is another one.
+        InputError: if there are more points than the limit.
     """
     header = _header(content)
+    limits.check_points(header.points)
     axes, body = header.axes(), content[header.data :]
     if header.encoding == "ascii":
+        limits.check_rows(header.points)
         return _ascii(header, axes, body)
     if header.encoding == "binary_compressed":
         return _compressed(header, axes, body)

@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hdsp.terrain.pointcloud.cloud_limits import DEFAULT_LIMITS, CloudLimits
+
 _HEADER_BYTES = 1 << 20
 _TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"},
@@ -39,11 +41,12 @@ class _Element(NamedTuple):
         return any(part.length for part in self.properties)
 
 
-def read_ply(content: bytes) -> np.ndarray:
+def read_ply(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray:
     """Reads the vertices float64 [n, 3], in the file's units, in their order, from a file's contents.
 
     Raises:
         ValueError: if the header is damaged, no element ``vertex`` has x, y and z, or vertices are missing.
+        InputError: if there are more vertices, or more rows with lists before them, than the limits.
     """
     order, elements, at = _header(content)
     position = [element.name for element in elements].index("vertex") if elements else -1
@@ -55,6 +58,8 @@ def read_ply(content: bytes) -> np.ndarray:
     axes = [column[0] for column in columns]
     if vertex.number == 0:
         return np.zeros((0, 3))
+    limits.check_points(vertex.number)
+    limits.check_rows(_slow_rows(order, before, vertex), "rows")
     if order == "":
         return _ascii(content[at:], sum(element.number for element in before if element.properties), vertex, axes)
     for element in before:
@@ -101,6 +106,13 @@ def _header(content: bytes) -> tuple[str, list[_Element], int]:
     if "vertex" not in [element.name for element in elements]:
         raise ValueError("no element vertex")
     return order, elements, at
+
+
+def _slow_rows(order: str, before: list[_Element], vertex: _Element) -> int:
+    """Number of rows that are read one by one."""
+    if order == "":
+        return vertex.number
+    return sum(element.number for element in (*before, vertex) if element.has_lists)
 
 
 def _record(element: _Element, order: str) -> np.dtype:

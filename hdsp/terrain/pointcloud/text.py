@@ -21,6 +21,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from hdsp.terrain.pointcloud.cloud_limits import DEFAULT_LIMITS, CloudLimits
+
 _MARKS = {codecs.BOM_UTF32_LE: "utf-32", codecs.BOM_UTF32_BE: "utf-32", codecs.BOM_UTF8: "utf-8-sig"} | dict.fromkeys(
     (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE), "utf-16"
 )
@@ -28,6 +30,7 @@ _COMMENT = re.compile(r"#|//|%|!")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$|[-+]?(nan|inf|infinity)$", re.IGNORECASE)
 _MISSING = ("", "na", "n/a", "null", "none", "-", "--", "*")
 _OF_NUMBERS = str.maketrans(dict.fromkeys("0123456789+-.eE \t\r\n"))
+_LONGEST_LINE = 10_000
 _SAMPLE = 1000  # lines that decide how all lines are read
 _DEGREES = {"lat", "latitude", "lon", "long", "lng", "longitude"}
 _AXIS = {"0": "x", "1": "y", "2": "z"} | {f"{head}{axis}": axis for head in ("", "p", "pos") for axis in "xyz"}
@@ -40,17 +43,21 @@ _SURVEY = {
 }
 
 
-def read_text(content: bytes) -> np.ndarray:
+def read_text(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray:
     """Reads points float64 [n, 3], in the file's units, from a file's contents.
 
     Raises:
-        ValueError: if lines differ in their number of columns, commas can be read in two ways, a coordinate is no
-            number, or the number of points is not the stated one.
+        ValueError: if lines differ in their number of columns, a line is too long, commas can be read in two ways, a
+            coordinate is no number, or the number of points is not the stated one.
+        InputError: if there are more lines than the limit.
     """
     text = _decoded(content)
     if (plain := _plain(text)) is not None:
         return plain
     lines = [line for line in map(_clean, re.split(r"\r\n|\n|\r", text)) if line]
+    limits.check_rows(len(lines))
+    if longest := next((line for line in lines if len(line) > _LONGEST_LINE), ""):
+        raise ValueError(f"a line of {len(longest):,} characters; need at most {_LONGEST_LINE:,}")
     sample = [_without_comment(line) for line in lines[: _SAMPLE + 100]]
     split = _splitter([line for line in sample if line])
     titles, counts, rows = _sorted(lines, split)

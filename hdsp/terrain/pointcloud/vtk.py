@@ -11,15 +11,18 @@ import re
 
 import numpy as np
 
+from hdsp.terrain.pointcloud.cloud_limits import DEFAULT_LIMITS, CloudLimits
+
 _TYPES = {"float": ">f4", "double": ">f8"}
 _POINTS = re.compile(rb"^POINTS\s+(\d+)\s+(\w+)[ \t]*\r?\n", re.MULTILINE)
 
 
-def read_vtk(content: bytes) -> np.ndarray:
+def read_vtk(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray:
     """Reads points [n, 3] from a file's contents.
 
     Raises:
         ValueError: if the file is no legacy VTK file, has no points, is cut off, or has numbers in another type.
+        InputError: if there are more points than the limit.
     """
     lines = content[:1024].splitlines()
     if len(lines) < 3 or not lines[0].startswith(b"# vtk DataFile"):
@@ -29,6 +32,9 @@ def read_vtk(content: bytes) -> np.ndarray:
     if encoding not in (b"ASCII", b"BINARY") or found is None:
         raise ValueError("no line ASCII or BINARY, or no section POINTS")
     count, kind = int(found[1]), found[2].decode().lower()
+    limits.check_points(count)
+    if encoding == b"ASCII":
+        limits.check_rows(count)
     if kind not in _TYPES:
         raise ValueError(f"points of type {kind}; need {' or '.join(_TYPES)}")
     rest, numbers = content[found.end() :], 3 * count
