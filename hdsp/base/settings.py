@@ -42,6 +42,25 @@ Natural = Annotated[int, Field(ge=0)]
 #: Non-empty text.
 Name = Annotated[str, Field(min_length=1)]
 
+
+def _inside(text: str) -> str:
+    parts = text.split("/")
+    if text.startswith("/") or ".." in parts or "\\" in text or "\0" in text:
+        raise fault("", text, "a path that stays in its folder")
+    return text
+
+
+def _file_name(text: str) -> str:
+    if text in (".", "..") or "/" in text or "\\" in text or "\0" in text:
+        raise fault("", text, "a name without slashes")
+    return text
+
+
+#: Path of a file below some folder, which it never leaves; with slashes.
+PathInside = Annotated[str, AfterValidator(_inside)]
+#: Non-empty text that names a file or folder.
+FileName = Annotated[str, Field(min_length=1), AfterValidator(_file_name)]
+
 _CONFIG = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 _TOO_DEEP = "nested too deeply, or a part of itself"
 _LONGEST = 100  # characters of a value in a message

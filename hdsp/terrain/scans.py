@@ -19,7 +19,18 @@ from pydantic import Field, model_validator
 
 from hdsp.base.downloads import DATA_DIR_VARIABLE, data_folder, fetch, first_words, verify
 from hdsp.base.errors import InputError
-from hdsp.base.settings import Document, Name, NotNegative, Positive, checked, fault, load_settings, read_yaml
+from hdsp.base.settings import (
+    Document,
+    FileName,
+    Name,
+    NotNegative,
+    PathInside,
+    Positive,
+    checked,
+    fault,
+    load_settings,
+    read_yaml,
+)
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.pointcloud import (
     Camera,
@@ -52,9 +63,9 @@ class ScanFile:
         guess: x, y (m), yaw (rad): approximate pose relative to the first file's cloud. Registration starts from it.
     """
 
-    path: Name
+    path: Annotated[PathInside, Field(min_length=1)]
     sha256: Name
-    local: str = ""
+    local: PathInside = ""
     pose: tuple[float, float, float, float, float, float, float] | None = None
     guess: tuple[float, float, float] | None = None
 
@@ -84,7 +95,7 @@ class Scan:
         map: settings for the conversion from points to heights.
     """
 
-    name: Name
+    name: FileName
     place: Name
     what: str
     sensor: str

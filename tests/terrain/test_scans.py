@@ -142,3 +142,17 @@ def test_real_scans_become_maps_with_the_floor_at_0(name):
     assert known.max() <= scan.map.highest
     for step in STEPS.get(name, []):
         assert (np.abs(known - step) < 0.03).mean() > 0.02
+
+
+@pytest.mark.parametrize("path", ["../a.xyz", "/etc/passwd", "b/../../a.xyz", "..\\a.xyz", ""])
+def test_files_of_a_scan_never_leave_its_folder(path):
+    with pytest.raises(InputError, match=r"files\[0\]\.(path|local) is "):
+        described(files=[{"path": path, "sha256": "0" * 64}])
+    with pytest.raises(InputError, match=r"files\[0\]\.(path|local) is "):
+        described(files=[{"path": "a.xyz", "sha256": "0" * 64, "local": path or ".."}])
+
+
+@pytest.mark.parametrize("name", ["../room", "a/b", "..", ""])
+def test_a_scan_is_named_like_a_file(name):
+    with pytest.raises(InputError, match="name is "):
+        Scan.from_dict(name, {**NEEDED, "files": [{"path": "a.xyz", "sha256": "0" * 64}]})

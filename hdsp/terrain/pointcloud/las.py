@@ -26,7 +26,7 @@ _MEMORY, _PER_POINT, _PER_BYTE = 1 << 30, 400, 4
 _SECONDS, _POINTS_IN_A_SECOND = 5, 200_000
 
 
-class _Header(NamedTuple):
+class _LasHeader(NamedTuple):
     points: int
     start: int
     kind: int
@@ -57,7 +57,7 @@ def read_las(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray
     return points
 
 
-def _header(content: bytes) -> _Header:
+def _header(content: bytes) -> _LasHeader:
     if len(content) < 227 or content[:4] != b"LASF":
         raise ValueError("not a LAS file, or cut off")
     size, start, variable = struct.unpack_from("<HII", content, 94)
@@ -74,10 +74,10 @@ def _header(content: bytes) -> _Header:
     numbers = np.frombuffer(content, "<f8", 6, 131)
     if not (np.isfinite(numbers).all() and (numbers[:3] != 0).all()):
         raise ValueError(f"damaged: scales and offsets are {numbers.tolist()}")
-    return _Header(points, start, kind, length, numbers[:3], numbers[3:])
+    return _LasHeader(points, start, kind, length, numbers[:3], numbers[3:])
 
 
-def _plain(content: bytes, header: _Header) -> np.ndarray:
+def _plain(content: bytes, header: _LasHeader) -> np.ndarray:
     if header.length < 20 or header.start + header.points * header.length > len(content):
         raise ValueError(f"cut off: {(len(content) - header.start) // max(1, header.length)} of {header.points} points")
     record = np.dtype({"names": ["xyz"], "formats": [("<i4", 3)], "offsets": [0], "itemsize": header.length})
