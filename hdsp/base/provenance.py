@@ -38,6 +38,7 @@ EXEMPT = {
     "hdsp.labels.run.cluster": "decides which process works; a map is a function of its number",
     "hdsp.labels.run.progress": "shows progress",
     "hdsp.robot.motion_limits": "limits of motions; labels have no times",
+    "hdsp.robot.physics": "masses and motors of a simulation; labels have none",
     "hdsp.terrain.map_formats": "formats of height maps; a map has the same heights in each",
     "hdsp.viz": "draws results",
     "pipeline.config": "composes settings; their values are parameters of each stage",

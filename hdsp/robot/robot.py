@@ -18,6 +18,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.settings import Name, NotNegative, Positive, checked, fault, load_settings, parse_yaml, read_yaml, unit
 from hdsp.robot.lattice import metres, offset_steps
 from hdsp.robot.motion_limits import Accelerations, Speeds
+from hdsp.robot.physics import Physics
 
 _PRESETS = resources.files("hdsp.robot") / "presets"
 
@@ -365,7 +366,7 @@ class Stance:
 
 
 #: Robot parts with influence on motions, but not on plans or labels.
-_OF_MOTIONS = ("legs", "stance", "speeds", "accelerations")
+_OF_MOTIONS = ("legs", "stance", "speeds", "accelerations", "physics")
 
 
 @checked
@@ -388,6 +389,7 @@ class Robot:
         stance: base limits when a plan becomes a motion.
         speeds: largest speeds in a motion.
         accelerations: largest accelerations in a motion.
+        physics: masses, wheels and motors in a simulation.
     """
 
     name: Name
@@ -403,6 +405,7 @@ class Robot:
     stance: Stance
     speeds: Speeds = Speeds()
     accelerations: Accelerations = Accelerations()
+    physics: Physics = Physics()
 
     @model_validator(mode="after")
     def _check(self) -> Self:

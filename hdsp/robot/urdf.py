@@ -34,7 +34,7 @@ def wheel_frame(foot: str) -> str:
 
 def wheel_radius(robot: Robot) -> float:
     """Returns the wheel radius, m; without one in the file, the feet's clearance stands in for it."""
-    return robot.drive.wheel_radius or robot.feet.clearance
+    return robot.physics.wheel_radius or robot.drive.wheel_radius or robot.feet.clearance
 
 
 def leg_positions(robot: Robot, base: np.ndarray, rotations: np.ndarray, feet: np.ndarray) -> np.ndarray:

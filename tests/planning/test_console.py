@@ -262,7 +262,7 @@ def test_help_fits_80_columns(monkeypatch):
         assert [action.dest for action in each._actions if not action.help and not action.choices] == []
 
 
-@pytest.mark.parametrize("command", ["plan", "map", "info"])
+@pytest.mark.parametrize("command", ["plan", "drive", "map", "info"])
 def test_the_page_on_the_command_line_lists_the_options_of_the_parser(command):
     page = (ROOT / "docs/command-line.md").read_text()
     listed = re.search(rf"Options of `hdsp {command}`: (.*?)\.\n\n", page, re.S)[1]

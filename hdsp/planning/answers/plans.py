@@ -32,6 +32,7 @@ from hdsp.terrain.height_map import HeightMap
 from hdsp.viz.recordings import recording_formats  # noqa: F401, registers formats of motions
 
 if TYPE_CHECKING:
+    from hdsp.planning.driving.driven_run import Run
     from hdsp.viz import Failure
 
 #: Titles of pictures without a plan.
@@ -180,6 +181,25 @@ class Plan:
             RefinementError: as in ``refine``.
         """
         return self.refine().save(path, rate)
+
+    def drive(self, terrain: Any = None, seed: int = 0) -> Run:
+        """Refines the plan, and lets a simulated robot drive along it in MuJoCo.
+
+        Args:
+            terrain: the true ground, a HeightMap, a Scene (`hdsp.terrain.obstacles`) or an Arena; None: the map under
+                the plan.
+            seed: seed for the noise of the robot's measured pose.
+
+        Returns:
+            the verdict with all states; ``run.save("run.mcap")`` or ``run.save("run.mp4")`` records them.
+
+        Raises:
+            InputError: without a plan, or MuJoCo or quadprog is missing (``pip install 'hdsp[simulation]'``).
+            RefinementError: as in ``refine``.
+        """
+        from hdsp.planning.driving.drive import drive
+
+        return drive(self.refine(), terrain, seed)
 
     def refine_until(self, ends: float) -> bool:
         """Refines the plan, at the latest until a moment on the clock `hdsp.base.gradual.now`; another call continues.

@@ -46,7 +46,7 @@ def _plan(chosen: argparse.Namespace) -> int:
     console: Console = chosen.console
     _check_outputs(chosen)
     limits, goals = limits_of_search(chosen), [goal_pose(words) for words in chosen.goal]
-    planner, terrain = _planner(chosen)
+    planner, terrain = prepared_planner(chosen)
     query = {
         "tolerance": tolerance_of(chosen.tolerance), "start_free": chosen.start_free, "way_out": chosen.way_out,
         "polish": chosen.polish, "refinable": bool(chosen.motions), **limits,
@@ -72,7 +72,7 @@ def _plan(chosen: argparse.Namespace) -> int:
     return 0 if all(plan.solved for plan in plans) else NO_PLAN
 
 
-def _planner(chosen: argparse.Namespace) -> tuple[Planner, HeightMap]:
+def prepared_planner(chosen: argparse.Namespace) -> tuple[Planner, HeightMap]:
     """Reads the map and tells what was assumed about it; returns the planner and the map as it was read."""
     from hdsp.planning.planner import Planner
 

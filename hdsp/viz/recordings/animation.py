@@ -65,7 +65,11 @@ def save_animation(
         speed = max(1.0, motion.duration / _SHOWN)
     if not (0 < speed <= 1000 and 0 < fps <= 100 and 64 <= width <= 3840):
         raise InputError(f"speed {speed:g}, fps {fps:g}, width {width}; need up to 1000, up to 100, 64 to 3840")
-    frames = _Film(motion, fps / speed, speed, width).frames()
+    return write_frames(path, _Film(motion, fps / speed, speed, width).frames(), fps)
+
+
+def write_frames(path: Path, frames: Iterator[Any], fps: float) -> Path:
+    """Writes Pillow images as ``.gif`` or ``.mp4``, whole or not at all; returns the path."""
     with replacing(path) as temporary:
         (_write_gif if path.suffix.lower() == ".gif" else _write_mp4)(temporary, frames, fps)
     return path

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from hdsp.robot.robot import Robot
+from hdsp.robot.urdf import wheel_radius
 from hdsp.viz.palette import FEET
-from hdsp.viz.viewer.robot_pose import link_length, parts, trunk, wheel_radius
+from hdsp.viz.viewer.robot_pose import link_length, parts, trunk
 from hdsp.viz.viewer.textures import rgb
 
 _BASE = "#4C6A92"

@@ -14,6 +14,7 @@ import numpy as np
 
 from hdsp.detailed.base_pose import base_poses
 from hdsp.robot.robot import Robot
+from hdsp.robot.urdf import wheel_radius
 from hdsp.terrain.height_map import HeightMap
 
 _TRUNK = 0.25  # height of the base, as a share of its length; the description gives its lower side alone
@@ -43,11 +44,6 @@ class Parts(NamedTuple):
     base: np.ndarray
     links: np.ndarray
     wheels: np.ndarray
-
-
-def wheel_radius(robot: Robot) -> float:
-    """Returns the radius of the wheels, m; for a description without one, the clearance that feet keep from edges."""
-    return robot.drive.wheel_radius or robot.feet.clearance
 
 
 def link_length(robot: Robot) -> float:

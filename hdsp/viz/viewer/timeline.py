@@ -8,8 +8,9 @@ import numpy as np
 
 from hdsp.detailed.motion.motion import Motion
 from hdsp.robot.robot import Robot
+from hdsp.robot.urdf import wheel_radius
 from hdsp.terrain.height_map import HeightMap
-from hdsp.viz.viewer.robot_pose import standing, wheel_radius
+from hdsp.viz.viewer.robot_pose import standing
 
 # Speeds through the states of a plan, which has no times: m/s of feet, m/s and rad/s of the base.
 _FOOT, _BASE, _TURN = 0.5, 0.4, 0.6
