@@ -3,6 +3,7 @@
 - `robot`: geometry, limits and cost constants of a robot; presets are YAML files in `presets`
 - `lattice`: detailed and abstract lattice, abstract actions, conversions between their coordinates and the world
 - `motion_limits`: limits of speed and acceleration, for the times of motions
+- `physics`: masses, wheels and motors, for a simulation
 - `urdf`: a robot as URDF
 - `schema`: JSON schema and documentation page of the robot file
 """
@@ -26,6 +27,7 @@ from hdsp.robot.lattice import (
     robot_frame_goals,
 )
 from hdsp.robot.motion_limits import Accelerations, Speeds
+from hdsp.robot.physics import Physics
 from hdsp.robot.robot import (
     FEET,
     BaseShift,
@@ -63,6 +65,7 @@ __all__ = [
     "FootMove",
     "Grid",
     "Legs",
+    "Physics",
     "Rectangle",
     "Robot",
     "Speeds",

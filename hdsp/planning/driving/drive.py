@@ -20,7 +20,7 @@ from hdsp.terrain.obstacles import Scene
 ARRIVAL = 0.1, np.radians(10)
 #: Largest slip of a standing foot, m.
 SLIP = 0.05
-_STEPS = 2  # of the simulation for each control
+_STEPS = 3  # of the simulation for each control
 _RECORDED = 0.02  # s, between two recorded states
 _DROP = 0.003  # m, above the ground at the start
 _SETTLE, _REST = 0.3, 0.6  # s, before the motion begins and after its end
@@ -134,7 +134,9 @@ class _Drive:
         sim, follower = self._sim, self._follower
         base = np.concatenate([sim.base_place(), _angles(sim.rotation())])
         carries = follower.load > 0.5
-        self._rows.append((self._time, base, feet.copy(), carries, *follower.labels, follower.time, forces, sim.data.qpos.copy()))
+        self._rows.append(
+            (self._time, base, feet.copy(), carries, *follower.labels, follower.time, forces, sim.data.qpos.copy())
+        )
         center = sim.center_of_mass()[:2]
         self._margin = min(self._margin, _inside(feet[carries, :2], center))
 

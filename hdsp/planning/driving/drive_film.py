@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from hdsp.detailed.motion.phases import PHASES
 from hdsp.planning.driving.simulated_robot import SimulatedRobot, import_mujoco
 from hdsp.viz.viewer.robot_pose import parts
 
-if TYPE_CHECKING:
-    from hdsp.planning.driving.driven_run import Run
-
 _SHOWN = 12.0  # s; a film without a given speed lasts no longer
 _SIDE, _ELEVATION = 25.0, -18.0  # degrees, of the view against the way of the robot, and over the horizon
 _SMOOTH = 1.0  # s, of the camera's way
@@ -30,12 +27,12 @@ _FORCE = np.array([0.0, 0.62, 0.45, 0.9])
 
 
 def save_film(
-    run: Run, path: str | Path, speed: float | None = None, fps: float = 12.5, width: int = 640, height: int = 420
+    run: Any, path: str | Path, speed: float | None = None, fps: float = 12.5, width: int = 640, height: int = 420
 ) -> Path:
     """Writes a drive as an animation, whole or not at all.
 
     Args:
-        run: the drive.
+        run: the drive, a `hdsp.planning.driving.driven_run.Run`.
         path: ``.gif`` or ``.mp4``.
         speed: simulated seconds per animation second; None: at least 1, at most 12 s in all.
         fps: pictures per second.
@@ -59,7 +56,7 @@ def save_film(
     return write_frames(path, _pictures(run, speed, fps, (width, height)), fps)
 
 
-def _pictures(run: Run, speed: float, fps: float, size: tuple[int, int]) -> Iterator[Any]:
+def _pictures(run: Any, speed: float, fps: float, size: tuple[int, int]) -> Iterator[Any]:
     from PIL import Image
 
     mujoco = import_mujoco()
@@ -87,7 +84,7 @@ def _pictures(run: Run, speed: float, fps: float, size: tuple[int, int]) -> Iter
         raise InputError(f"MuJoCo cannot draw here ({error}); try another MUJOCO_GL: egl, osmesa or glfw") from error
 
 
-def _smoothed(run: Run) -> np.ndarray:
+def _smoothed(run: Any) -> np.ndarray:
     """Way of the camera's target, float64 [n, 3], without the robot's sway."""
     from scipy.ndimage import gaussian_filter1d
 
@@ -96,7 +93,7 @@ def _smoothed(run: Run) -> np.ndarray:
     return places - (0.0, 0.0, 0.4 * run.motion.robot.stance.base_height)
 
 
-def _draw_extras(mujoco: Any, scene: Any, run: Run, row: int) -> None:
+def _draw_extras(mujoco: Any, scene: Any, run: Any, row: int) -> None:
     """Adds links of the legs, and bars for ground forces."""
     robot, base, feet = run.motion.robot, run.motion.base[row], run.motion.feet[row]
     upright = feet.copy()
@@ -125,7 +122,7 @@ def _connect(mujoco: Any, scene: Any, start: np.ndarray, end: np.ndarray, radius
     scene.ngeom += 1
 
 
-def _label(picture: Any, run: Run, row: int, speed: float) -> None:
+def _label(picture: Any, run: Any, row: int, speed: float) -> None:
     from PIL import ImageDraw, ImageFont
 
     draw, font = ImageDraw.Draw(picture), ImageFont.load_default(max(picture.width // 44, 10))

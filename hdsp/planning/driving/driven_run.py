@@ -57,7 +57,9 @@ class DrivenMotion(Motion):
     def at(self, time: ArrayLike) -> MotionState:
         """Returns the recorded state nearest to each time."""
         given = np.asarray(time, float)
-        row = np.clip(np.searchsorted(self.moments, given - 0.5 * (self.moments[1] - self.moments[0])), 0, len(self) - 1)
+        row = np.clip(
+            np.searchsorted(self.moments, given - 0.5 * (self.moments[1] - self.moments[0])), 0, len(self) - 1
+        )
         base_velocity, feet_velocity = self._velocities
         return MotionState(
             given, self.base[row], self.feet[row], self.carries[row], self.phase[row], self.action[row],

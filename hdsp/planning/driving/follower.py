@@ -142,7 +142,9 @@ class Follower:
         carrying = self.load > 0.5
         stance = self._sim.robot.stance
         planned = wanted.base[:3] + _rotation(wanted.base) @ np.array([stance.mass_x, 0.0, stance.mass_z])
-        off = (planned - goal[carrying].mean(axis=0)) - (self._sim.center_of_mass() - self._sim.feet()[carrying].mean(axis=0))
+        off = (planned - goal[carrying].mean(axis=0)) - (
+            self._sim.center_of_mass() - self._sim.feet()[carrying].mean(axis=0)
+        )
         if wanted.moves.any():
             self._shift *= 1 - min(1.0, 2.0 * self._rate * elapsed)
         else:
@@ -247,9 +249,7 @@ class Follower:
         along = -(push * (self.load > 0)[:, None]) @ pose.rotation.T
         along = np.clip(along.sum(axis=0), -0.3 * sim.size.weight, 0.3 * sim.size.weight)
         stiff, damp = self._height_gain
-        up = stiff * (wanted.base[2] - pose.place[2]) + damp * (
-            self._rate * wanted.base_velocity[2] - pose.velocity[2]
-        )
+        up = stiff * (wanted.base[2] - pose.place[2]) + damp * (self._rate * wanted.base_velocity[2] - pose.velocity[2])
         up = np.clip(up, -0.3 * sim.size.weight, 0.3 * sim.size.weight)
         heading = np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0])
         target = _rotation(np.array([0, 0, 0, wanted.base[3], wanted.base[4], heading]))

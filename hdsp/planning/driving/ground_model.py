@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from hdsp.planning.driving.robot_model import child
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.obstacles import Block, Face, Scene
 from hdsp.viz.viewer.textures import height_colors
@@ -73,12 +74,7 @@ class GroundModel:
 
     def __init__(self, root: ElementTree.Element, terrain: HeightMap | Scene):
         self.field: np.ndarray | None = None
-        self._world = root.find("worldbody")
-        if self._world is None:
-            self._world = ElementTree.SubElement(root, "worldbody")
-        self._assets = root.find("asset")
-        if self._assets is None:
-            self._assets = ElementTree.SubElement(root, "asset")
+        self._world, self._assets = child(root, "worldbody"), child(root, "asset")
         if isinstance(terrain, Scene):
             self._add_scene(terrain)
         else:
@@ -146,9 +142,8 @@ class GroundModel:
         self.field = ((heights.T - low) / span).astype(np.float32).ravel()
 
     def _add(self, kind: str, **values: str) -> None:
-        ElementTree.SubElement(
-            self._world, "geom", type=kind, contype="1", conaffinity="0", friction="0.01 0.005 0.0001", **values
-        )
+        fixed = {"type": kind, "contype": "1", "conaffinity": "0", "friction": "0.01 0.005 0.0001"}
+        ElementTree.SubElement(self._world, "geom", fixed | values)
 
 
 def _shade(height: float) -> str:

@@ -13,7 +13,6 @@ from hdsp.detailed.motion.phases import PHASES
 STEP = 0.01
 _ROUND = 9  # points along a wheel's lower half
 _RESTS = 0.004  # m/s; a slower wheel has no direction
-_MIXED = "base", "feet", "base_velocity", "feet_velocity"
 
 
 class Wanted(NamedTuple):
@@ -21,7 +20,6 @@ class Wanted(NamedTuple):
 
     Attributes:
         base, feet, base_velocity, feet_velocity, carries: as in a motion.
-        roll: whether the phase is ``roll``.
         steering: float64 [4], wheel directions against the heading, rad; either end of a wheel may lead.
         moves: bool [4], whether each wheel rolls.
         left: distance that all wheels still roll without a pause, m.
@@ -32,7 +30,6 @@ class Wanted(NamedTuple):
     base_velocity: np.ndarray
     feet_velocity: np.ndarray
     carries: np.ndarray
-    roll: bool
     steering: np.ndarray
     moves: np.ndarray
     left: float
@@ -93,15 +90,20 @@ class Reference:
         low = np.where(np.isnan(heights), -np.inf, heights)
         low[low > self.feet[..., 2:] + motion.robot.drive.highest_edge + 0.01] = -np.inf  # a wall beside the foot
         risen = np.maximum(self.feet[..., 2], low.max(axis=2))
-        self.feet[..., 2] = np.where(self.carries & (self.phase == PHASES.index("roll"))[:, None], risen, self.feet[..., 2])
+        self.feet[..., 2] = np.where(
+            self.carries & (self.phase == PHASES.index("roll"))[:, None], risen, self.feet[..., 2]
+        )
 
     def at(self, time: float) -> Wanted:
         """Returns the wanted state at a time, s."""
         row, share = self._row(time)
-        mixed = [(1 - share) * getattr(self, name)[row] + share * getattr(self, name)[row + 1] for name in _MIXED]
+        base, feet, base_velocity, feet_velocity = (
+            (1 - share) * values[row] + share * values[row + 1]
+            for values in (self.base, self.feet, self.base_velocity, self.feet_velocity)
+        )
         near = row if share < 1e-9 else row + 1
         return Wanted(
-            *mixed, self.carries[near], bool(self.phase[near] == PHASES.index("roll")), self.steering[near],
+            base, feet, base_velocity, feet_velocity, self.carries[near], self.steering[near],
             self.moves[near], float(self._left[near]),
         )  # fmt: skip
 

@@ -1,8 +1,8 @@
 """A robot as MJCF, MuJoCo's XML format: base, four legs that push wheels, motors.
 
 A leg has three slides along the base axes, the joints in `hdsp.robot.urdf`: up and down like a telescope, along and
-across the base. Where the robot drives sideways, a steering joint follows; the wheel comes last. Wheels touch the ground
-with ellipsoids, so that a leaning wheel touches in one point.
+across the base. Where the robot drives sideways, a steering joint follows; the wheel comes last. Wheels touch the
+ground with ellipsoids, so that a leaning wheel touches in one point.
 
 Convention: SI units; joint positions are those of `hdsp.robot.urdf.leg_positions`.
 """
@@ -93,7 +93,7 @@ def add_robot(root: ElementTree.Element, robot: Robot, place: np.ndarray) -> Non
     """
     size = Dimensions.of(robot)
     _settings(root)
-    world, actuators = _child(root, "worldbody"), _child(root, "actuator")
+    world, actuators = child(root, "worldbody"), child(root, "actuator")
     base = ElementTree.SubElement(world, "body", name=BASE_FRAME, pos=_text(place))
     ElementTree.SubElement(base, "freejoint", name=BASE_FRAME)
     _base(base, robot, size)
@@ -102,9 +102,9 @@ def add_robot(root: ElementTree.Element, robot: Robot, place: np.ndarray) -> Non
 
 
 def _settings(root: ElementTree.Element) -> None:
-    _child(root, "compiler").set("angle", "radian")
-    _child(root, "compiler").set("autolimits", "true")
-    _child(root, "option").attrib |= {
+    child(root, "compiler").set("angle", "radian")
+    child(root, "compiler").set("autolimits", "true")
+    child(root, "option").attrib |= {
         "timestep": "0.002", "integrator": "implicitfast", "cone": "elliptic", "impratio": "10", "iterations": "20",
         "gravity": f"0 0 {-GRAVITY}",
     }  # fmt: skip
@@ -112,7 +112,7 @@ def _settings(root: ElementTree.Element) -> None:
 
 def add_light(root: ElementTree.Element) -> None:
     """Adds light and a white sky, for pictures."""
-    visual, asset = _child(root, "visual"), _child(root, "asset")
+    visual, asset = child(root, "visual"), child(root, "asset")
     ElementTree.SubElement(visual, "headlight", ambient=".42 .42 .42", diffuse=".15 .15 .15", specular="0 0 0")
     ElementTree.SubElement(visual, "global", offwidth="1920", offheight="1440")
     ElementTree.SubElement(visual, "quality", shadowsize="4096")
@@ -121,7 +121,7 @@ def add_light(root: ElementTree.Element) -> None:
         asset, "texture", name="sky", type="skybox", builtin="flat", rgb1="1 1 1", rgb2="1 1 1", width="8", height="48"
     )
     ElementTree.SubElement(
-        _child(root, "worldbody"), "light", pos="0 0 8", dir=".3 .45 -1", type="directional", castshadow="true",
+        child(root, "worldbody"), "light", pos="0 0 8", dir=".3 .45 -1", type="directional", castshadow="true",
         diffuse=".5 .5 .5", specular="0 0 0",
     )  # fmt: skip
 
@@ -162,9 +162,7 @@ def _leg(base, actuators, robot: Robot, size: Dimensions, foot: str, hip: np.nda
     wheel = ElementTree.SubElement(leg, "body", name=wheel_frame(foot))
     mass, half = size.leg_mass * _IN_WHEEL, size.width / 2
     across, along = mass * (3 * size.radius**2 + size.width**2) / 12, mass * size.radius**2 / 2
-    ElementTree.SubElement(
-        wheel, "inertial", pos="0 0 0", mass=f"{mass:g}", diaginertia=_text([across, along, across])
-    )
+    ElementTree.SubElement(wheel, "inertial", pos="0 0 0", mass=f"{mass:g}", diaginertia=_text([across, along, across]))
     name = f"{foot}_wheel_joint"
     ElementTree.SubElement(wheel, "joint", name=name, type="hinge", axis="0 1 0")
     _motor(actuators, name, size.wheel_torque, 0.0, size.wheel_gain)
@@ -186,17 +184,16 @@ def _motor(actuators: ElementTree.Element, joint: str, limit: float, stiffness: 
 
 def _geom(body, kind: str, place, half, color: str | None, **names: str) -> ElementTree.Element:
     """A shape that touches the ground; without a colour it is not drawn."""
-    shade = _rgba(color or _BASE)
-    return ElementTree.SubElement(
-        body, "geom", type=kind, pos=_text(place), size=_text(half), rgba=shade, mass="0", contype="0", conaffinity="1",
-        group="0" if color else "3", **names,
-    )  # fmt: skip
+    values = {
+        "type": kind, "pos": _text(place), "size": _text(half), "rgba": _rgba(color or _BASE), "mass": "0",
+        "contype": "0", "conaffinity": "1", "group": "0" if color else "3", **names,
+    }  # fmt: skip
+    return ElementTree.SubElement(body, "geom", values)
 
 
 def _seen(body: ElementTree.Element, kind: str, size: str, color: str, **more: str) -> None:
-    ElementTree.SubElement(
-        body, "geom", type=kind, size=size, rgba=_rgba(color), mass="0", contype="0", conaffinity="0", **more
-    )
+    values = {"type": kind, "size": size, "rgba": _rgba(color), "mass": "0", "contype": "0", "conaffinity": "0"}
+    ElementTree.SubElement(body, "geom", values | more)
 
 
 def _rgba(color: str) -> str:
@@ -207,6 +204,7 @@ def _text(values) -> str:
     return " ".join(f"{value:.7g}" for value in np.asarray(values, float).tolist())
 
 
-def _child(root: ElementTree.Element, name: str) -> ElementTree.Element:
+def child(root: ElementTree.Element, name: str) -> ElementTree.Element:
+    """Returns the element with a name directly below another one, a new one if there is none."""
     found = root.find(name)
     return ElementTree.SubElement(root, name) if found is None else found

@@ -162,4 +162,3 @@ class SimulatedRobot:
     def saturated(self) -> bool:
         """Whether a motor is at its limit."""
         return bool((np.abs(self.data.actuator_force) >= self._limits).any())
-
