@@ -52,7 +52,7 @@ def test_an_editor_refuses_what_the_loader_refuses():
     assert all(part["additionalProperties"] is False for part in parts)
     for part in parts:
         assert part.get("required", []) == [key for key, value in part["properties"].items() if "default" not in value]
-    assert len(parts) == 15 and set(SCHEMA["properties"]) == set(Robot.load("momaro").to_dict())
+    assert len(parts) == 16 and set(SCHEMA["properties"]) == set(Robot.load("momaro").to_dict())
 
 
 def test_the_command_prints_the_schema():

@@ -28,7 +28,8 @@ _EXAMPLES = """examples:
   hdsp drive map.npz --start 1 2 0 --goal 4 3 --truth scan.npz --record run.mcap
   hdsp drive map.npz --start 1 2 0 --goal 4 3 0 --seed 1 --json
 
-exit status: 0 arrived, 1 bad input, 2 wrong usage, 3 no plan, 4 the drive failed, 130 interrupted"""
+exit status: 0 arrived, 1 bad input, 2 wrong usage, 3 no plan, 4 drive failed,
+130 interrupted"""
 
 
 def add_drive(commands) -> None:

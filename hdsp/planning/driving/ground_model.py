@@ -25,7 +25,7 @@ _EQUAL = 1e-4  # m; heights closer than this are equal
 _GREY = ".86 .86 .83 1"
 
 
-class Rectangle(NamedTuple):
+class EqualCells(NamedTuple):
     """Cells of equal height: from (x0, y0) to before (x1, y1)."""
 
     x0: int
@@ -35,7 +35,7 @@ class Rectangle(NamedTuple):
     height: float
 
 
-def rectangles(heights: np.ndarray, most: int = _MOST_BOXES) -> list[Rectangle] | None:
+def rectangles(heights: np.ndarray, most: int = _MOST_BOXES) -> list[EqualCells] | None:
     """Joins cells of equal height to rectangles: runs along y, then equal runs in neighbouring columns.
 
     Args:
@@ -46,7 +46,7 @@ def rectangles(heights: np.ndarray, most: int = _MOST_BOXES) -> list[Rectangle] 
         Rectangles that together cover each known cell once; None if there would be more than ``most``.
     """
     levels = np.round(heights / _EQUAL) * _EQUAL
-    found: list[Rectangle] = []
+    found: list[EqualCells] = []
     open_runs: dict[tuple[int, int, float], int] = {}
     for x, column in enumerate(levels):
         ends = np.flatnonzero(np.append(column[1:] != column[:-1], True)) + 1
@@ -56,12 +56,12 @@ def rectangles(heights: np.ndarray, most: int = _MOST_BOXES) -> list[Rectangle] 
             if not np.isnan(column[y0])
         }  # fmt: skip
         for run in [run for run in open_runs if run not in runs]:
-            found.append(Rectangle(open_runs.pop(run), run[0], x, run[1], run[2]))
+            found.append(EqualCells(open_runs.pop(run), run[0], x, run[1], run[2]))
         for run in runs:
             open_runs.setdefault(run, x)
         if len(found) + len(open_runs) > most:
             return None
-    found += [Rectangle(x0, y0, len(levels), y1, height) for (y0, y1, height), x0 in open_runs.items()]
+    found += [EqualCells(x0, y0, len(levels), y1, height) for (y0, y1, height), x0 in open_runs.items()]
     return found
 
 
