@@ -10,6 +10,9 @@ export HDSP_DATA_DIR ?= $(abspath $(wildcard ../shared/data))
 # Threads of torch that wait give their core away: beside another process, training loses less time.
 export OMP_WAIT_POLICY ?= passive
 TEST_ARGS ?=
+FUZZ_SECONDS ?= 600
+FUZZ_SEED ?= 0
+FUZZ_ARGS ?=
 # Tests of all kernels, without the slow ones that run no kernel of their own.
 KERNEL_TESTS := tests/detailed tests/abstract/test_prepared_graph.py tests/labels/test_rules.py \
 	tests/planning/test_heuristics.py tests/learning/test_dense_edges.py::test_patches_of_a_rotated_map \
@@ -20,7 +23,7 @@ KERNEL_TESTS := tests/detailed tests/abstract/test_prepared_graph.py tests/label
 # Half of the test maps: they run all kernels.
 KERNEL_MAPS := not (cuboid_2 or cuboid_3 or wall_2 or staircase_wall or staircase_focused)
 
-.PHONY: help install repro demo tables docs docs-links test test-checked warm-checked lint format params clean
+.PHONY: help install repro demo tables docs docs-links test test-checked warm-checked fuzz lint format params clean
 
 help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
@@ -58,6 +61,9 @@ test-checked: $(STAMP)  ## the tests of the kernels, with every index checked
 
 warm-checked: $(STAMP)  # one process compiles for both of the tests
 	hdsp warmup
+
+fuzz: $(STAMP)  ## damaged files, random plans and updates for FUZZ_SECONDS (600), from case FUZZ_SEED (0) on
+	python -m tests.fuzz --seconds $(FUZZ_SECONDS) --seed $(FUZZ_SEED) $(FUZZ_ARGS)
 
 lint: $(STAMP)  ## style, types, layers of imports, words of docstrings
 	ruff check .

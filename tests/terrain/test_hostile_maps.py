@@ -10,9 +10,9 @@ import h5py
 import numpy as np
 import pytest
 
+from hdsp.base import array_files
 from hdsp.base.errors import InputError
 from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.map_formats import archives
 from hdsp.terrain.map_frame import MapFrame
 
 HEIGHTS = np.random.default_rng(0).normal(size=(10, 8)).astype(np.float32)
@@ -166,7 +166,7 @@ def test_chunks_of_hdf5_unpack_to_their_size(tmp_path):
 
 
 def test_files_with_thousands_of_entries_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(archives, "MOST_ENTRIES", 3)
+    monkeypatch.setattr(array_files, "MOST_ENTRIES", 3)
     np.savez(tmp_path / "map.npz", **{f"entry_{k}": np.zeros(1) for k in range(4)})
     refused(tmp_path / "map.npz", "more than 3 entries")
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from hdsp.base.array_files import npz_arrays
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file, replacing, writable_file
 from hdsp.detailed.motion.motion_state import MotionState
@@ -32,7 +33,11 @@ FORMAT, VERSION = "hdsp motion", 1
 ANIMATIONS = (".gif", ".mp4")
 SOURCE_COLUMNS = ("source_x", "source_y", "source_z", "source_qx", "source_qy", "source_qz", "source_qw")
 _BASE = ("x", "y", "z", "roll", "pitch", "heading")
-_ARRAYS = ("base", "feet", "carries", "action", "phase")
+#: Arrays of a motion: their types, and their shapes behind the number of configurations.
+_KINDS = {"base": float, "feet": float, "carries": bool, "action": np.int64, "phase": np.uint8}
+_SHAPES = {"base": (6,), "feet": (4, 3), "carries": (4,), "action": (), "phase": ()}
+_ARRAYS = tuple(_KINDS)
+_MOST_BYTES = 1 << 30
 _DIGITS = 6
 
 
@@ -184,28 +189,28 @@ def read_motion(path: str | os.PathLike, terrain: HeightMap | None, robot: Any) 
     path = existing_file(path, "motion")
     try:
         if path.suffix.lower() == ".npz":
-            return _read_npz(path)
+            return _checked(path, _read_npz(path))
         if path.suffix.lower() == ".json":
-            return _read_json(path, terrain, robot)
-    except (KeyError, TypeError, ValueError, OSError) as error:
+            return _checked(path, _read_json(path, terrain, robot))
+    except (KeyError, TypeError, ValueError, OSError, RecursionError, OverflowError, AttributeError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"motion {path}: no motion of hdsp ({error})".splitlines()[0]) from error
+        raise InputError(f"motion {path}: no motion of hdsp ({' '.join(str(error).split())[:200]})") from error
     raise InputError(f"motion {path}: suffix {path.suffix!r}; need .npz or .json")
 
 
 def _read_npz(path: Path) -> dict[str, Any]:
-    with np.load(path, allow_pickle=False) as archive:
-        facts = json.loads(str(archive["facts"]))
-        _check_format(path, facts)
-        terrain = HeightMap(
-            archive["heights"], tuple(archive["origin"]), float(archive["resolution"]), _frame(facts["frame"])
-        )
-        return {
-            **{name: archive[name] for name in _ARRAYS},
-            "terrain": terrain,
-            "robot": Robot.load(facts["robot"]),
-        }
+    archive = npz_arrays(path, _MOST_BYTES)
+    facts = json.loads(str(archive["facts"]))
+    _check_format(path, facts)
+    terrain = HeightMap(
+        archive["heights"], tuple(archive["origin"]), float(archive["resolution"]), _frame(facts["frame"])
+    )
+    return {
+        **{name: archive[name] for name in _ARRAYS},
+        "terrain": terrain,
+        "robot": Robot.load(facts["robot"]),
+    }
 
 
 def _read_json(path: Path, terrain: HeightMap | None, robot: Any) -> dict[str, Any]:
@@ -213,9 +218,23 @@ def _read_json(path: Path, terrain: HeightMap | None, robot: Any) -> dict[str, A
     _check_format(path, document)
     if terrain is None:
         raise InputError(f"motion {path}: JSON holds no map; need the argument terrain")
-    kinds = {"base": float, "feet": float, "carries": bool, "action": np.int64, "phase": np.uint8}
-    arrays = {name: np.array(document["configurations"][name], kind) for name, kind in kinds.items()}
+    arrays = {name: np.array(document["configurations"][name], kind) for name, kind in _KINDS.items()}
     return {**arrays, "terrain": terrain, "robot": Robot.load(document["robot"] if robot is None else robot)}
+
+
+def _checked(path: Path, parts: dict[str, Any]) -> dict[str, Any]:
+    """Parts of a motion with arrays of the right shapes, types and ranges."""
+    number = len(parts["base"]) if np.ndim(parts["base"]) else 0
+    for name, shape in _SHAPES.items():
+        array = parts[name]
+        if array.shape != (number, *shape) or array.dtype.kind not in "fiub" or number < 1:
+            raise InputError(f"motion {path}: {name} is {array.dtype} {list(array.shape)}; need [n, {list(shape)}]")
+        if not np.isfinite(array).all():
+            raise InputError(f"motion {path}: {name} has values that are not finite")
+        parts[name] = array.astype(_KINDS[name])
+    if parts["phase"].max() >= len(PHASES):
+        raise InputError(f"motion {path}: phase is {parts['phase'].max()}; need less than {len(PHASES)}")
+    return parts
 
 
 def _check_format(path: Path, facts: dict[str, Any]) -> None:

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import hashlib
 import io
-import zipfile
-from collections.abc import Callable, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
+from hdsp.base.array_files import Entry, array_header, npz_entries
 from hdsp.base.errors import InputError
 from hdsp.terrain.map_formats.fields import (
     MapFields,
@@ -26,7 +25,7 @@ from hdsp.terrain.map_formats.fields import (
     frame_of_text,
     frame_text,
 )
-from hdsp.terrain.map_formats.hdf5_entries import MOST_ENTRIES, Entry, hdf5_entries
+from hdsp.terrain.map_formats.hdf5_entries import hdf5_entries
 
 _HEIGHTS, _ORIGIN, _RESOLUTION, _FRAME, _DIGEST = "heights", "origin", "resolution", "frame", "digest"
 
@@ -36,7 +35,7 @@ _SMALL = 1_000_000
 
 def read_npz(path: Path, options: ReadOptions) -> MapFields:
     """Reads an .npz file."""
-    with _npz_entries(path) as entries:
+    with npz_entries(path) as entries:
         return _fields(entries, options)
 
 
@@ -50,7 +49,7 @@ def read_npy(path: Path, options: ReadOptions) -> MapFields:
     """Reads a bare array [nx, ny]; its cell size is an option."""
     resolution = options.cell_size("a bare array has no cell size")
     with path.open("rb") as file:
-        shape, dtype = _array_header(file, path.stat().st_size)
+        shape, dtype = array_header(file, path.stat().st_size)
         _check_heights("the array", shape, dtype, options)
         file.seek(0)
         heights = np.lib.format.read_array(file, allow_pickle=False)
@@ -59,7 +58,7 @@ def read_npy(path: Path, options: ReadOptions) -> MapFields:
 
 def npz_contents(path: Path) -> str:
     """Entries of an .npz file."""
-    with _npz_entries(path) as entries:
+    with npz_entries(path) as entries:
         return _listed(entries)
 
 
@@ -72,7 +71,7 @@ def hdf5_contents(path: Path) -> str:
 def npy_contents(path: Path) -> str:
     """Shape and type of a bare array."""
     with path.open("rb") as file:
-        return "array " + _of_kind(*_array_header(file, path.stat().st_size))
+        return "array " + _of_kind(*array_header(file, path.stat().st_size))
 
 
 def npz_bytes(fields: MapFields) -> bytes:
@@ -192,38 +191,3 @@ def _names(entries: Mapping[str, Entry]) -> str:
 
 def _listed(entries: Mapping[str, Entry]) -> str:
     return "entries " + ", ".join(f"{name} {_of_kind(*entries[name][:2])}" for name in sorted(entries)[:20])
-
-
-@contextmanager
-def _npz_entries(path: Path):
-    with zipfile.ZipFile(path) as archive:
-        entries: dict[str, Entry] = {}
-        if len(archive.infolist()) > MOST_ENTRIES:
-            raise InputError(f"it has more than {MOST_ENTRIES:,} entries")
-        for info in archive.infolist():
-            if info.filename.endswith(".npy"):
-                with archive.open(info) as file:
-                    shape, dtype = _array_header(file, info.file_size)
-                entries[info.filename.removesuffix(".npy")] = shape, dtype, _npz_reader(archive, info)
-        yield entries
-
-
-def _npz_reader(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Callable[[], np.ndarray]:
-    def read() -> np.ndarray:
-        with archive.open(info) as file:
-            array = np.lib.format.read_array(file, allow_pickle=False)
-            file.read()  # the checksum is compared at the end
-        return array
-
-    return read
-
-
-def _array_header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], np.dtype]:
-    """Shape and type of an array in .npy format; a claim that does not fit the size of the file is an error."""
-    version = np.lib.format.read_magic(file)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read(file)
-    claimed = int(np.prod([float(length) for length in shape])) * dtype.itemsize
-    if not dtype.hasobject and claimed != size - file.tell():
-        raise InputError(f"it is damaged: an array of {claimed:,} bytes in {max(size - file.tell(), 0):,} bytes")
-    return shape, dtype

@@ -7,21 +7,17 @@ size. A file of strangers may do all of that, so each is refused.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hdsp.base.array_files import MOST_ENTRIES, Entry
 from hdsp.base.errors import InputError
 from hdsp.terrain.map_formats.fields import check_cells
 
-#: Access to an entry: its shape and type, and a function that reads it.
-Entry = tuple[tuple[int, ...], np.dtype, Callable[[], np.ndarray]]
-
-#: Largest number of arrays in a file.
-MOST_ENTRIES = 10_000
 #: Numbers of filters in HDF5.
 _GZIP, _SHUFFLE, _CHECKSUM = 1, 2, 3
 #: Bytes that a packed chunk may take beyond its numbers.

@@ -1,0 +1,93 @@
+"""Sequences of changed maps: after each `update()`, a plan is that of a new planner, for every heuristic."""
+
+import numpy as np
+
+from hdsp.base.errors import InputError
+from hdsp.planning.planner import Planner
+from hdsp.terrain.height_map import HeightMap
+
+#: Heuristics with their shares.
+HEURISTICS = {"geometric": 1.0, "grid": 1.0, "manual": 1.0, "learned": 1.0}
+CELLS = 96, 80
+_CHANGES = 3
+
+
+class UpdateCases:
+    """All sequences for one heuristic."""
+
+    def __init__(self, heuristic: str):
+        self.heuristic, self.number = heuristic, sorted(HEURISTICS).index(heuristic)
+
+    def outcome(self, seed: int) -> str:
+        """``equal``, ``refused`` (invalid start), or a fault with words behind it."""
+        random = np.random.default_rng([self.number, seed])
+        try:
+            return self._sequence(random)
+        except AssertionError as error:
+            return f"wrong {' '.join(str(error).split())[:200]}"
+        except Exception as error:
+            return f"traceback {type(error).__name__}: {' '.join(str(error).split())[:200]}"
+
+    def _sequence(self, random: np.random.Generator) -> str:
+        heights = _ground(random)
+        start, goal = _poses(random)
+        weight = float(random.choice([1.25, 2.0, 3.0]))
+        planner, outcomes = self._planner(heights), set()
+        if random.random() < 0.8:  # else the first plan is on a changed map
+            outcomes.add(_plan(planner, start, goal, weight)[0])
+        for _ in range(_CHANGES):
+            heights, region = _changed(heights, random)
+            planner.update(HeightMap(heights), region if random.random() < 0.5 else None)
+            if random.random() < 0.4:
+                start, goal = _poses(random)
+            found = _plan(planner, start, goal, weight)
+            expected = _plan(self._planner(heights), start, goal, weight)
+            assert found[0] == expected[0], (found[0], expected[0])
+            if found[1] is not None:
+                assert found[1].cost == expected[1].cost, (found[1].cost, expected[1].cost)
+                np.testing.assert_array_equal(found[1].states, expected[1].states)
+            outcomes.add(found[0])
+        return "equal" if outcomes != {"refused"} else "refused"
+
+    def _planner(self, heights: np.ndarray) -> Planner:
+        return Planner(HeightMap(heights.copy()), heuristic=self.heuristic, conditioning=None)
+
+
+def _plan(planner: Planner, start, goal, weight: float):
+    try:
+        plan = planner.plan(start, goal, weight, polish=0, start_free=False, expansions=20_000)
+    except InputError as error:
+        assert "\n" not in str(error)
+        return "refused", None
+    return str(plan.status), plan if plan.solved else None
+
+
+def _poses(random: np.random.Generator):
+    x, y = (0.025 * cells for cells in CELLS)
+    low, high = (0.7, 0.7), (x - 0.7, y - 0.7)
+    ends = [(*random.uniform(low, high), float(random.choice([0, 0.3, np.pi / 2, -2.0]))) for _ in range(2)]
+    return [tuple(map(float, end)) for end in ends]
+
+
+def _ground(random: np.random.Generator) -> np.ndarray:
+    heights = np.zeros(CELLS, np.float32)
+    for _ in range(int(random.integers(0, 4))):
+        _place(heights, random)
+    return heights
+
+
+def _place(heights: np.ndarray, random: np.random.Generator) -> tuple[int, int, int, int]:
+    """Writes a block, a hole of unknown cells, a bump or flat ground; returns its region."""
+    ix, iy = (int(random.integers(0, cells - 4)) for cells in heights.shape)
+    nx, ny = (int(random.integers(2, 24)) for _ in range(2))
+    part = heights[ix : ix + nx, iy : iy + ny]
+    kind = random.integers(4)
+    part[:] = (random.uniform(0.05, 0.3), 0.0, np.nan, random.uniform(0, 0.04))[kind]
+    return ix, iy, min(ix + nx, heights.shape[0]), min(iy + ny, heights.shape[1])
+
+
+def _changed(heights: np.ndarray, random: np.random.Generator):
+    """A copy of the heights with one to three changes, and a region that holds all of them."""
+    heights = heights.copy()
+    regions = np.array([_place(heights, random) for _ in range(int(random.integers(1, 4)))])
+    return heights, (*map(int, regions[:, :2].min(axis=0)), *map(int, regions[:, 2:].max(axis=0)))
