@@ -27,14 +27,29 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba.core import types
 from numba.core.caching import IndexDataCacheFile
 
 _CONFIG: Any = numba.config  # numba sets its members at run time
 _LOG = logging.getLogger(__name__)
 
 
+def _share_versions(kernel: Any) -> None:
+    """Lets calls with constants use the version for variables; Numba would compile a version for each constant."""
+    if not hasattr(kernel, "get_call_template"):  # missing without the JIT
+        return
+    template = kernel.get_call_template
+
+    def shared(arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
+        found = tuple(map(types.unliteral, arguments))
+        return template(found, {name: types.unliteral(kind) for name, kind in named.items()})
+
+    kernel.get_call_template = shared
+
+
 def keep_on_disk(kernel: Any) -> None:
-    """Gives a Numba kernel a disk cache with a key from its content."""
+    """Gives a Numba kernel a disk cache with a key from its content, and few versions to keep there."""
+    _share_versions(kernel)
     if not hasattr(kernel, "enable_caching"):  # missing without the JIT
         return
     try:

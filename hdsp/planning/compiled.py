@@ -68,17 +68,28 @@ class QueryKind:
     def kernels(self) -> int:
         """Number of kernels, roughly, for lines of progress."""
         parts = self.anchored, self.anytime, self.refinable, self.abstract, "LearnedCosts" in self.costs
-        return 85 + sum(more for part, more in zip(parts, (10, 5, 15, 10, 25), strict=True) if part)
+        return 75 + sum(more for part, more in zip(parts, (10, 5, 15, 10, 25), strict=True) if part)
 
 
+#: Number of kernels for another kind of query, roughly.
+_FEW_KERNELS = 10
 _DONE: set[QueryKind] = set()
 _LOCK = threading.Lock()
+_THREAD = threading.local()
+
+
+def compile_on_use() -> None:
+    """From now on, `compile_for` returns at once in this thread: each query compiles the kernels that it uses.
+
+    A first answer then comes sooner, but compilation counts as its time.
+    """
+    _THREAD.on_use = True
 
 
 def compile_for(
     robot: Robot, heuristic: Heuristic, *, anchored: bool = False, anytime: bool = False, refinable: bool = False
 ) -> None:
-    """Compiles or loads the kernels of a query, unless this process did.
+    """Compiles or loads the kernels of a query, unless this process did, or this thread compiles on use.
 
     Args:
         robot: the robot of the planner.
@@ -98,13 +109,14 @@ def compile_for(
         anytime=anytime,
         refinable=refinable,
     )
-    if kind in _DONE:
+    if kind in _DONE or getattr(_THREAD, "on_use", False):
         return
     with _LOCK:
         if kind in _DONE:
             return
         # A robot that cannot do the trial fails in the query too, with its reason.
-        with compilations.told(kind.kernels), suppress(InputError, RefinementError):
+        left = max(kind.kernels - compilations.done, _FEW_KERNELS)
+        with compilations.told(left), suppress(InputError, RefinementError):
             _try(robot, kind, costs)
         _DONE.add(kind)
 

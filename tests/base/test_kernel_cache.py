@@ -144,6 +144,19 @@ def test_the_key_is_the_same_without_a_docstring():
         area.py_func.__doc__, area.py_func.__code__ = documented, code
 
 
+def test_constants_and_variables_share_a_version_of_a_kernel():
+    @njit()
+    def more(number, twice):
+        return number + (2 if twice else 1)
+
+    @njit()
+    def summed(number):
+        return more(number, number > 1) + more(3, True) + more(number, twice=False)
+
+    assert summed(10) == 12 + 5 + 11
+    assert len(more.overloads) == 1
+
+
 def test_a_value_without_a_text_of_its_own_is_refused(monkeypatch):
     monkeypatch.setitem(globals(), "TABLE", object())
     with pytest.raises(TypeError, match="no key can hold"):

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 import time
 from types import SimpleNamespace
 
@@ -121,6 +122,23 @@ def test_q3_a_process_compiles_once_for_each_kind(monkeypatch):
     for _ in range(1000):
         compiled.compile_for(planner.robot, planner.heuristic)
     assert time.perf_counter() - began < 0.5  # all together
+
+
+def test_a_thread_that_compiles_on_use_leaves_the_trial_to_others(monkeypatch):
+    tried, plans = [], []
+    monkeypatch.setattr(compiled, "_DONE", set())
+    monkeypatch.setattr(compiled, "_try", lambda robot, kind, costs: tried.append(kind))
+
+    def ask():
+        compiled.compile_on_use()
+        plans.append(Planner(HeightMap.flat((80, 80))).plan((0.9, 0.9, 0.0), (1.0, 0.9, 0.0)))
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    thread.join()
+    assert plans[0].solved and tried == []
+    Planner(HeightMap.flat((80, 80)))
+    assert tried == [compiled.QueryKind()]
 
 
 def test_f5_lines_of_progress_come_only_while_kernels_are_compiled(caplog, monkeypatch):

@@ -9,6 +9,7 @@ import pytest
 
 from hdsp import HeightMap, Planner
 from hdsp.detailed.search.outcome import Status
+from hdsp.planning.viewing import planning_session
 from hdsp.planning.viewing.first_poses import first_poses
 from hdsp.planning.viewing.map_layers import abstract_edges, costs_to_go, foot_costs, searched_cells
 from hdsp.planning.viewing.planning_session import PlanningRequest, PlanningSession
@@ -110,6 +111,16 @@ def test_the_latest_request_ends_a_running_search(session, heard):
     assert time.perf_counter() - began < 2.5  # the searches for older goals would take 5 s each
     assert [answer.request.goal for answer in heard.answers] == [GOAL]
     assert len(planned) <= 3
+
+
+def test_kernels_that_an_answer_does_not_need_are_compiled_behind_it(session, heard, monkeypatch):
+    answers_before = []
+    monkeypatch.setattr(planning_session, "compile_for", lambda *_: answers_before.append(len(heard.answers)))
+    for goal in (GOAL, (1.0, 2.0, 0.0)):
+        session.ask(PlanningRequest(START, goal, heuristic="geometric"))
+        assert session.wait(60)
+    assert [answer.plan.solved for answer in heard.answers[-2:]] == [True, True]
+    assert len(answers_before) == 1 and answers_before[0] > 0
 
 
 def test_a_failure_comes_with_its_causes(session, heard):

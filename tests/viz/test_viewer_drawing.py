@@ -4,9 +4,12 @@ import socket
 
 import numpy as np
 import pytest
+import viser
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from websockets.exceptions import InvalidStatus
+from websockets.sync import client
 
 from hdsp import HeightMap, InputError, Robot
 from hdsp.viz.viewer import open_server, save_page
@@ -141,6 +144,27 @@ def test_a_server_is_for_this_machine_alone_and_takes_the_next_free_port(capfd):
     for wrong in (-1, 70000):
         with pytest.raises(InputError, match="0 to 65535"):
             free_port(wrong)
+
+
+def test_pages_of_other_places_reach_no_server():
+    server = open_server(0)
+    here = f"ws://{HOST}:{server.get_port()}"
+
+    def connects(origin):
+        try:
+            client.connect(here, origin=origin, subprotocols=[f"viser-v{viser.__version__}"]).close()
+        except InvalidStatus as refusal:
+            assert refusal.response.status_code == 403
+            return False
+        return True
+
+    try:
+        for origin in (f"http://{HOST}:{server.get_port()}", "http://localhost:9000", None):
+            assert connects(origin)
+        for origin in ("http://example.com", f"http://localhost.example.com:{server.get_port()}", "null"):
+            assert not connects(origin)
+    finally:
+        close_server(server)
 
 
 def test_a_page_holds_everything_in_one_file(tmp_path):

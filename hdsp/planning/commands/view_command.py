@@ -93,13 +93,21 @@ def _view(chosen: argparse.Namespace) -> int:
 
 def _demo(chosen: argparse.Namespace) -> int:
     """Makes an arena with a door and stairs, plans through it, and shows the robot's motion in the browser."""
+    return _serve(demo_viewer(chosen.robot, chosen.port), chosen)
+
+
+def demo_viewer(robot: str, port: int) -> MapViewer:
+    """Returns the viewer of the demo, which works in threads of its own.
+
+    Args:
+        robot: preset name or path to a YAML file.
+        port: first port to try.
+    """
     from hdsp.planning.viewing.map_viewer import MapViewer
     from hdsp.planning.viewing.planning_session import PlanningRequest
     from hdsp.terrain.random_arenas import random_arena
 
-    request = PlanningRequest(_START, _GOAL, chosen.robot)
-    viewer = MapViewer(random_arena(_ARENA), request, chosen.port, play=True)
-    return _serve(viewer, chosen)
+    return MapViewer(random_arena(_ARENA), PlanningRequest(_START, _GOAL, robot), port, play=True)
 
 
 def _serve(viewer: MapViewer, chosen: argparse.Namespace) -> int:

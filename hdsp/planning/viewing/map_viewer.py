@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hdsp.detailed.motion.motion import Motion
+from hdsp.planning.compiled import compile_on_use
 from hdsp.planning.planner import Planner
 from hdsp.planning.viewing.control_panel import EDGES, FOOT_COSTS, SEARCHED, TO_GO, UNKNOWN, ControlPanel
 from hdsp.planning.viewing.map_layers import abstract_edges, costs_to_go, foot_costs, searched_cells
@@ -248,6 +249,7 @@ class MapViewer:
             EDGES: self._draw_edges,
             SEARCHED: self._draw_searched,
         }
+        compile_on_use()
         while True:
             self._layers.wait()
             while not self._closed.is_set() and not self.session.wait(_LOOK):

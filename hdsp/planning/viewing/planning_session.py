@@ -3,6 +3,9 @@
 One thread plans. It answers the latest request; a newer one ends the search for an older one. After an answer, the
 thread continues in short steps with work that can wait: a polished plan, the refined motion, and the map-wide part of
 the heuristic. Another thread finds the reasons for the absence of a plan, which may take half a minute.
+
+In a new installation, a query compiles only the kernels that it uses, so that the first path is there soon. A thread
+compiles the others behind the first answer.
 """
 
 from __future__ import annotations
@@ -16,10 +19,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from hdsp.base.compilation import compilations
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.base.gradual import Gradual, now
 from hdsp.detailed.motion.motion import Motion
 from hdsp.planning.answers.plans import Plan
+from hdsp.planning.compiled import compile_for, compile_on_use
 from hdsp.planning.heuristics import AbstractHeuristic
 from hdsp.planning.planner import Planner
 from hdsp.planning.viewing.first_poses import Pose, first_poses
@@ -28,6 +33,8 @@ from hdsp.terrain.height_map import HeightMap
 _LOG = logging.getLogger("hdsp")
 _SLICE = 0.03  # s, of work that can wait; a new request waits at most so long, and for one step
 _PLANNERS = 4  # planners that are kept for other robots and heuristics
+_KERNELS = 70  # of a query, roughly
+_TRIED = 20_000  # expansions of a query that compiles the kernels of the next ones
 
 
 @dataclass(frozen=True)
@@ -113,6 +120,7 @@ class PlanningSession:
     _number: int = 0
     _closed: bool = False
     _planners: dict[tuple, Planner] = field(default_factory=dict)
+    _untried: bool = False
 
     def __post_init__(self) -> None:
         self._changed = threading.Condition()
@@ -162,12 +170,14 @@ class PlanningSession:
         if found is None:
             self.listener.on_work(f"compiling the terrain for {request.robot}", None)
             found = Planner(self.terrain, request.robot, request.heuristic, request.margin)
+            self._untried = True
         self._planners[key] = found
         while len(self._planners) > _PLANNERS:
             self._planners.pop(next(iter(self._planners)))
         return found
 
     def _run(self) -> None:
+        compile_on_use()
         answered = 0
         while True:
             with self._changed:
@@ -194,9 +204,11 @@ class PlanningSession:
         return self._number != number
 
     def _answer(self, request: PlanningRequest, asked: float, superseded: Callable[[], bool]) -> None:
-        planner = self.planner(request)
-        if request.start is None or request.goal is None:
-            request = self._with_ends(planner, request)
+        with compilations.told(_KERNELS):
+            planner = self.planner(request)
+            if request.start is None or request.goal is None:
+                request = self._with_ends(planner, request)
+            self._try(planner, request, superseded)
         self.listener.on_work("planning", None)
         answer = self._planned(planner, request, asked, superseded, polish=0.0)
         self.listener.on_answer(answer)
@@ -205,7 +217,21 @@ class PlanningSession:
         else:
             answer = self._polished(answer, asked, superseded)
             self._refine(answer, superseded)
+        self._compile_rest(planner)
         self._prepare(answer, superseded)
+
+    def _try(self, planner: Planner, request: PlanningRequest, superseded: Callable[[], bool]) -> None:
+        """Compiles the kernels of a query with a new planner, which would count as time of the query."""
+        if self._untried:
+            self._searched(planner, request, superseded, expansions=_TRIED, polish=0.0)
+
+    def _compile_rest(self, planner: Planner) -> None:
+        """Compiles the kernels that other queries with a new planner may need, in another thread."""
+        if not self._untried:
+            return
+        self._untried = False
+        arguments = planner.robot, planner.heuristic
+        threading.Thread(target=compile_for, args=arguments, name="compilation", daemon=True).start()
 
     def _with_ends(self, planner: Planner, request: PlanningRequest) -> PlanningRequest:
         """Chooses the poses that a request leaves open; later requests keep them."""
@@ -220,6 +246,12 @@ class PlanningSession:
     def _planned(
         self, planner: Planner, request: PlanningRequest, asked: float, superseded: Callable[[], bool], polish: float
     ) -> PlanningAnswer:
+        plan = self._searched(planner, request, superseded, time=request.time, polish=polish)
+        return PlanningAnswer(request, planner, plan, now() - asked)
+
+    def _searched(
+        self, planner: Planner, request: PlanningRequest, superseded: Callable[[], bool], **options: Any
+    ) -> Plan:
         def progress(expansions: int, seconds: float) -> None:
             if superseded():
                 raise Superseded
@@ -227,12 +259,12 @@ class PlanningSession:
 
         with self.working:
             plan = planner.plan(
-                request.start, request.goal, request.weight, time=request.time, polish=polish, progress=progress,
-                tolerance=request.tolerance or None,
+                request.start, request.goal, request.weight, progress=progress, tolerance=request.tolerance or None,
+                **options,
             )  # fmt: skip
         if superseded():
             raise Superseded
-        return PlanningAnswer(request, planner, plan, now() - asked)
+        return plan
 
     def _polished(self, answer: PlanningAnswer, asked: float, superseded: Callable[[], bool]) -> PlanningAnswer:
         """The same query with the planner's polish; the first plan came without, because a polish takes time."""

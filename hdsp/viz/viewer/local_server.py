@@ -1,10 +1,17 @@
-"""A viser server on this machine alone: bound to 127.0.0.1, on a free port, without viser's own output."""
+"""A viser server on this machine alone: bound to 127.0.0.1, on a free port, without viser's own output.
+
+Any page in a browser may open a websocket to this machine. The server refuses those of pages from other places, which
+would else see the map and change the plan.
+"""
 
 from __future__ import annotations
 
+import re
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from hdsp.base.errors import InputError
@@ -15,6 +22,10 @@ if TYPE_CHECKING:
 HOST = "127.0.0.1"
 #: Port of the viewer, and the number of ports after it that are tried.
 PORT, _TRIED = 8080, 20
+#: Pages that may open a websocket: those of this machine on any port, because a tunnel has its own, and programs, which
+#: name no page.
+_ORIGINS = re.compile(r"http://(127\.0\.0\.1|localhost)(:\d+)?"), None
+_OPENING = Lock()
 
 
 def viser_module() -> Any:
@@ -63,7 +74,7 @@ def open_server(port: int = PORT) -> viser.ViserServer:
     """
     viser = viser_module()
     port = free_port(port)
-    with _silent():
+    with _silent(), _own_pages_alone():
         server = viser.ViserServer(host=HOST, port=port, label="hdsp", verbose=False)
     server.request_share_url = _refuse  # type: ignore[method-assign]
     server.gui.configure_theme(show_share_button=False, show_logo=False)
@@ -88,6 +99,20 @@ def _silent() -> Iterator[None]:
         yield
     finally:
         console.quiet = before
+
+
+@contextmanager
+def _own_pages_alone() -> Iterator[None]:
+    """Lets servers that start in this block refuse websockets of other pages; viser has no setting for this."""
+    from websockets.asyncio import server
+
+    with _OPENING:
+        before = server.serve
+        server.serve = partial(before, origins=_ORIGINS)  # type: ignore[misc, assignment]
+        try:
+            yield
+        finally:
+            server.serve = before  # type: ignore[misc]
 
 
 def _refuse(verbose: bool = True) -> None:
