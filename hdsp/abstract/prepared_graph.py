@@ -240,24 +240,23 @@ def _invert(edges, actions):
 
 
 @njit(nogil=True)
-def least_incoming(standing, least, actions):
-    """Edges by end state, float32 [16, nx, ny, 22], with the least cost of each action.
+def enter_least(incoming, k, standing, least, actions):
+    """Writes the least cost of each action into the edges to the states at one heading.
 
     Args:
+        incoming: see ``PreparedGraph``.
+        k: the heading.
         standing: bool [16, nx, ny]; states without standing have no edges.
         least: float32 [16, 22], by the start's heading.
         actions: the abstract actions.
     """
     headings, nx, ny = standing.shape
-    incoming = np.empty((headings, nx, ny, len(actions)), np.float32)
-    for k in range(headings):
-        for a in range(nx):
-            for b in range(ny):
-                for m in range(len(actions)):
-                    x, y, z = a - actions[m, 0], b - actions[m, 1], (k - actions[m, 2]) % headings
-                    inside = 0 <= x < nx and 0 <= y < ny
-                    incoming[k, a, b, m] = least[z, m] if inside and standing[z, x, y] else np.float32(np.inf)
-    return incoming
+    for a in range(nx):
+        for b in range(ny):
+            for m in range(len(actions)):
+                x, y, z = a - actions[m, 0], b - actions[m, 1], (k - actions[m, 2]) % headings
+                inside = 0 <= x < nx and 0 <= y < ny
+                incoming[k, a, b, m] = least[z, m] if inside and standing[z, x, y] else np.float32(np.inf)
 
 
 @njit(nogil=True)

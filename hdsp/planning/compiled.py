@@ -16,19 +16,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hdsp.abstract.abstract_costs import RememberingCosts, checked_region, close_exits, close_states, edge_steps
+from hdsp.abstract.guided import MixedEdges
 from hdsp.base.compilation import compilations
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.base.gradual import finished
 from hdsp.detailed.relaxed.heading_masks import missing_feet
 from hdsp.detailed.relaxed.proofs import why_unreachable
+from hdsp.detailed.search.estimate import geometric_estimate
 from hdsp.detailed.search.leaving import leave
-from hdsp.detailed.search.life_cycle import FEW, GuideTurn
+from hdsp.detailed.search.life_cycle import FEW, GuideTurn, Search
+from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits
+from hdsp.detailed.search.store import load_growth
 from hdsp.detailed.search.windows import Windows
 from hdsp.detailed.world.world import build_world, cell_index
 from hdsp.planning.ends.arrival import arrival
 from hdsp.planning.ends.location import locate
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, GridHeuristic, Heuristic
+from hdsp.planning.heuristics.goal_sources import goal_sources
+from hdsp.planning.heuristics.guided_steps import guided_steps
 from hdsp.planning.improving import improving_plans
 from hdsp.planning.polish import DEFAULT, Polish
 from hdsp.planning.query import Query
@@ -178,6 +184,7 @@ def _try(robot: Robot, kind: QueryKind, costs: list[LearnedCosts | ManualCosts])
         limits=Limits(),
     )
     why_unreachable(world, start, goal)
+    _load_rare(query, kind)
     # The plans of the trial may be so good that a polish searches nothing.
     Windows(world).path(start, goal, math.inf, FEW, math.inf)
     missing_feet(world, int(cell_index(world, start[0], start[1])), int(start[2]))
@@ -194,6 +201,32 @@ def _try(robot: Robot, kind: QueryKind, costs: list[LearnedCosts | ManualCosts])
         Polish(DEFAULT).of(each, plan)
         if kind.refinable and plan.solved:
             refinable_plan(each, lambda again, _: again.weighted(1.5), plan)
+
+
+def _load_rare(query: Query, kind: QueryKind) -> None:
+    """Compiles or loads kernels of long searches, large maps and changed maps, which the trial does not reach."""
+    world, estimate = query.world, query.estimate
+    search = Search(world, query.start, query.goals, nearest=True)
+    if search.begin(estimate, 1.0, False) is None:
+        search.advance()
+        search.begin_round(estimate, 1.0, False, False)
+        load_growth(search.store)
+    if kind.anchored:
+        # An anchor that knows nothing goes on after the guide.
+        nothing = geometric_estimate(world, query.goals)._replace(distance=0.0, turn=0.0, foot=0.0)
+        solve_multi(world, query.start, query.goals, nothing, [estimate], limits=Limits(expansions=5_000))
+    if kind.abstract:
+        assert isinstance(query.heuristic, AbstractHeuristic)
+        known = query.heuristic.known
+        finished(known.evaluate_all())
+        states = np.argwhere(known.standing)[:1]
+        prices = np.ones((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS))
+        sources = goal_sources(world, known.standing, query.goals)
+        finished(guided_steps(known, known, query.start, sources, prices))
+        MixedEdges(known.graph).open(prices, known.standing)
+        changed = known.graph.with_edges(states, np.ones((1, N_ABSTRACT_ACTIONS), np.float32))
+        distances = known.graph.distances(sources.states, sources.costs)
+        changed.repaired(distances, sources.states, states, sources.costs)
 
 
 def _ground(robot: Robot) -> HeightMap:

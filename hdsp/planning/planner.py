@@ -13,11 +13,11 @@ import numpy as np
 from hdsp.abstract.abstract_costs import AbstractCosts, Region
 from hdsp.abstract.manual import ManualCosts
 from hdsp.base.errors import InputError
-from hdsp.base.gradual import Gradual, now
+from hdsp.base.gradual import Gradual, Steps, now
 from hdsp.base.settings import shown
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.causes import Cause
-from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_foothold_regions
+from hdsp.detailed.relaxed.foothold_regions import efforts_to, foothold_region_steps
 from hdsp.detailed.search.estimate import Estimate, least_foot_cost, with_step_efforts
 from hdsp.detailed.search.life_cycle import Hopeless, Progress
 from hdsp.detailed.search.outcome import Limits, Status
@@ -30,8 +30,8 @@ from hdsp.planning.answers.plan_statistics import PlanStatistics
 from hdsp.planning.answers.plans import Plan
 from hdsp.planning.arguments import callback, choice, falling_weights, lattice_state, limits_of, number, pose_values
 from hdsp.planning.compiled import compile_for
-from hdsp.planning.ends.arrival import Arrival, Tolerance, arrival, poses_of, several, with_heading
-from hdsp.planning.ends.departure import departure
+from hdsp.planning.ends.arrival import Arrival, Tolerance, arrival_steps, poses_of, several, with_heading
+from hdsp.planning.ends.departure import Departure, departure_steps
 from hdsp.planning.ends.location import locate
 from hdsp.planning.ends.nearby import can_leave, nearest_to_leave
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, GridHeuristic, Heuristic
@@ -418,14 +418,17 @@ class Planner:
         compile_for(self.robot, self.heuristic, anytime=True, refinable=refinable)
         progress = callback("progress", progress)
         cancelled = self._cancelled(weights[0], (start, goal))
-        began = now()
-        query = self._queries.answer(
-            lambda: self._query(start, goal, tolerance, start_free, way_out, weights[0], limits, progress), cancelled
-        )
+
+        def timed_query() -> tuple[Query | Plan, float]:
+            began = now()
+            query = self._query(start, goal, tolerance, start_free, way_out, weights[0], limits, progress)
+            return query, now() - began
+
+        query, prepared = self._queries.answer(timed_query, lambda: (cancelled(), 0.0))
         if isinstance(query, Plan):
             query.stats.end(str(query.status))
             return iter([query])
-        plans = improving_plans(query, weights, refinable, Polish(polish), now() - began)
+        plans = improving_plans(query, weights, refinable, Polish(polish), prepared)
         return (query.from_start(plan) for plan in self._queries.answers(plans, cancelled))
 
     def _query(
@@ -441,13 +444,13 @@ class Planner:
     ) -> Query | Plan:
         """Returns the query, with the heuristic prepared for its goals, or a plan that ends before the search."""
         began = now()
-        begin = departure(
-            self.terrain, self.world, self.grid, self.robot, self._wider, start, start_free, way_out
-        )  # fmt: skip
-        goals = several(goal) or [goal]
-        ends = arrival(begin.world, self.grid, self._wider, goals, tolerance)
+        asked = Gradual(self._ends(start, goal, tolerance, start_free, way_out))
+        if not asked.run(began + limits.time):
+            return self._no_plan(Status.TIME_LIMIT, weight, began, (start, goal))
+        begin, ends = asked.result
         if begin.faults or ends.faults:
-            status, pose = (Status.INVALID_START, start) if begin.faults else (Status.INVALID_GOAL, goals[0])
+            first = (several(goal) or [goal])[0]
+            status, pose = (Status.INVALID_START, start) if begin.faults else (Status.INVALID_GOAL, first)
             values, heading_free = with_heading(pose)
             near = pose_values(values, "pose", self._wider)[:3]
             inquiry = InvalidEnd(begin.world, self.grid, self._wider, near, heading_free)
@@ -456,19 +459,21 @@ class Planner:
             )
         exact = ends.exact and len(ends.states) == 1
         groups = None if exact else np.unique(ends.goal, return_inverse=True)[1].ravel()
-        preparation = Gradual(self.heuristic.steps_from(begin.state, ends.states, groups))
+        same = begin.world is self.world
+
+        def on_ground(steps: Steps[Estimate]) -> Steps[tuple[Estimate, Estimate]]:
+            found = yield from steps
+            return found, (found if same else (yield from _on_ground(begin.world, found, ends)))
+
+        preparation = Gradual(on_ground(self.heuristic.steps_from(begin.state, ends.states, groups)))
         if not preparation.run(began + limits.time):
             return self._no_plan(Status.TIME_LIMIT, weight, began, (start, goal))
         spent = 0.0 if begin.way is None else float(begin.way.costs.sum())
-        same = begin.world is self.world
-        found = preparation.result
-        estimate = found if same else _on_ground(begin.world, found, ends)
+        found, estimate = preparation.result
 
         def estimate_of(heuristic: Heuristic, until: float) -> Estimate | None:
-            steps = Gradual(heuristic.steps_to(ends.states, groups))
-            if not steps.run(until):
-                return None
-            return steps.result if same else _on_ground(begin.world, steps.result, ends)
+            steps = Gradual(on_ground(heuristic.steps_to(ends.states, groups)))
+            return steps.result[1] if steps.run(until) else None
 
         return Query(
             terrain=begin.terrain,
@@ -494,6 +499,17 @@ class Planner:
             others=tuple(partial(estimate_of, other) for other in self.heuristic.others()),
         )
 
+    def _ends(
+        self, start, goal, tolerance: Tolerance | None, start_free: bool, way_out: bool
+    ) -> Steps[tuple[Departure, Arrival]]:
+        """Finds start and goals of a query, in steps."""
+        begin = yield from departure_steps(
+            self.terrain, self.world, self.grid, self.robot, self._wider, start, start_free, way_out
+        )  # fmt: skip
+        yield
+        goals = several(goal) or [goal]
+        return begin, (yield from arrival_steps(begin.world, self.grid, self._wider, goals, tolerance))
+
     def _cancelled(self, weight: float, asked: tuple) -> Callable[[], Plan]:
         """Makes the answer to a cancelled query."""
         return partial(self._no_plan, Status.CANCELLED, weight, now(), asked)
@@ -511,11 +527,12 @@ class Planner:
         )
 
 
-def _on_ground(world: World, estimate: Estimate, ends: Arrival) -> Estimate:
-    """Returns an estimate for a world with other ground under the start, where the map has no foothold regions."""
+def _on_ground(world: World, estimate: Estimate, ends: Arrival) -> Steps[Estimate]:
+    """Makes an estimate for a world with other ground under the start, where the map has no foothold regions."""
     if len(estimate.back.place) > 0:
-        return GridHeuristic(world).set_goals(ends.states, np.unique(ends.goal, return_inverse=True)[1].ravel())
+        groups = np.unique(ends.goal, return_inverse=True)[1].ravel()
+        return (yield from GridHeuristic(world).steps_to(ends.states, groups))
     if len(estimate.effort) == 0:
         return estimate
-    regions = find_foothold_regions(world, Rules(), least_foot_cost(world))
+    regions = yield from foothold_region_steps(world, Rules(), least_foot_cost(world))
     return with_step_efforts(estimate, regions.region, efforts_to(regions, world, ends.states))

@@ -17,7 +17,7 @@ import numpy as np
 from hdsp.base.gradual import Gradual, now
 from hdsp.detailed.actions.action import action_of
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.relaxed.foothold_regions import efforts_to, find_foothold_regions
+from hdsp.detailed.relaxed.foothold_regions import efforts_to, foothold_region_steps
 from hdsp.detailed.relaxed.proofs import Unreachable, nearest_state, proof_steps
 from hdsp.detailed.search.estimate import Estimate, grid_estimate, least_foot_cost, with_step_efforts
 from hdsp.detailed.search.life_cycle import GuideTurn, Hopeless, Progress, Search
@@ -209,7 +209,10 @@ class Query:
         estimate = self.bounding(min(MEMORY, self.limits.memory // 2))
         if len(estimate.effort) > 0:
             return estimate
-        regions = find_foothold_regions(self.world, Rules(), least_foot_cost(self.world))
+        steps = Gradual(foothold_region_steps(self.world, Rules(), least_foot_cost(self.world)))
+        if not steps.run(self.ends):
+            return estimate
+        regions = steps.result
         return with_step_efforts(estimate, regions.region, efforts_to(regions, self.world, self.goals))
 
     def lower_bounds(self) -> Estimate:

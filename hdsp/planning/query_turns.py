@@ -34,7 +34,7 @@ class QueryTurns:
         finally:
             self._events.discard(event)
 
-    def answer(self, query: Callable[[], Answer], cancelled: Callable[[], Plan]) -> Answer | Plan:
+    def answer(self, query: Callable[[], Answer], cancelled: Callable[[], Answer]) -> Answer:
         """Returns the result of a query or a part of it in its turn, or the answer to a cancelled one."""
         with self._event() as event, self.lock, cancelled_by(event):
             try:

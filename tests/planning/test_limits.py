@@ -203,7 +203,7 @@ def test_q4_without_time_the_proof_proves_nothing_and_with_time_it_does(monkeypa
         assert planner.plan(*ends, expansions=expansions).status == Status.INFEASIBLE
     assert planner.plan(*ends, expansions=FEW - 1000).status == Status.EXPANSION_LIMIT
     monkeypatch.setattr(query, "proof_steps", endless_steps)
-    assert planner.plan(*ends, expansions=FEW + 1000, time=0.5).status == Status.EXPANSION_LIMIT
+    assert planner.plan(*ends, expansions=FEW + 1000, time=1.5).status == Status.EXPANSION_LIMIT
 
 
 @pytest.mark.parametrize("name", ["regions", "flood", "standing", "dijkstra"])

@@ -30,6 +30,7 @@ from hdsp.detailed.actions.action import ARCS, DRIVES, TURN_LEFT, TURN_RIGHT, ar
 from hdsp.detailed.actions.any_feet import can_step_from_neutral, least_pose_cost
 from hdsp.detailed.actions.successors import arc_cost, neutral_rows
 from hdsp.detailed.search.free_space import FreeSpace, free_cost, new_free_space, no_free_space
+from hdsp.detailed.states import distinct_rows
 from hdsp.detailed.world.body import FREE, look_at_body, on_slope
 from hdsp.detailed.world.world import World, cell_index
 from hdsp.robot.lattice import HEADINGS
@@ -122,8 +123,9 @@ def new_backward(world: World, goals: np.ndarray, distance: float, turn: float, 
     layer = (goals[:, 3:] != 0).any(axis=1).astype(np.int64)
     initial = follow * (goals[:, 3:] - world.tables.lowest).sum(axis=1)
     # Goals of one pose and layer differ in their feet alone: the cheapest counts.
-    order = np.lexsort((initial, goals[:, 2], goals[:, 1], goals[:, 0], layer))
-    sources, first = np.unique(np.column_stack([layer, goals[:, :3]])[order], axis=0, return_index=True)
+    order = np.argsort(initial, kind="stable")
+    sources = np.column_stack([layer, goals[:, :3]])[order]
+    first = distinct_rows(sources)
     return Backward(
         place=np.zeros(places, np.int32),
         where=np.zeros(blocks, np.int32),
@@ -132,7 +134,7 @@ def new_backward(world: World, goals: np.ndarray, distance: float, turn: float, 
         ahead=np.empty(blocks * _NODES, np.int32),
         heads=np.full(_BUCKETS, -1, np.int32),
         counts=np.array([1, 0, 0, 0, 0, 0], np.int64),
-        sources=np.ascontiguousarray(sources),
+        sources=sources[first],
         initial=initial[order][first].astype(float),
         guide=np.zeros(3, np.int64),
         width=turn,

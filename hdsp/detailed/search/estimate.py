@@ -22,7 +22,7 @@ from hdsp.detailed.search.backward import (
     settle,
 )
 from hdsp.detailed.search.interpolation import CostsToGo, interpolated, no_costs_to_go
-from hdsp.detailed.states import unpack
+from hdsp.detailed.states import distinct_rows, unpack
 from hdsp.robot.lattice import CELLS_PER_ABSTRACT, HEADINGS, metres
 
 
@@ -247,8 +247,8 @@ def geometric_estimate(world, goals, groups=None) -> Estimate:
     goals = np.atleast_2d(np.asarray(goals, dtype=np.int64))
     groups = np.arange(len(goals)) if groups is None else np.asarray(groups)
     around = [disc_around(goals[groups == group, :3]) for group in range(int(groups.max()) + 1)]
-    feet = np.unique(goals[:, 3:], axis=0)
     c, t = world.constants, world.tables
+    feet = goals[distinct_rows(goals[:, 3:]), 3:]
     length = np.maximum(np.hypot(t.arcs[..., 0], t.arcs[..., 1]), 1.0)
     drive = min(metres(float(t.deviation.min())), float((t.drive_price[0, :, len(t.move_dx) :] / length).min()))
     return Estimate(

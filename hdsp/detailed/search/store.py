@@ -136,6 +136,12 @@ def grown(store: Store) -> Store:
     return store._replace(**changed)
 
 
+def load_growth(store: Store) -> None:
+    """Compiles or loads the kernels of ``grown``, which short searches do not need."""
+    _fill_slots(store, np.zeros_like(store.slot), store.node_bits)
+    _fill_pose_slots(store, np.zeros_like(store.pose_slot))
+
+
 @njit(allocates=False, nogil=True)
 def emptied(store):
     """Empties the store for another search, within the touched parts alone; goal marks vanish as well."""

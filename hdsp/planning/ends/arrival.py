@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.gradual import Steps, finished
 from hdsp.base.settings import shown
 from hdsp.detailed.actions.state_costs import separated, state_costs
 from hdsp.detailed.causes import Cause
-from hdsp.detailed.states import pack_states
+from hdsp.detailed.states import distinct_rows, pack_states
 from hdsp.detailed.world.world import World
 from hdsp.planning.arguments import number, pose_values
 from hdsp.planning.ends.location import locate
@@ -23,6 +24,7 @@ from hdsp.robot.robot import Robot
 #: Distance (m) or distance and difference in heading (m, rad) from a goal within which a plan may end.
 Tolerance = float | tuple[float, float]
 _ROUNDING = 1e-9  # m
+_AT_ONCE = 2048  # poses between two looks at the clock
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +45,14 @@ class Arrival:
 
 
 def arrival(world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: Tolerance | None) -> Arrival:
-    """Returns the states at which a plan may end.
+    """Does the work of ``arrival_steps`` at once."""
+    return finished(arrival_steps(world, grid, robot, goals, tolerance))
+
+
+def arrival_steps(
+    world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: Tolerance | None
+) -> Steps[Arrival]:
+    """Finds the states at which a plan may end, in steps.
 
     A goal without tolerance and with a heading is the nearest pose on the lattice, on the given feet. Without feet, it
     is on neutral feet if T_a->d chooses them; else the robot may arrive on any feet on which it stands, since few feet
@@ -70,8 +79,9 @@ def arrival(world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: 
             exact = False
             distance, turn = within or (0.0, 0.0)
             values = pose_values(pose, name, robot)
-            around = _around(world, grid, values, state, distance, math.pi if free else turn)
-            states = np.unique(around if wrong else np.concatenate([state[None], around]), axis=0)
+            around = yield from _around(world, grid, values, state, distance, math.pi if free else turn)
+            states = around if wrong else np.concatenate([state[None], around])
+            states = states[distinct_rows(states)] if len(states) else states
         elif wrong or len(pose_values(pose, name, robot)) == 7 or not state[3:].any():
             states = state[None][: 0 if wrong else 1]
         else:
@@ -81,10 +91,11 @@ def arrival(world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: 
             faults.append(wrong)
         found.append(states)
         numbers.append(np.full(len(states), k))
+        yield
     states, numbers_of = np.concatenate(found), np.concatenate(numbers)
     if len(states):
         # A search counts each state once, also between goals that overlap.
-        first = np.sort(np.unique(states, axis=0, return_index=True)[1])
+        first = np.sort(distinct_rows(states))
         return Arrival(states[first], numbers_of[first], exact)
     words: list[Cause | str] = list(faults[0])
     if not exact:
@@ -146,8 +157,8 @@ def _on_any_feet(world: World, state: np.ndarray) -> np.ndarray:
 
 def _around(
     world: World, grid: Grid, values: np.ndarray, state: np.ndarray, distance: float, turn: float
-) -> np.ndarray:
-    """Valid states, int64 [n, 7], at the poses within a distance (m) and a difference in heading (rad)."""
+) -> Steps[np.ndarray]:
+    """Finds the valid states, int64 [n, 7], at the poses within a distance (m) and a difference in heading (rad)."""
     t, given = world.tables, len(values) == 7
     feet = state[3:]
     if given and ((feet < t.lowest).any() or (feet >= t.lowest + t.n_offsets).any()):
@@ -161,10 +172,20 @@ def _around(
     at = at[(away <= distance + _ROUNDING) | (at == state[:2]).all(axis=1)]
     off = np.mod(heading_angle(np.arange(HEADINGS)) - values[2] + math.pi, 2 * math.pi) - math.pi
     headings = np.flatnonzero((abs(off) <= turn + _ROUNDING) | (np.arange(HEADINGS) == state[2]))
-    bases = np.column_stack([np.repeat(at, len(headings), axis=0), np.tile(headings, len(at))])
-    if not given:
+    found = []
+    rows = max(_AT_ONCE // len(headings), 1)
+    for part in np.array_split(at, range(rows, len(at), rows)):
+        bases = np.column_stack([np.repeat(part, len(headings), axis=0), np.tile(headings, len(part))])
+        found.append(_standing_at(world, bases, feet if given else None))
+        yield
+    return np.concatenate(found)
+
+
+def _standing_at(world: World, bases: np.ndarray, feet: np.ndarray | None) -> np.ndarray:
+    """Valid states, int64 [n, 7], at base poses [m, 3], on given feet [4], or on feet as from ``states_at``."""
+    if feet is None or len(bases) == 0:
         states, stands = states_at(world, bases)
         return states[stands]
     states = np.column_stack([bases, np.broadcast_to(feet, (len(bases), 4))])
-    keys = pack_states(states, t.lowest)
+    keys = pack_states(states, world.tables.lowest)
     return states[np.isfinite(state_costs(world, keys)) & separated(world.constants, int(keys[0]))]

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hdsp.base.gradual import Steps
 from hdsp.detailed.causes import Cause
 from hdsp.detailed.world.geometry import rectangle_cells
 from hdsp.detailed.world.world import World
@@ -58,10 +59,10 @@ class Departure:
     way: WayOut | None = None
 
 
-def departure(
+def departure_steps(
     terrain: HeightMap, world: World, grid: Grid, robot: Robot, wider: Robot, pose, free: bool, way_out: bool
-) -> Departure:
-    """Returns the start at a pose, on the map as it is wherever the robot can leave it there.
+) -> Steps[Departure]:
+    """Finds the start at a pose, on the map as it is wherever the robot can leave it there, in steps.
 
     Args:
         terrain: the map.
@@ -94,10 +95,12 @@ def departure(
         if not left and (faults or can_leave(stood, wider, there)):
             return Departure(there, [], ground, stood, changed.words)
         grounds.append((ground, stood, changed.words))
+        yield
     for ground, stood, assumed in grounds if way_out else ():
         way = find_way_out(ground, stood, robot, wider, footed)
         if way is not None:
             return Departure(way.states[-1], [], ground, stood, assumed, way)
+        yield
     # Causes hold on the map as it is: on the changed ground, an edge may lie between the filled cells and others.
     return Departure(state, faults, terrain, world)
 

@@ -17,7 +17,7 @@ from hdsp.detailed.search.estimate import Estimate, geometric_estimate, least_fo
 from hdsp.detailed.search.interpolation import CostsToGo
 from hdsp.detailed.world.world import World
 from hdsp.planning.heuristics.corridor_steps import DOUBT, corridor_steps
-from hdsp.planning.heuristics.goal_sources import Sources, goal_sources
+from hdsp.planning.heuristics.goal_sources import Sources, goal_source_steps
 from hdsp.planning.heuristics.guided_steps import LARGE, guided_steps
 from hdsp.planning.heuristics.heuristic import Heuristic
 from hdsp.planning.heuristics.known_edges import KnownEdges
@@ -60,10 +60,12 @@ class AbstractHeuristic(Heuristic):
         self.name, self.costs, self.terrain, self.second = name, costs, terrain, second
         self._other: AbstractHeuristic | None = None
         self._known: KnownEdges | None = None
-        self._feet = np.empty(0, np.int32)  # feet at abstract states where the robot can stand, else -1
+        self._feet = np.empty(0, np.int32)  # feet at abstract states where the robot can stand, else -1; empty: unknown
         self._uneven = np.empty(0, bool)  # abstract cells around which feet may step
         self._reached: tuple[Sources, np.ndarray] | None = None  # abstract goals and distances to them, all edges known
         self._outdated: np.ndarray | None = None  # states with other edges since then
+        # The last goals and their abstract states, with the states at which the robot could stand then.
+        self._last_sources: tuple[np.ndarray, np.ndarray, Sources] | None = None
         self._foothold_regions: FootholdRegions | None = None
         self._preparation: Gradual[None] | None = None  # begun, and not yet complete
         # Tables of corridors by their identity, as long as some query has them.
@@ -94,16 +96,15 @@ class AbstractHeuristic(Heuristic):
 
     def steps_to(self, goals: np.ndarray, groups: np.ndarray | None = None) -> Steps[Estimate]:
         yield from self._all_edges()
-        sources = self._sources(goals)
-        if not self._is_reached(sources):
-            self._reached = sources, (yield from self.known.graph.distance_steps(sources.states, sources.costs))
-            self._outdated = None
-        return (yield from super().steps_to(goals, groups))
+        to_go = yield from self._cost_to_go((yield from self._sources(goals)))
+        groups = np.zeros(1, dtype=np.int64) if groups is None else groups
+        self._estimate = self._view(goals, groups, to_go)
+        return self._estimate
 
     def steps_from(self, start: np.ndarray, goals: np.ndarray, groups: np.ndarray | None = None) -> Steps[Estimate]:
         yield from self._prepared()
-        known, sources = self.known, self._sources(goals)
-        guide = self._guide(known)
+        known, guide = self.known, self._guide(self.known)
+        sources = yield from self._sources(goals)
         groups = np.zeros(1, dtype=np.int64) if groups is None else groups
         if guide is not None:
             yield from guide._prepared()
@@ -130,7 +131,6 @@ class AbstractHeuristic(Heuristic):
         if self._other is None:
             other = AbstractHeuristic(self.world, self.terrain, self.second)
             if self._known is not None and self._foothold_regions is not None:  # the same for any abstraction
-                other._known = KnownEdges(self.terrain, self.second, self._known.standing)
                 other._feet, other._uneven = self._feet, self._uneven
                 other._foothold_regions = self._foothold_regions
             self._other = other
@@ -153,9 +153,11 @@ class AbstractHeuristic(Heuristic):
         if self._foothold_regions is None:
             self._foothold_regions = yield from foothold_region_steps(world, Rules(), least_foot_cost(world))
         if self._known is None:
-            feet = yield from standing_steps(world)
-            known = KnownEdges(terrain, self.costs, feet >= 0)
-            self._feet, self._uneven, self._known = feet, uneven_cells(world), known
+            if self._feet.size == 0:
+                feet = yield from standing_steps(world)
+                self._feet, self._uneven = feet, uneven_cells(world)
+                yield
+            self._known = yield from KnownEdges.steps(terrain, self.costs, self._feet >= 0)
 
     def _all_edges(self) -> Steps[None]:
         yield from self._prepared()
@@ -163,7 +165,7 @@ class AbstractHeuristic(Heuristic):
 
     def clear(self) -> None:
         super().clear()
-        self._reached = self._outdated = None
+        self._reached = self._outdated = self._last_sources = None
         if self._other is not None:
             self._other.clear()
 
@@ -172,7 +174,7 @@ class AbstractHeuristic(Heuristic):
 
     def estimate_for_nearest(self, goals: np.ndarray, groups: np.ndarray) -> Estimate:
         self.prepare()
-        return self._view(goals, groups, self._cost_to_go(self._sources(goals)))
+        return self._view(goals, groups, finished(self._cost_to_go(finished(self._sources(goals)))))
 
     def _view(self, goals: np.ndarray, groups: np.ndarray, to_go: np.ndarray) -> Estimate:
         finite = to_go[np.isfinite(to_go)]
@@ -188,25 +190,33 @@ class AbstractHeuristic(Heuristic):
         view = with_step_efforts(geometric, self.foothold_regions.region, efforts)
         return view._replace(to_go=table, outside=float(finite.max()) if len(finite) else 0.0)
 
-    def _sources(self, goals: np.ndarray) -> Sources:
-        return goal_sources(self.world, self.known.standing, goals)
+    def _sources(self, goals: np.ndarray) -> Steps[Sources]:
+        standing, last = self.known.standing, self._last_sources
+        if last is None or last[0] is not standing or not np.array_equal(last[1], goals):
+            last = standing, goals, (yield from goal_source_steps(self.world, standing, goals))
+            self._last_sources = last
+        return last[2]
 
     def _is_reached(self, sources: Sources) -> bool:
         return self._reached is not None and self._outdated is None and self._reached[0].equal(sources)
 
-    def _cost_to_go(self, sources: Sources) -> np.ndarray:
-        """Costs-to-go of the whole map, float64 [16, nx, ny]; all edges are known."""
+    def _cost_to_go(self, sources: Sources) -> Steps[np.ndarray]:
+        """Costs-to-go of the whole map, float64 [16, nx, ny], in steps; all edges are known."""
         graph = self.known.graph
         if self._reached is not None and self._outdated is not None and self._reached[0].equal(sources):
             states = np.argwhere(self._outdated)
             self._reached = sources, graph.repaired(self._reached[1], sources.states, states, sources.costs)
         elif not self._is_reached(sources):
-            self._reached = sources, graph.distances(sources.states, sources.costs)
+            self._reached = sources, (yield from graph.distance_steps(sources.states, sources.costs))
         self._outdated = None
         assert self._reached is not None
-        to_go = graph.bridged(self._reached[1])
-        to_go = np.maximum(to_go - sources.excess, 0.0)
-        reconnect(to_go, self.known.standing | graph.passed_over, self._prices())
+        distances = self._reached[1]
+        yield
+        passed_over = graph.passed_over
+        yield
+        to_go = np.maximum(graph.bridged(distances) - sources.excess, 0.0)
+        yield
+        reconnect(to_go, self.known.standing | passed_over, self._prices())
         return to_go
 
     def _prices(self) -> np.ndarray:
@@ -236,6 +246,7 @@ class AbstractHeuristic(Heuristic):
         self._known = known
         if known is None or former is None:
             self._reached = self._outdated = None
+            self._feet = np.empty(0, np.int32)
             return
         self._feet, self._uneven = feet, uneven_cells(world)
         if self._reached is not None:

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hdsp.base.gradual import Steps, finished
 from hdsp.detailed.world.world import World
 from hdsp.robot.lattice import (
     ABSTRACT_HEADINGS,
@@ -14,6 +15,8 @@ from hdsp.robot.lattice import (
     metres,
     surrounding_abstract,
 )
+
+_AT_ONCE = 4096  # goals between two looks at the clock
 
 
 class Sources(NamedTuple):
@@ -36,7 +39,12 @@ class Sources(NamedTuple):
 
 
 def goal_sources(world: World, standing: np.ndarray, goals: np.ndarray) -> Sources:
-    """Returns the abstract states from which a search for costs-to-go begins.
+    """Does the work of ``goal_source_steps`` at once."""
+    return finished(goal_source_steps(world, standing, goals))
+
+
+def goal_source_steps(world: World, standing: np.ndarray, goals: np.ndarray) -> Steps[Sources]:
+    """Finds the abstract states from which a search for costs-to-go begins, in steps.
 
     They surround the goals, as the goals seldom lie on an anchor. The cost from an anchor to the goal is the cost of
     the straight way, and of the turn, on even ground. Their interpolation at the goal is above 0. Costs-to-go exceed
@@ -53,6 +61,32 @@ def goal_sources(world: World, standing: np.ndarray, goals: np.ndarray) -> Sourc
     # Goals on one pose differ in their feet alone, in a hundred thousand ways where feet may stay as they like.
     _, first = np.unique((goals[:, 0] * world.ny + goals[:, 1]) * HEADINGS + goals[:, 2], return_index=True)
     goals = goals[first]
+    yield
+    parts = []
+    for part in np.array_split(goals, range(_AT_ONCE, len(goals), _AT_ONCE)):
+        parts.append(_around(world, standing, part))
+        yield
+    excess = np.concatenate([part.excess for part in parts])
+    most = float(excess.max())
+    least = np.full(standing.size, np.inf)
+    owners = np.split(most - excess, np.cumsum([len(part.excess) for part in parts])[:-1])
+    for part, more in zip(parts, owners, strict=True):
+        np.minimum.at(least, part.states, part.costs + more[part.goals])
+    (found,) = np.nonzero(least < np.inf)
+    ix, iy, heading = np.unravel_index(found, (*standing.shape[1:], ABSTRACT_HEADINGS))
+    return Sources(np.stack([ix, iy, heading], axis=1).astype(np.int64), least[found], most)
+
+
+class _Around(NamedTuple):
+    """Abstract states around some goals: flat indices (ix, iy, heading), their goals, costs; excess of each goal."""
+
+    states: np.ndarray
+    goals: np.ndarray
+    costs: np.ndarray
+    excess: np.ndarray
+
+
+def _around(world: World, standing: np.ndarray, goals: np.ndarray) -> _Around:
     last = np.array([*standing.shape[1:], ABSTRACT_HEADINGS]) - 1
     around, shares = surrounding_abstract(goals)
     inside = ((around >= 0) & (around <= last)).all(axis=2)
@@ -64,12 +98,9 @@ def goal_sources(world: World, standing: np.ndarray, goals: np.ndarray) -> Sourc
     costs = _straight_costs(world, states.reshape(-1, 3), behind.reshape(-1, 3)).reshape(shares.shape)
     costs[alone] = 0.0
     excess = 0.5 * (shares * costs).sum(axis=1) / shares.sum(axis=1)
-    most = float(excess.max())
-    chosen = shares > 0
-    distinct, which = np.unique(states[chosen], axis=0, return_inverse=True)
-    least = np.full(len(distinct), np.inf)
-    np.minimum.at(least, which.ravel(), (costs + (most - excess)[:, None])[chosen])
-    return Sources(distinct, least, most)
+    goal, which = np.nonzero(shares > 0)
+    ix, iy, heading = states[goal, which].T
+    return _Around((ix * standing.shape[2] + iy) * ABSTRACT_HEADINGS + heading, goal, costs[goal, which], excess)
 
 
 def _straight_costs(world: World, states: np.ndarray, goals: np.ndarray) -> np.ndarray:

@@ -36,19 +36,24 @@ def guided_steps(
         Float64 [16, nx, ny]; inf without a way to a goal.
     """
     yield from guide.evaluate_all()
+    yield
     standing, mixed = known.standing, MixedEdges(guide.graph)
     starts, entered = states_around(start, standing), np.zeros(standing.shape, bool)
     opened: np.ndarray | None = None
 
-    def raise_guide(share: float) -> None:
+    def raise_guide(share: float) -> Steps[None]:
         mixed.raise_by(share)
+        yield
         mixed.enter(known.incoming, entered, *known.extremes)
+        yield
         if opened is not None:
             mixed.open(prices, opened)
 
     while True:
         distances = yield from mixed.graph.distance_steps(sources.states, sources.costs)
+        yield
         band = find_band(mixed.graph, distances, starts)
+        yield
         if band is None and opened is None:
             opened = standing.copy()
             opened[sources.states[:, 2], sources.states[:, 0], sources.states[:, 1]] = True
@@ -59,10 +64,14 @@ def guided_steps(
         missing = band.around & standing & ~entered
         yield from known.evaluate(missing)
         entered |= missing
-        raise_guide(DEARER)
-    raise_guide(OUTSIDE)
+        yield from raise_guide(DEARER)
+    yield from raise_guide(OUTSIDE)
     graph = mixed.graph
     distances = yield from graph.distance_steps(sources.states, sources.costs)
+    yield
+    passed_over = graph.passed_over
+    yield
     to_go = np.maximum(graph.bridged(distances) - sources.excess, 0.0)
-    reconnect(to_go, standing | graph.passed_over, prices)
+    yield
+    reconnect(to_go, standing | passed_over, prices)
     return to_go

@@ -12,7 +12,7 @@ from hdsp.abstract.abstract_costs import (
     RememberingCosts,
     edge_steps,
 )
-from hdsp.abstract.prepared_graph import PreparedGraph, enter_edges, least_incoming, replace_edges
+from hdsp.abstract.prepared_graph import PreparedGraph, enter_edges, enter_least, replace_edges
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Gradual, Steps
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS
@@ -25,7 +25,7 @@ class KnownEdges:
     """Edges from the states of a map at which the robot can stand, as far as they were evaluated.
 
     Edges of ``BoundedCosts`` that are not evaluated have their least cost; others are missing. Several threads may
-    evaluate edges.
+    evaluate edges. ``steps`` makes an object, in steps.
 
     Args:
         terrain: the map.
@@ -44,13 +44,22 @@ class KnownEdges:
         stated = costs.least if isinstance(costs, BoundedCosts) else None
         self.least = None if stated is None else np.array(stated, np.float32, order="C")
         self.evaluated, self.version = np.zeros(standing.shape, bool), object()
-        bounds = np.full(N_ABSTRACT_ACTIONS, np.inf, np.float32) if self.least is None else self.least
-        bounds = np.broadcast_to(bounds, (len(standing), N_ABSTRACT_ACTIONS))
-        self.incoming = least_incoming(standing, np.ascontiguousarray(bounds), ABSTRACT_ACTIONS)
+        self.incoming = np.empty((*standing.shape, N_ABSTRACT_ACTIONS), np.float32)
         self._memory = costs.new_memory(terrain) if isinstance(costs, RememberingCosts) else None
         self._cheapest, self._most_expensive = np.inf, 0.0
         self._graph: PreparedGraph | None = None
         self._running: Gradual[None] | None = None
+
+    @classmethod
+    def steps(cls, terrain: HeightMap, costs: AbstractCosts, standing: np.ndarray) -> Steps[KnownEdges]:
+        """Makes the edges of a map of which none is evaluated; arguments as for the class."""
+        result = cls(terrain, costs, standing)
+        bounds = np.full(N_ABSTRACT_ACTIONS, np.inf, np.float32) if result.least is None else result.least
+        bounds = np.ascontiguousarray(np.broadcast_to(bounds, (len(standing), N_ABSTRACT_ACTIONS)))
+        for heading in range(len(standing)):
+            enter_least(result.incoming, heading, standing, bounds, ABSTRACT_ACTIONS)
+            yield
+        return result
 
     @property
     def share(self) -> float:
