@@ -90,7 +90,17 @@ class GradualCosts(AbstractCosts, Protocol):
 
 
 class Memory(Protocol):
-    """Parts of the work on a map that later evaluations reuse; results are the same without."""
+    """Parts of the work on a map that later evaluations reuse; results are the same without.
+
+    Attributes:
+        most: bytes beyond which parts are dropped.
+    """
+
+    most: int
+
+    def nbytes(self) -> int:
+        """Bytes of the parts."""
+        ...
 
     def after(self, changed: np.ndarray) -> Self:
         """Returns the parts that a change leaves as they are, and takes them from this object.

@@ -26,6 +26,8 @@ from hdsp.terrain.patches import crop_patches
 LEAST = 0.99
 #: Patches cropped at once; 10 MB, evaluated in less than a second.
 CHUNK = 512
+#: Bytes of the networks' work on one window.
+_WORKING = 160 << 20
 #: Side in cells of the squares whose states the engine evaluates together. Larger ones share more features.
 WINDOW = 192
 #: Side in cells of a tile in dense evaluation. Larger tiles share more between patches; a map change affects less with
@@ -167,6 +169,11 @@ class LearnedCosts:
                 yield
         close_exits(edges, height_map, region)
         return edges
+
+    @property
+    def working_memory(self) -> int:
+        """Bytes for the evaluation of a window or of some patches, at most."""
+        return _WORKING
 
     def new_memory(self, height_map: HeightMap) -> KeptFeatures | None:
         """See ``RememberingCosts.new_memory``."""

@@ -83,8 +83,8 @@ def falling_weights(values: Any) -> tuple[float, ...]:
     return weights
 
 
-def limits_of(cost: Any, expansions: Any, memory: Any, time: Any) -> Limits:
-    """Returns the limits of a query.
+def limits_of(cost: Any, expansions: Any, memory: int, time: Any) -> Limits:
+    """Returns the limits of a query; ``memory`` was examined before.
 
     Raises:
         InputError: a limit is no number, negative, or NaN.
@@ -92,7 +92,7 @@ def limits_of(cost: Any, expansions: Any, memory: Any, time: Any) -> Limits:
     return Limits(
         cost=number("cost", cost, 0.0, infinite=True),
         expansions=whole("expansions", expansions),
-        memory=whole("memory", memory),
+        memory=memory,
         time=number("time", time, 0.0, infinite=True),
     )
 

@@ -11,9 +11,10 @@ import numpy as np
 from hdsp.base.gradual import now
 from hdsp.detailed.search import anytime
 from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
-from hdsp.detailed.search.outcome import Status
+from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.planning.answers.plan_statistics import PlanStatistics
 from hdsp.planning.answers.plans import Plan
+from hdsp.planning.memory import proof_memory
 from hdsp.planning.polish import Polish
 from hdsp.planning.query import Query, ReachedStates
 from hdsp.planning.refinable import RefusedSteps, polished_and_refinable, without
@@ -94,7 +95,8 @@ def _rounds(
     reached = ReachedStates(query.goal)
     while True:
         limits = query.limits
-        left = replace(limits, expansions=limits.expansions - spent, time=query.time_left())
+        memory = limits.memory - (proof_memory(world) if query.may_prove else 0)
+        left = Limits(limits.cost, limits.expansions - spent, memory, query.time_left())
         rounds = anytime.improve(
             world,
             query.start,
@@ -103,7 +105,8 @@ def _rounds(
             admissible,
             guide,
             limits=left,
-            hopeless=None if refused.words else proof.succeeds_by,  # a refused step is part of a plan
+            # A refused step is part of a plan.
+            hopeless=proof.succeeds_by if query.may_prove and not refused.words else None,
             progress=query.progress,
             at_end=reached.take,
         )
@@ -124,7 +127,7 @@ def _rounds(
                     yield query.out_of_time(plan), Status.TIME_LIMIT
                     return
                 cost = plan.cost
-            if found.ended == Status.INFEASIBLE and not plan.solved and not refused.words:
+            if found.ended == Status.INFEASIBLE and not plan.solved and query.may_prove and not refused.words:
                 proof.succeeds_by(query.ends)
                 plan = query.without_way(plan, proof.found)
             yield plan, found.ended

@@ -28,9 +28,18 @@ from hdsp.learning.loading import abstraction_of, load_abstraction
 from hdsp.planning.answers.invalid_end import InvalidEnd
 from hdsp.planning.answers.plan_statistics import PlanStatistics
 from hdsp.planning.answers.plans import Plan
-from hdsp.planning.arguments import callback, choice, falling_weights, lattice_state, limits_of, number, pose_values
+from hdsp.planning.arguments import (
+    callback,
+    choice,
+    falling_weights,
+    lattice_state,
+    limits_of,
+    number,
+    pose_values,
+    whole,
+)
 from hdsp.planning.compiled import compile_for
-from hdsp.planning.ends.arrival import Arrival, Tolerance, arrival_steps, poses_of, several, with_heading
+from hdsp.planning.ends.arrival import STATE_BYTES, Arrival, Tolerance, arrival_steps, poses_of, several, with_heading
 from hdsp.planning.ends.departure import Departure, departure_steps
 from hdsp.planning.ends.location import locate
 from hdsp.planning.ends.nearby import can_leave, nearest_to_leave
@@ -39,6 +48,7 @@ from hdsp.planning.improving import improving_plans
 from hdsp.planning.map_changes import changed_cells
 from hdsp.planning.margin import with_margin
 from hdsp.planning.measured_map import MeasuredMap
+from hdsp.planning.memory import least_memory, memory_limit, own_memory
 from hdsp.planning.polish import DEFAULT, Polish, polish_seconds, weight_and_polish
 from hdsp.planning.query import Query
 from hdsp.planning.query_turns import QueryTurns
@@ -298,7 +308,9 @@ class Planner:
                 bounds nothing, and ``bound`` comes from a lower bound on the cost of all plans. All proofs hold over
                 all states in which the plan may end.
             cost: largest cost of interest.
-            expansions, memory, time: limits in expanded states, bytes for states, seconds.
+            expansions, memory, time: limits in expanded states, bytes, seconds. They hold for the whole query: time
+                from its turn to its answer, memory for all that it creates, its heuristic included
+                (`hdsp.planning.memory`).
             refinable: refine the plan; while a step cannot be carried out, report it in ``refused`` and search again
                 without it.
             polish: time (s) in which windows of the plan are planned again at W = 1, so that it gets cheaper; see
@@ -310,11 +322,12 @@ class Planner:
             A plan; ``status`` tells its end, ``explain()`` describes it in words, also an invalid start or goal.
 
         Raises:
-            InputError: a value is not a number, a pose lies off the map, or a weight is < 1.
+            InputError: a value is not a number, a pose lies off the map, a weight is < 1, or the memory is less than
+                an empty search on this map needs; the message names the least.
             RefinementError: ``refinable``, and an action before the first step cannot be carried out.
         """
         anchored = None if anchor_weight is None else number("anchor_weight", anchor_weight, 1.0)
-        limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
+        limits, refinable = limits_of(cost, expansions, self._memory(memory), time), choice("refinable", refinable)
         start_free, way_out = choice("start_free", start_free), choice("way_out", way_out)
         unbounded = not self.heuristic.admissible and anchored is None
         weight, polish = weight_and_polish(weight, polish, unbounded)
@@ -412,7 +425,7 @@ class Planner:
             (1.0, 'solved')
         """
         weights = falling_weights(weights)
-        limits, refinable = limits_of(cost, expansions, memory, time), choice("refinable", refinable)
+        limits, refinable = limits_of(cost, expansions, self._memory(memory), time), choice("refinable", refinable)
         start_free, way_out = choice("start_free", start_free), choice("way_out", way_out)
         polish = polish_seconds(polish, DEFAULT)
         compile_for(self.robot, self.heuristic, anytime=True, refinable=refinable)
@@ -444,7 +457,8 @@ class Planner:
     ) -> Query | Plan:
         """Returns the query, with the heuristic prepared for its goals, or a plan that ends before the search."""
         began = now()
-        asked = Gradual(self._ends(start, goal, tolerance, start_free, way_out))
+        free = limits.memory - self.heuristic.needed_memory() - least_memory(self.world)
+        asked = Gradual(self._ends(start, goal, tolerance, start_free, way_out, free))
         if not asked.run(began + limits.time):
             return self._no_plan(Status.TIME_LIMIT, weight, began, (start, goal))
         begin, ends = asked.result
@@ -460,6 +474,9 @@ class Planner:
         exact = ends.exact and len(ends.states) == 1
         groups = None if exact else np.unique(ends.goal, return_inverse=True)[1].ravel()
         same = begin.world is self.world
+        other = 0 if same else own_memory(begin.world, self.world)
+        aside = other + STATE_BYTES * len(ends.states) + least_memory(begin.world)
+        self.heuristic.keep_within(limits.memory - aside - self.heuristic.needed_memory())
 
         def on_ground(steps: Steps[Estimate]) -> Steps[tuple[Estimate, Estimate]]:
             found = yield from steps
@@ -468,6 +485,9 @@ class Planner:
         preparation = Gradual(on_ground(self.heuristic.steps_from(begin.state, ends.states, groups)))
         if not preparation.run(began + limits.time):
             return self._no_plan(Status.TIME_LIMIT, weight, began, (start, goal))
+        held = aside - least_memory(begin.world) + self.heuristic.needed_memory() + self.heuristic.kept()
+        if limits.memory < held + least_memory(begin.world):
+            return self._no_plan(Status.MEMORY_LIMIT, weight, began, (start, goal)).renewed({"total_memory": held})
         spent = 0.0 if begin.way is None else float(begin.way.costs.sum())
         found, estimate = preparation.result
 
@@ -489,7 +509,8 @@ class Planner:
             # On other ground under the start, costs-to-go in the map may be too high.
             admissible=self.heuristic.admissible and (same or len(estimate.table) == 0),
             consistent=self.heuristic.consistent and (same or len(estimate.table) == 0),
-            limits=replace(limits, cost=limits.cost - spent),
+            limits=replace(limits, cost=limits.cost - spent, memory=limits.memory - held),
+            held=held,
             ends=began + limits.time,
             progress=progress,
             assumed=begin.assumed,
@@ -499,16 +520,19 @@ class Planner:
             others=tuple(partial(estimate_of, other) for other in self.heuristic.others()),
         )
 
+    def _memory(self, asked: int) -> int:
+        """Limit of a query's memory in bytes; see ``memory_limit``."""
+        return memory_limit(whole("memory", asked), self.heuristic.needed_memory() + least_memory(self.world))
+
     def _ends(
-        self, start, goal, tolerance: Tolerance | None, start_free: bool, way_out: bool
+        self, start, goal, tolerance: Tolerance | None, start_free: bool, way_out: bool, memory: int
     ) -> Steps[tuple[Departure, Arrival]]:
-        """Finds start and goals of a query, in steps."""
+        """Finds start and goals of a query, in steps; ``memory`` is left for the states at the goals, in bytes."""
         begin = yield from departure_steps(
             self.terrain, self.world, self.grid, self.robot, self._wider, start, start_free, way_out
         )  # fmt: skip
-        yield
         goals = several(goal) or [goal]
-        return begin, (yield from arrival_steps(begin.world, self.grid, self._wider, goals, tolerance))
+        return begin, (yield from arrival_steps(begin.world, self.grid, self._wider, goals, tolerance, memory))
 
     def _cancelled(self, weight: float, asked: tuple) -> Callable[[], Plan]:
         """Makes the answer to a cancelled query."""

@@ -32,6 +32,7 @@ from hdsp.planning.answers.plans import Plan
 from hdsp.planning.ends.way_out import WayOut
 from hdsp.planning.heuristics import AbstractHeuristic, Heuristic
 from hdsp.planning.heuristics.grid import MEMORY
+from hdsp.planning.memory import proof_memory
 from hdsp.robot.lattice import Grid
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -84,7 +85,8 @@ class Query:
         assumed: changes in the map under the start, in words; see ``Plan``.
         way: way out of the clearance of obstacles, which comes before ``start``; None without one.
         measured: the planner's map, without changes under the start; None if it is conditioned.
-        limits: of the whole query; ``ends`` counts instead of the time.
+        limits: of the whole query; ``ends`` counts instead of the time. The memory is that of searches and proof.
+        held: bytes of everything else, part of the memory in statistics.
         ends: moment on the clock ``now`` at which the time is over.
         progress: called now and then with (expansions, seconds).
         whole: computes the guide for the whole map; None where ``estimate`` covers the map.
@@ -105,6 +107,7 @@ class Query:
     admissible: bool
     consistent: bool
     limits: Limits
+    held: int = 0
     ends: float = np.inf
     progress: Progress | None = None
     assumed: tuple[str, ...] = ()
@@ -122,6 +125,11 @@ class Query:
     def time_left(self) -> float:
         """Seconds until the time is over, at least 0."""
         return max(0.0, self.ends - now())
+
+    @property
+    def may_prove(self) -> bool:
+        """Whether the memory suffices for a proof beside a search."""
+        return self.limits.memory >= 2 * proof_memory(self.world)
 
     def weighted(
         self,
@@ -159,7 +167,7 @@ class Query:
             weight=weight,
             admissible=self.admissible,
             reopen=not once,
-            limits=replace(self.limits, time=self.time_left()),
+            limits=replace(self.limits, time=self.time_left(), memory=self._memory(hopeless, lower)),
             hopeless=hopeless,
             progress=self.progress,
             nearest=True,
@@ -189,7 +197,7 @@ class Query:
             [self.estimate],
             weight=weight,
             anchor_weight=anchor_weight,
-            limits=replace(self.limits, time=self.time_left()),
+            limits=replace(self.limits, time=self.time_left(), memory=self._memory(hopeless)),
             hopeless=hopeless,
             progress=self.progress,
             at_end=reached.take,
@@ -215,13 +223,18 @@ class Query:
         regions = steps.result
         return with_step_efforts(estimate, regions.region, efforts_to(regions, self.world, self.goals))
 
+    def _memory(self, hopeless: Hopeless | None, lower: Estimate | None = None) -> int:
+        """Memory for states and open lists, bytes: without a proof's and without the bounds' backward search."""
+        proof = 0 if hopeless is None else proof_memory(self.world)
+        return self.limits.memory - proof - (0 if lower is None else min(LITTLE, self.limits.memory // 4))
+
     def lower_bounds(self) -> Estimate:
         """Returns the grid heuristic's estimate with a small backward search, one for all searches of the query."""
         if not self.bounds:
-            self.bounds.append(self.bounding())
+            self.bounds.append(self.bounding(min(LITTLE, self.limits.memory // 4)))
         return self.bounds[0]
 
-    def bounding(self, memory: int = LITTLE) -> Estimate:
+    def bounding(self, memory: int) -> Estimate:
         """Returns the grid heuristic's estimate for the goals, with step efforts as far as they are known.
 
         Args:
@@ -241,6 +254,7 @@ class Query:
             expansions=result.expansions,
             seen=result.seen,
             memory=result.memory,
+            total_memory=result.memory + self.held,
             search_seconds=result.seconds,
             lower_bound=result.lower_bound,
         )
@@ -315,11 +329,12 @@ class Query:
         A proof takes longer than most searches and names the obstacle. A search without a plan would take very long.
         """
         proof = self.proof()
-        plan = search(self, proof.succeeds_by)
+        plan = search(self, proof.succeeds_by if self.may_prove else None)
         if plan.status != Status.INFEASIBLE:
             return plan.renewed({"proof_seconds": proof.seconds})
         # A search through all reachable states proves as much, but names no obstacle.
-        proof.succeeds_by(self.ends)
+        if self.may_prove:
+            proof.succeeds_by(self.ends)
         return self.without_way(plan, proof.found).renewed({"proof_seconds": proof.seconds})
 
 

@@ -129,7 +129,7 @@ def test_a_start_without_an_abstract_way_asks_for_all_edges(monkeypatch, terrain
 def test_edges_of_parts_are_those_of_the_map(monkeypatch, terrain):
     whole, parts = (Planner(terrain, MOMARO, Expensive(7)) for _ in range(2))
     whole.prepare()
-    monkeypatch.setattr(known_edges, "_PART", 16 * 30 * 7)
+    monkeypatch.setattr(known_edges, "PART", 16 * 30 * 7)
     parts.prepare()
     np.testing.assert_array_equal(parts.heuristic.graph.incoming, whole.heuristic.graph.incoming)
     assert parts.heuristic.known.share == 1

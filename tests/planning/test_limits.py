@@ -1,6 +1,7 @@
 """Q4: one budget of time for preparation, search, proof and refinement, and nothing computed twice."""
 
 import time
+import tracemalloc
 from itertools import product
 
 import numpy as np
@@ -22,10 +23,12 @@ from hdsp.detailed.search.multi_heuristic import solve_multi
 from hdsp.detailed.search.outcome import Limits
 from hdsp.detailed.search.store import EXPANDED
 from hdsp.detailed.search.weighted_astar import solve
+from hdsp.detailed.states import distinct_rows
+from hdsp.learning.inference.kept_features import KeptFeatures
 from hdsp.planning import query
 from hdsp.planning.answers import plans
 from hdsp.planning.compiled import compile_for
-from hdsp.planning.heuristics import standing
+from hdsp.planning.heuristics import goal_sources, standing
 from hdsp.planning.heuristics.standing import standing_states
 from hdsp.terrain.random_arenas import random_arena
 
@@ -202,8 +205,8 @@ def test_q4_without_time_the_proof_proves_nothing_and_with_time_it_does(monkeypa
     for expansions in (FEW, FEW + 1000):
         assert planner.plan(*ends, expansions=expansions).status == Status.INFEASIBLE
     assert planner.plan(*ends, expansions=FEW - 1000).status == Status.EXPANSION_LIMIT
-    monkeypatch.setattr(query, "proof_steps", endless_steps)
-    assert planner.plan(*ends, expansions=FEW + 1000, time=1.5).status == Status.EXPANSION_LIMIT
+    monkeypatch.setattr(query, "proof_steps", Clock(monkeypatch).steps(0.002, np.inf, None))
+    assert planner.plan(*ends, expansions=FEW + 1000, time=0.5).status == Status.EXPANSION_LIMIT
 
 
 @pytest.mark.parametrize("name", ["regions", "flood", "standing", "dijkstra"])
@@ -307,3 +310,71 @@ def test_q4_a_computation_that_failed_begins_again(flat):
     broken = Gradual(endless_steps())
     with pytest.raises(RuntimeError, match="not finished"):
         _ = broken.result
+
+
+def test_memory_below_an_empty_search_is_an_error_that_names_the_least(flat):
+    for planner in (flat, Planner(flat.terrain, heuristic="manual"), Planner(flat.terrain, heuristic="grid")):
+        with pytest.raises(InputError, match="memory is 1000; a query on this map needs") as caught:
+            planner.plan(START, GOAL, memory=1000)
+        least = int(str(caught.value).split("needs ")[1].split()[0])
+        with pytest.raises(InputError, match=f"needs {least} bytes at least"):
+            planner.improve(START, GOAL, memory=least - 1)
+        plan = planner.plan(START, GOAL, 1.5, memory=least)
+        assert plan.status in (Status.SOLVED, Status.MEMORY_LIMIT) and plan.stats.total_memory <= least
+
+
+def test_memory_counts_the_heuristic_and_the_states_at_the_goals(flat):
+    manual = Planner(flat.terrain, heuristic="manual")
+    few, more = flat.plan(START, GOAL, 1.5), manual.plan(START, GOAL, 1.5)
+    edges = 16 * 25 * 25 * 22 * 4
+    assert more.stats.total_memory > few.stats.total_memory + edges
+    around = manual.plan(START, GOAL, 1.5, tolerance=(0.2, 3.2))
+    assert around.stats.total_memory > more.stats.total_memory + 7 * 8 * 1000
+    with pytest.raises(InputError, match="states at the goal need"):
+        flat.plan(START, GOAL, tolerance=(1.0, 3.2), memory=5_000_000)
+
+
+def test_memory_for_no_proof_leaves_the_search_alone():
+    heights = np.zeros((160, 160), np.float32)
+    heights[80:84] = 1.0
+    plan = Planner(HeightMap(heights)).plan((1.0, 2.0, 0.0), (3.0, 2.0, 0.0), memory=2_500_000)
+    assert plan.status == Status.MEMORY_LIMIT and plan.stats.total_memory <= 2_500_000
+    assert plan.stats.expansions > FEW and plan.stats.proof_seconds == 0
+
+
+def test_arrays_of_a_query_stay_within_its_memory(flat):
+    heights = np.zeros((160, 160), np.float32)
+    heights[80:84] = 1.0
+    planner, limit = Planner(HeightMap(heights)), 3_000_000
+    planner.plan((1.0, 2.0, 0.0), (3.0, 2.0, 0.0), expansions=10)
+    tracemalloc.start()
+    try:
+        plan = planner.plan((1.0, 2.0, 0.0), (3.0, 2.0, 0.0), memory=limit)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert plan.status == Status.MEMORY_LIMIT and 0.4 * limit < peak < limit
+
+
+def test_kept_features_stay_within_their_memory():
+    memory = KeptFeatures((40, 40), (4, 4, 4))
+    cells, values = np.arange(900), np.zeros((900, 32), np.float32)
+    memory.most = 4 << 20
+    for heading in range(16):
+        memory.keep(0, heading, memory._first[heading], 30, cells, values)
+        assert memory.nbytes() <= memory.most
+    memory.most = 1000
+    memory.keep(0, 0, memory._first[0], 30, cells, values)
+    assert memory.nbytes() <= 1000
+
+
+def test_many_goals_have_the_same_abstract_states_in_parts(long_task, monkeypatch):
+    planner, _, goal = long_task
+    goals = goal + np.array([[x, y, h, 0, 0, 0, 0] for x in range(-6, 6) for y in range(-6, 6) for h in range(-20, 16)])
+    standing = standing_states(planner.world)
+    at_once = goal_sources.goal_sources(planner.world, standing, goals)
+    monkeypatch.setattr(goal_sources, "_AT_ONCE", 100)
+    assert goal_sources.goal_sources(planner.world, standing, goals).equal(at_once)
+    rows = goals[np.random.default_rng(0).integers(len(goals), size=2000)]
+    np.testing.assert_array_equal(distinct_rows(rows), np.unique(rows, axis=0, return_index=True)[1])
+    np.testing.assert_array_equal(distinct_rows(rows << 20), np.unique(rows << 20, axis=0, return_index=True)[1])

@@ -270,26 +270,26 @@ def test_a_door_closed_in_the_map(monkeypatch):
     costs, compiled = Counting("momaro"), []
     planner = Planner(with_doors(near, far), heuristic=costs)
     monkeypatch.setattr(world_update, "build_world", lambda part, of: compiled.append(part) or build_world(part, of))
-    before = planner.plan(start, goal, 1.5)
+    before = planner.plan(start, goal, 1.5, polish=0.0)
     assert before.solved and before.states[:, 1].max() < 2.5
     asked = costs.asked
 
-    around = planner.update(with_doors(far)).plan(start, goal, 1.5)
+    around = planner.update(with_doors(far)).plan(start, goal, 1.5, polish=0.0)
     assert 0 < costs.asked - asked < asked / 3
-    fresh = Planner(with_doors(far), heuristic=ManualCosts("momaro")).plan(start, goal, 1.5)
+    fresh = Planner(with_doors(far), heuristic=ManualCosts("momaro")).plan(start, goal, 1.5, polish=0.0)
     assert around.solved and around.states[:, 1].max() > 4.2
     assert around.cost == fresh.cost > before.cost
     np.testing.assert_array_equal(around.states, fresh.states)
 
     planner.update(with_doors())
-    closed = planner.plan(start, goal, 1.5)
+    closed = planner.plan(start, goal, 1.5, polish=0.0)
     assert closed.status == Status.INFEASIBLE
     assert "gets nowhere from" in closed.explain() and "an edge of 100 cm" in closed.explain()
     assert costs.asked - asked < asked
     assert len(compiled) == 2 and max(part.heights.size for part in compiled) < planner.terrain.heights.size / 2
 
     # With the door open again, the plan is the first plan.
-    again = planner.update(with_doors(near, far)).plan(start, goal, 1.5)
+    again = planner.update(with_doors(near, far)).plan(start, goal, 1.5, polish=0.0)
     np.testing.assert_array_equal(again.states, before.states)
 
 

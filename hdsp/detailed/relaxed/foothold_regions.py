@@ -19,6 +19,7 @@ from hdsp.detailed.actions.successors import Rules, allowed_headings
 from hdsp.detailed.world.world import World, cell_index, step_effort, step_fits
 from hdsp.robot.lattice import HEADINGS
 
+_CELL_BYTES = 48  # for each cell of the map
 _CELLS = 16_384  # cells whose steps are collected between two looks at the clock
 
 
@@ -72,6 +73,12 @@ def foothold_region_steps(world: World, rules: Rules, counted_per_cell: float) -
             _collect_steps(world, region, first, min(first + _CELLS, len(region)), toward, counted_per_cell, effort)
             yield
     return FootholdRegions(region, effort)
+
+
+def regions_memory(world: World, regions: FootholdRegions | None) -> int:
+    """Bytes for foothold regions and their computation; the efforts between regions count once these are known."""
+    efforts = 0 if regions is None else 2 * regions.effort.nbytes
+    return _CELL_BYTES * len(world.standable) + efforts
 
 
 def efforts_to(regions: FootholdRegions, world: World, goals: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from hdsp.base.jit import njit
 from hdsp.learning.rotated_maps import rotated_cells
 from hdsp.robot.lattice import ABSTRACT_HEADINGS
 
-#: Bytes of features; beyond, all are dropped.
+#: Bytes of features, unless a query has less; beyond, all are dropped.
 MOST_BYTES = 256 << 20
 #: Kinds of features.
 LOCAL, ALONG, POSE = range(3)
@@ -31,10 +31,13 @@ class KeptFeatures:
     Args:
         shape: cells of the map.
         reaches: distance in cells, along x or y, within which features of each kind depend on the ground.
+
+    Attributes:
+        most: bytes of features; an array counts together with the larger copy that replaces it.
     """
 
     def __init__(self, shape: tuple[int, int], reaches: tuple[int, ...]):
-        self._shape, self._reaches, self._lock = shape, reaches, threading.Lock()
+        self._shape, self._reaches, self._lock, self.most = shape, reaches, threading.Lock(), MOST_BYTES
         corners = np.array([(x, y) for x in (0, shape[0] - 1) for y in (0, shape[1] - 1)])
         turned = [rotated_cells(corners, heading) for heading in range(ABSTRACT_HEADINGS)]
         # Bases lie on the map, and need features at no more than the farthest reach beyond.
@@ -77,11 +80,15 @@ class KeptFeatures:
         if len(cells) == 0:
             return
         with self._lock:
-            if sum(rows.nbytes for rows in self._rows if rows is not None) > MOST_BYTES:
+            room = self._room(kind, len(cells))
+            if self.nbytes() + room * values.itemsize * values.shape[1] > min(self.most, MOST_BYTES):
                 self._forget()
+                room = self._room(kind, len(cells))
+                if room * values.itemsize * values.shape[1] > self.most:
+                    return
             rows, used = self._rows[kind], self._used[kind]
-            if rows is None or used + len(cells) > len(rows):
-                grown = np.empty((max(_FIRST_ROWS, 2 * used, used + len(cells)), values.shape[1]), values.dtype)
+            if room > 0:
+                grown = np.empty((room, values.shape[1]), values.dtype)
                 if rows is not None:
                     grown[:used] = rows[:used]
                 self._rows[kind] = rows = grown
@@ -92,6 +99,16 @@ class KeptFeatures:
             _keep(self._numbers[kind, heading], first[0], first[1], across, cells, rows, used, values)
             self._used[kind] = used + len(cells)
 
+    def _room(self, kind: int, more: int) -> int:
+        """Rows of the array with room for more features; 0 if the present one suffices."""
+        rows, used = self._rows[kind], self._used[kind]
+        return 0 if rows is not None and used + more <= len(rows) else max(_FIRST_ROWS, 2 * used, used + more)
+
+    def nbytes(self) -> int:
+        """Bytes of all features and of their numbers by cell."""
+        rows = sum(each.nbytes for each in self._rows if each is not None)
+        return rows + sum(numbers.nbytes for numbers in self._numbers.values())
+
     def after(self, changed: np.ndarray) -> KeptFeatures:
         """Moves the features that a change leaves as they are to a new object; none stay here.
 
@@ -99,6 +116,7 @@ class KeptFeatures:
             changed: bool [nx, ny], cells of the map with other heights.
         """
         result = KeptFeatures(self._shape, self._reaches)
+        result.most = self.most
         with self._lock:
             result._rows, result._used, result._numbers = self._rows, self._used, self._numbers
             self._forget()

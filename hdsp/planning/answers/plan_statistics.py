@@ -19,6 +19,7 @@ class PlanStatistics(Mapping[str, Any]):
         expansions: expanded states.
         seen: generated states.
         memory: bytes for states and open lists at the end.
+        total_memory: bytes of everything that the query holds at the end of its search, its heuristic included.
         search_seconds: time in the search.
         proof_seconds: time in attempts to prove that no plan exists.
         lower_bound: no plan costs less; 0 without a proof.
@@ -37,6 +38,7 @@ class PlanStatistics(Mapping[str, Any]):
     expansions: int = 0
     seen: int = 0
     memory: int = 0
+    total_memory: int = 0
     search_seconds: float = 0.0
     proof_seconds: float = 0.0
     lower_bound: float = 0.0

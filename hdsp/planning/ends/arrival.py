@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -23,8 +24,10 @@ from hdsp.robot.robot import Robot
 
 #: Distance (m) or distance and difference in heading (m, rad) from a goal within which a plan may end.
 Tolerance = float | tuple[float, float]
+#: Bytes for a state at a goal, with the work on it.
+STATE_BYTES = 400
 _ROUNDING = 1e-9  # m
-_AT_ONCE = 2048  # poses between two looks at the clock
+_AT_ONCE = 256  # poses between two looks at the clock, on ground where T_a->d takes long
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +53,7 @@ def arrival(world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: 
 
 
 def arrival_steps(
-    world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: Tolerance | None
+    world: World, grid: Grid, robot: Robot, goals: Sequence, tolerance: Tolerance | None, memory: float = math.inf
 ) -> Steps[Arrival]:
     """Finds the states at which a plan may end, in steps.
 
@@ -65,13 +68,16 @@ def arrival_steps(
         robot: its limits.
         goals: poses as for ``locate``; the heading may be None, then any heading counts.
         tolerance: see ``Tolerance``; a distance alone leaves the heading as it is.
+        memory: bytes for these states.
 
     Raises:
-        InputError: a pose or a tolerance has other values, or a pose lies off the map.
+        InputError: a pose or a tolerance has other values, a pose lies off the map, or the states take more memory.
     """
     within = _checked(tolerance)
     found, numbers, faults, exact = [], [], [], True
     for k, goal in enumerate(goals):
+        if k > 0:
+            yield
         pose, free = with_heading(goal)
         name = "goal" if len(goals) == 1 else f"goal {k}"
         state, wrong = locate(world, grid, robot, pose, name)
@@ -79,19 +85,18 @@ def arrival_steps(
             exact = False
             distance, turn = within or (0.0, 0.0)
             values = pose_values(pose, name, robot)
-            around = yield from _around(world, grid, values, state, distance, math.pi if free else turn)
+            around = yield from _around(world, grid, values, state, distance, math.pi if free else turn, memory)
             states = around if wrong else np.concatenate([state[None], around])
             states = states[distinct_rows(states)] if len(states) else states
         elif wrong or len(pose_values(pose, name, robot)) == 7 or not state[3:].any():
             states = state[None][: 0 if wrong else 1]
         else:
-            states = _on_any_feet(world, state)
+            states = _on_any_feet(world, state, memory)
             exact = exact and len(states) == 1
         if len(states) == 0:
             faults.append(wrong)
         found.append(states)
         numbers.append(np.full(len(states), k))
-        yield
     states, numbers_of = np.concatenate(found), np.concatenate(numbers)
     if len(states):
         # A search counts each state once, also between goals that overlap.
@@ -143,20 +148,32 @@ def _checked(tolerance: Tolerance | None) -> tuple[float, float] | None:
     return number("tolerance in m", tolerance[0], 0.0), number("tolerance in rad", tolerance[1], 0.0)
 
 
-def _on_any_feet(world: World, state: np.ndarray) -> np.ndarray:
+def _check_memory(states: int, memory: float) -> None:
+    needed = STATE_BYTES * states
+    if needed > memory:
+        raise InputError(f"{states} states at the goal need {needed} bytes at least; {max(int(memory), 0)} are left")
+
+
+def _on_any_feet(world: World, state: np.ndarray, memory: float) -> np.ndarray:
     """Valid states, int64 [n, 7], at the pose of a state, the state first."""
     t = world.tables
-    offsets = np.arange(t.lowest, t.lowest + t.n_offsets)
-    feet = np.stack(np.meshgrid(*[offsets] * 4, indexing="ij"), axis=-1).reshape(-1, 4)
+    _check_memory(t.n_offsets**4, memory)
+    feet = _all_feet(t.lowest, t.n_offsets, 2 * world.constants.neutral_x - world.constants.min_separation)
     states = np.column_stack([np.broadcast_to(state[:3], (len(feet), 3)), feet])
-    apart = 2 * world.constants.neutral_x - world.constants.min_separation
-    states = states[(feet[:, 1] - feet[:, 0] <= apart) & (feet[:, 2] - feet[:, 3] <= apart)]
     states = states[np.isfinite(state_costs(world, pack_states(states, t.lowest)))]
     return np.concatenate([state[None], states[(states != state).any(axis=1)]])
 
 
+@lru_cache(maxsize=4)
+def _all_feet(lowest: int, n_offsets: int, apart: float) -> np.ndarray:
+    """Foot offsets, int64 [n, 4], whose sides stay apart."""
+    offsets = np.arange(lowest, lowest + n_offsets)
+    feet = np.stack(np.meshgrid(*[offsets] * 4, indexing="ij"), axis=-1).reshape(-1, 4)
+    return feet[(feet[:, 1] - feet[:, 0] <= apart) & (feet[:, 2] - feet[:, 3] <= apart)]
+
+
 def _around(
-    world: World, grid: Grid, values: np.ndarray, state: np.ndarray, distance: float, turn: float
+    world: World, grid: Grid, values: np.ndarray, state: np.ndarray, distance: float, turn: float, memory: float
 ) -> Steps[np.ndarray]:
     """Finds the valid states, int64 [n, 7], at the poses within a distance (m) and a difference in heading (rad)."""
     t, given = world.tables, len(values) == 7
@@ -172,12 +189,14 @@ def _around(
     at = at[(away <= distance + _ROUNDING) | (at == state[:2]).all(axis=1)]
     off = np.mod(heading_angle(np.arange(HEADINGS)) - values[2] + math.pi, 2 * math.pi) - math.pi
     headings = np.flatnonzero((abs(off) <= turn + _ROUNDING) | (np.arange(HEADINGS) == state[2]))
-    found = []
+    _check_memory(len(at) * len(headings), memory)
+    found: list[np.ndarray] = []
     rows = max(_AT_ONCE // len(headings), 1)
     for part in np.array_split(at, range(rows, len(at), rows)):
+        if found:
+            yield
         bases = np.column_stack([np.repeat(part, len(headings), axis=0), np.tile(headings, len(part))])
         found.append(_standing_at(world, bases, feet if given else None))
-        yield
     return np.concatenate(found)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from weakref import WeakValueDictionary
 
@@ -12,19 +13,29 @@ from hdsp.abstract.cut_off import reconnect
 from hdsp.abstract.prepared_graph import PreparedGraph
 from hdsp.base.gradual import Gradual, Steps, finished
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, efforts_to, foothold_region_steps
+from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, efforts_to, foothold_region_steps, regions_memory
 from hdsp.detailed.search.estimate import Estimate, geometric_estimate, least_foot_cost, with_step_efforts
 from hdsp.detailed.search.interpolation import CostsToGo
+from hdsp.detailed.search.outcome import Limits
 from hdsp.detailed.world.world import World
 from hdsp.planning.heuristics.corridor_steps import DOUBT, corridor_steps
 from hdsp.planning.heuristics.goal_sources import Sources, goal_source_steps
 from hdsp.planning.heuristics.guided_steps import LARGE, guided_steps
 from hdsp.planning.heuristics.heuristic import Heuristic
-from hdsp.planning.heuristics.known_edges import KnownEdges
+from hdsp.planning.heuristics.known_edges import PART, KnownEdges
 from hdsp.planning.heuristics.standing import standing_steps, uneven_cells, updated_standing
 from hdsp.planning.map_changes import changed_cells
-from hdsp.robot.lattice import ABSTRACT_HEADINGS, CELLS_PER_ABSTRACT, HEADINGS_PER_ABSTRACT
+from hdsp.robot.lattice import (
+    ABSTRACT_HEADINGS,
+    CELLS_PER_ABSTRACT,
+    HEADINGS_PER_ABSTRACT,
+    N_ABSTRACT_ACTIONS,
+    abstract_shape,
+)
 from hdsp.terrain.height_map import HeightMap
+
+# Bytes for an abstract state: its edges; masks, feet, distances, queues and costs-to-go.
+_STATE_EDGES, _STATE_BYTES = 4 * N_ABSTRACT_ACTIONS, 128
 
 
 class AbstractHeuristic(Heuristic):
@@ -68,6 +79,7 @@ class AbstractHeuristic(Heuristic):
         self._last_sources: tuple[np.ndarray, np.ndarray, Sources] | None = None
         self._foothold_regions: FootholdRegions | None = None
         self._preparation: Gradual[None] | None = None  # begun, and not yet complete
+        self._most_kept = Limits.memory
         # Tables of corridors by their identity, as long as some query has them.
         self._partial: WeakValueDictionary[int, np.ndarray] = WeakValueDictionary()
 
@@ -136,6 +148,25 @@ class AbstractHeuristic(Heuristic):
             self._other = other
         return (self._other,)
 
+    def needed_memory(self) -> int:
+        states = ABSTRACT_HEADINGS * math.prod(abstract_shape((self.world.nx, self.world.ny)))
+        graphs = 1 + (self.second is not None) * (2 if states > LARGE else 1)  # a guided query mixes both
+        edges = _STATE_EDGES * (graphs * states + min(states, PART))
+        costs = sum(getattr(each, "working_memory", 0) for each in (self.costs, self.second))
+        regions = regions_memory(self.world, self._foothold_regions)
+        # The C library sets a block of up to 32 MB to zero at once, a larger one page by page as it is used. The next
+        # heading's block may come before the last one's memory is free.
+        standing = 2 * min(self.world.level_ground.nbytes, 32 << 20)
+        return edges + _STATE_BYTES * states + regions + costs + standing
+
+    def keep_within(self, memory: int) -> None:
+        self._most_kept = max(memory // 2, 0)
+        if self._known is not None:
+            self._known.keep_within(self._most_kept)
+
+    def kept(self) -> int:
+        return 0 if self._known is None else self._known.kept()
+
     def covers_map(self, estimate: Estimate) -> bool:
         return self._partial.get(id(estimate.to_go.values)) is not estimate.to_go.values
 
@@ -158,6 +189,7 @@ class AbstractHeuristic(Heuristic):
                 self._feet, self._uneven = feet, uneven_cells(world)
                 yield
             self._known = yield from KnownEdges.steps(terrain, self.costs, self._feet >= 0)
+            self._known.keep_within(self._most_kept)
 
     def _all_edges(self) -> Steps[None]:
         yield from self._prepared()

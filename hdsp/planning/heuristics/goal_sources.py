@@ -61,11 +61,11 @@ def goal_source_steps(world: World, standing: np.ndarray, goals: np.ndarray) -> 
     # Goals on one pose differ in their feet alone, in a hundred thousand ways where feet may stay as they like.
     _, first = np.unique((goals[:, 0] * world.ny + goals[:, 1]) * HEADINGS + goals[:, 2], return_index=True)
     goals = goals[first]
-    yield
-    parts = []
-    for part in np.array_split(goals, range(_AT_ONCE, len(goals), _AT_ONCE)):
-        parts.append(_around(world, standing, part))
-        yield
+    parts: list[_Around] = []
+    for some in np.array_split(goals, range(_AT_ONCE, len(goals), _AT_ONCE)):
+        if parts:
+            yield
+        parts.append(_around(world, standing, some))
     excess = np.concatenate([part.excess for part in parts])
     most = float(excess.max())
     least = np.full(standing.size, np.inf)

@@ -5,7 +5,7 @@ import numpy as np
 from hdsp.abstract.abstract_costs import Region
 from hdsp.base.gradual import Steps, finished
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, efforts_to, foothold_region_steps
+from hdsp.detailed.relaxed.foothold_regions import FootholdRegions, efforts_to, foothold_region_steps, regions_memory
 from hdsp.detailed.search.estimate import Estimate, grid_estimate, least_foot_cost, with_step_efforts
 from hdsp.detailed.world.world import World
 from hdsp.planning.heuristics.heuristic import Heuristic
@@ -36,6 +36,9 @@ class GridHeuristic(Heuristic):
         super().__init__(world)
         self.memory = memory
         self._regions: FootholdRegions | None = None
+
+    def needed_memory(self) -> int:
+        return regions_memory(self.world, self._regions)
 
     def prepare(self) -> None:
         finished(self._prepared())

@@ -36,7 +36,6 @@ def guided_steps(
         Float64 [16, nx, ny]; inf without a way to a goal.
     """
     yield from guide.evaluate_all()
-    yield
     standing, mixed = known.standing, MixedEdges(guide.graph)
     starts, entered = states_around(start, standing), np.zeros(standing.shape, bool)
     opened: np.ndarray | None = None

@@ -100,6 +100,20 @@ class Heuristic(ABC):
         """Heuristics that take turns with this one in a long search, in which this one may be wrong; here, none."""
         return ()
 
+    def needed_memory(self) -> int:
+        """Bytes that queries take beside their searches, at most; here, none.
+
+        The preparation counts, and results for the whole map, also those of earlier queries.
+        """
+        return 0
+
+    def keep_within(self, memory: int) -> None:  # noqa: B027, for heuristics that keep further work
+        """Sets a limit, in bytes, for work that is kept for later queries and that they can do without."""
+
+    def kept(self) -> int:
+        """Bytes of this work."""
+        return 0
+
     def covers_map(self, estimate: Estimate) -> bool:
         """Whether an estimate from ``steps_from`` is as good as from ``steps_to``; False after less work."""
         return True

@@ -18,7 +18,8 @@ from hdsp.base.gradual import Gradual, Steps
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS
 from hdsp.terrain.height_map import HeightMap
 
-_PART = 1 << 19  # states whose edges are evaluated at once
+#: States whose edges are evaluated at once.
+PART = 1 << 19
 
 
 class KnownEdges:
@@ -83,6 +84,15 @@ class KnownEdges:
             self._graph = PreparedGraph(self.incoming, self._cheapest, self._most_expensive)
         return self._graph
 
+    def keep_within(self, memory: int) -> None:
+        """Sets a limit, in bytes, for the parts of the costs' work that later evaluations reuse."""
+        if self._memory is not None:
+            self._memory.most = memory
+
+    def kept(self) -> int:
+        """Bytes of these parts."""
+        return 0 if self._memory is None else self._memory.nbytes()
+
     def evaluate_all(self) -> Steps[None]:
         """Evaluates all edges that are not known."""
         while (missing := self.standing & ~self.evaluated).any():
@@ -101,12 +111,12 @@ class KnownEdges:
         yield
 
     def _evaluation(self, mask: np.ndarray) -> Steps[None]:
-        if mask.size <= _PART and np.array_equal(mask, self.standing):
+        if mask.size <= PART and np.array_equal(mask, self.standing):
             yield from self._part(mask, (0, 0, *mask.shape[1:]))
             return
         low_x, low_y, end_x, end_y = _rectangle(mask)
         # Edges of a part at once, because those of a large map take as much memory as the graph.
-        rows = max(_PART // (ABSTRACT_HEADINGS * (end_y - low_y)), 1)
+        rows = max(PART // (ABSTRACT_HEADINGS * (end_y - low_y)), 1)
         for first in range(low_x, end_x, rows):
             region = first, low_y, min(first + rows, end_x), end_y
             part = mask[:, region[0] : region[2], region[1] : region[3]]
