@@ -1,6 +1,7 @@
 """The viewer: time from the end of a drag to the drawn path, on a random arena of 10 x 10 m.
 
     python -m benchmarks.viewer [--drags 20] [--size 10] [--seed 0] [--robot momaro] [--weight 1.25]
+        [--heuristics manual learned]
 
 A goal is dragged to random places to which a way exists. The clock runs from the release of the handle until the path
 is in the scene; a browser on the same machine gets it within some milliseconds. The first plan, the compilation, and
@@ -28,8 +29,10 @@ def main(argv=None) -> dict:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--robot", default="momaro")
     parser.add_argument("--weight", type=float, default=1.25)
+    parser.add_argument("--heuristics", nargs="+", choices=("manual", "learned"), default=["manual", "learned"])
     arguments = parser.parse_args(argv)
 
+    from hdsp.planning.compiled import compile_for
     from hdsp.planning.viewing.map_viewer import MapViewer
     from hdsp.planning.viewing.planning_session import PlanningRequest
     from hdsp.terrain import random_arena
@@ -40,9 +43,11 @@ def main(argv=None) -> dict:
     try:
         assert viewer.session.wait(PATIENCE), "no first plan"
         goals = reachable_goals(viewer, arguments.drags, np.random.default_rng(arguments.seed))
-        for heuristic, name in (("manual", ""), ("learned", "learned_")):
+        for heuristic in arguments.heuristics:
+            name = "" if heuristic == "manual" else f"{heuristic}_"
             viewer.change(heuristic=heuristic)
             assert viewer.session.wait(PATIENCE), f"{heuristic}: no plan"
+            compile_for(viewer.answer.planner.robot, viewer.answer.planner.heuristic)  # waits for the session's thread
             wall, cpu = zip(*(drag(viewer, goal) for goal in goals), strict=True)
             print(
                 f"{heuristic}: drag to path {1000 * median(wall):.0f} ms (median of {len(goals)}; longest "

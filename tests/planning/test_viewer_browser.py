@@ -2,6 +2,7 @@
 
 import shutil
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -200,6 +201,15 @@ def test_two_browsers_share_a_viewer_that_outlives_them(chromium, viewer, tab):
     viewer.change(weight=1.25)
     until(lambda: viewer.answer.request.weight == 1.25)
     assert other.errors == []
+
+
+def test_the_button_saves_the_plan_as_a_page(tab, viewer):
+    assert viewer.session.wait(PATIENCE)
+    with tab.page.expect_download() as coming:
+        tab.page.get_by_role("button", name="Save as page").click()
+    assert coming.value.suggested_filename == "plan.html"
+    text = Path(coming.value.path()).read_text(encoding="utf-8")
+    assert "window.__VISER_EMBED_DATA__=" in text and text.rstrip().endswith("</html>")
 
 
 def test_a_page_shows_the_plan_without_a_server(chromium, viewer, tmp_path):
