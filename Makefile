@@ -1,6 +1,7 @@
 # Each command sets itself up: the environment is made anew when constraints.txt or pyproject.toml change.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
+SUPPLY := build/supply
 KEY := $(shell cat constraints.txt pyproject.toml | cksum | cut -d' ' -f1)
 STAMP := $(VENV)/.installed-$(KEY)
 export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
@@ -23,7 +24,7 @@ KERNEL_TESTS := tests/detailed tests/abstract/test_prepared_graph.py tests/label
 # Half of the test maps: they run all kernels.
 KERNEL_MAPS := not (cuboid_2 or cuboid_3 or wall_2 or staircase_wall or staircase_focused)
 
-.PHONY: help install repro demo tables docs docs-links test test-checked warm-checked fuzz lint format params clean
+.PHONY: help install repro demo tables docs docs-links test test-checked warm-checked fuzz audit sbom hashes lint format params clean
 
 help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
@@ -64,6 +65,23 @@ warm-checked: $(STAMP)  # one process compiles for both of the tests
 
 fuzz: $(STAMP)  ## damaged files, random plans and updates for FUZZ_SECONDS (600), from case FUZZ_SEED (0) on
 	python -m tests.fuzz --seconds $(FUZZ_SECONDS) --seed $(FUZZ_SEED) $(FUZZ_ARGS)
+
+# Tools for the supply have an environment of their own, so that constraints.txt pins none of their packages.
+$(SUPPLY)/.installed: Makefile
+	test -x $(SUPPLY)/bin/python || $(PYTHON) -m venv $(SUPPLY)
+	$(SUPPLY)/bin/python -m pip install --quiet "pip-audit>=2.10" "cyclonedx-bom>=7.5"
+	touch $@
+
+audit: $(SUPPLY)/.installed  ## compare every pinned package with published advisories (needs a network)
+	$(SUPPLY)/bin/python tools/audit.py
+
+sbom: $(SUPPLY)/.installed  ## list of all packages of the environment in build/sbom.json (CycloneDX)
+	mkdir -p build
+	$(SUPPLY)/bin/cyclonedx-py requirements --pyproject pyproject.toml --of JSON -o build/sbom.json constraints-hashes.txt
+	@echo "build/sbom.json"
+
+hashes: $(SUPPLY)/.installed  ## constraints.txt with the hashes of all files in constraints-hashes.txt (needs a network)
+	$(SUPPLY)/bin/python tools/hashes.py
 
 lint: $(STAMP)  ## style, types, layers of imports, words of docstrings
 	ruff check .

@@ -8,6 +8,7 @@ import os
 import re
 import resource
 import sys
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import field
@@ -98,12 +99,16 @@ def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
 
     Raises:
         InputError: a package is missing, or no scheduler answers.
+
+    Warns:
+        UserWarning: the scheduler takes work from anybody who reaches it.
     """
     try:
         from distributed import Client
     except ImportError as error:
         raise InputError(f"several workers need Dask: pip install 'dask[distributed]' ({error})") from error
 
+    _warn_of_open(settings.scheduler)
     if settings.scheduler is not None and settings.scheduler != "slurm":
         try:
             client = Client(settings.scheduler, timeout="10s")
@@ -122,6 +127,21 @@ def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
     finally:
         with suppress(TimeoutError):  # on a busy machine, workers end slowly; they end with this process
             cluster.close()
+
+
+def _warn_of_open(scheduler: str | None) -> None:
+    """Warns of connections to other machines without TLS: a Dask scheduler runs any function that it is sent."""
+    if scheduler is None or scheduler.startswith(("tls://", "wss://", "inproc://")):
+        return
+    host = scheduler.partition("://")[2].rpartition(":")[0].strip("[]")
+    if host == "localhost" or host == "::1" or host.startswith("127."):
+        return
+    place = "of SLURM jobs" if scheduler == "slurm" else scheduler
+    warnings.warn(
+        f"the Dask scheduler {place} has no TLS: whoever reaches its port runs code as its user. Keep it in a closed "
+        "network, or use tls:// (docs/pipeline.md)",
+        stacklevel=4,
+    )
 
 
 def dead_workers(cluster: "LocalCluster") -> set[Any]:

@@ -95,8 +95,9 @@ class Supervisor:
                     first = self.seed + self.given[kind]
                     fresh = kind not in known[worker]
                     known[worker].add(kind)
-                    worker.give(self.group, kind, first, BATCH[self.group], fresh)
-                    self.given[kind] += BATCH[self.group]
+                    count = max(1, int(BATCH[self.group] * self.kinds[kind]))
+                    worker.give(self.group, kind, first, count, fresh)
+                    self.given[kind] += count
             for key, _ in selector.select(timeout=0.5):
                 self._hear(key.data)
             if time.monotonic() > end + CASE[self.group] * PATIENCE:
