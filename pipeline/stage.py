@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
+from hdsp.base.ending import Ended, ended_by
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 from hdsp.base.settings import read_json as read_json_file
@@ -58,22 +60,36 @@ def run_stage(
     it is composed from conf/, and outputs go to a new folder under outputs/, so that DVC's files stay unchanged. A
     stage with a `place` writes its outputs there in both cases, unless `runtime.outputs` names another folder. With
     `-m` (only if `sweep_context` is given), Hydra runs every combination of choices inside this context. Bad input ends
-    the process with one line and exit status 1.
+    the process with one line and exit status 1, Ctrl-C with status 130, SIGTERM with status 143.
     """
     try:
-        arguments, overrides, sweep = _parse(sys.argv[1:], name, positional, sweep_context is not None)
-        if sweep:
-            assert sweep_context is not None  # _parse refuses -m without
-            for variant in expand_choices(overrides):
-                configure(variant)  # any wrong value is reported before the first run
-            with sweep_context(overrides):
-                _sweep(stage, name, arguments, overrides)
-        else:
-            config = configure(overrides) if overrides else read_params()
-            with contextlib.nullcontext() if overrides else timed(name, arguments):
-                stage(config, _folders(config, name, bool(overrides), place), *arguments)
+        with ended_by(signal.SIGINT, signal.SIGTERM):
+            _run(stage, name, positional, sweep_context, place)
     except InputError as error:
         sys.exit(f"error: {error}")
+    except Ended as end:
+        print(end, file=sys.stderr, flush=True)
+        sys.exit(end.told())
+
+
+def _run(
+    stage: Stage,
+    name: str,
+    positional: Sequence[str],
+    sweep_context: Callable[[Sequence[str]], contextlib.AbstractContextManager] | None,
+    place: Callable[[Config], str] | None,
+) -> None:
+    arguments, overrides, sweep = _parse(sys.argv[1:], name, positional, sweep_context is not None)
+    if sweep:
+        assert sweep_context is not None  # _parse refuses -m without
+        for variant in expand_choices(overrides):
+            configure(variant)  # any wrong value is reported before the first run
+        with sweep_context(overrides):
+            _sweep(stage, name, arguments, overrides)
+    else:
+        config = configure(overrides) if overrides else read_params()
+        with contextlib.nullcontext() if overrides else timed(name, arguments):
+            stage(config, _folders(config, name, bool(overrides), place), *arguments)
 
 
 def project_root() -> Path:

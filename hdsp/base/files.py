@@ -14,7 +14,8 @@ from hdsp.base.errors import InputError
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """Yields a temporary path beside ``path``, which replaces ``path`` after a successful block.
 
-    A missing folder is created. If the process dies in between, ``path`` stays unchanged.
+    A missing folder is created. If the process dies in between, ``path`` stays unchanged. Contents and name are on the
+    disk at the end of the block, also after a loss of power.
 
     Raises:
         InputError: the folder cannot be created or written to, or the disk is full.
@@ -25,13 +26,24 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
+        _sync(temporary)
         temporary.replace(path)
+        _sync(path.parent)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}".splitlines()[0]) from error
     finally:
         # Leftover after a failure; after a success it no longer exists.
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _sync(path: Path) -> None:
+    """Waits until a file's contents, or a folder's names, are on the disk."""
+    opened = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(opened)
+    finally:
+        os.close(opened)
 
 
 def writable_file(path: str | os.PathLike, what: str, suffixes: Collection[str] = ()) -> Path:

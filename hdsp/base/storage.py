@@ -16,6 +16,8 @@ from hdsp.base.files import replacing
 #: Local path, or fsspec URL (``s3://bucket/labels``, ``gs://...``, ``memory://...``, ``file:///...``).
 Place = str | os.PathLike
 
+_WRITES = 5  # attempts
+
 
 class Folder(Protocol):
     """Files by name.
@@ -113,8 +115,15 @@ class _LocalFolder:
             raise InputError(f"{path} cannot be read: {reason}") from error
 
     def write(self, name: str, content: bytes) -> None:
-        with replacing(self.path / name) as temporary:
-            temporary.write_bytes(content)
+        # Another run in this folder may take the temporary file for one that a stopped run has left, and remove it.
+        for tries_left in reversed(range(_WRITES)):
+            try:
+                with replacing(self.path / name) as temporary:
+                    temporary.write_bytes(content)
+                return
+            except InputError as error:
+                if tries_left == 0 or not isinstance(error.__cause__, FileNotFoundError):
+                    raise
 
     def remove(self, name: str) -> None:
         with self._changing(name):

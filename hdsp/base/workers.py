@@ -7,6 +7,7 @@ import logging
 import os
 import re
 import resource
+import signal
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator
 
+from hdsp.base.ending import Ended
 from hdsp.base.errors import InputError
 from hdsp.base.settings import Count, checked, fault
 
@@ -123,7 +125,11 @@ def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
         cluster = _local_cluster(settings, jobs)
     try:
         with Client(cluster) as client:
-            yield client
+            try:
+                yield client
+            except Ended:
+                _end_at_once(cluster)
+                raise
     finally:
         with suppress(TimeoutError):  # on a busy machine, workers end slowly; they end with this process
             cluster.close()
@@ -142,6 +148,15 @@ def _warn_of_open(scheduler: str | None) -> None:
         "network, or use tls:// (docs/pipeline.md)",
         stacklevel=4,
     )
+
+
+def _end_at_once(cluster: Any) -> None:
+    """Ends local worker processes in the middle of their work; Dask would wait for it."""
+    for nanny in dict(getattr(cluster, "workers", {})).values():
+        process = getattr(getattr(nanny, "process", None), "process", None)
+        if process is not None and process.pid:
+            with suppress(ProcessLookupError):
+                os.kill(process.pid, signal.SIGKILL)
 
 
 def dead_workers(cluster: "LocalCluster") -> set[Any]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Sequence
 from importlib import metadata
 
+from hdsp.base.ending import Ended, ended_by
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.planning.commands.command_parser import CommandParser
 from hdsp.planning.commands.completion_command import add_completion
@@ -24,13 +26,14 @@ _EXAMPLES = """examples:
   hdsp plan room.npz --start 1 2 0 --goal 4 3 90 --picture plan.png
   hdsp info room.npz
 
-exit status: 0 done, 1 bad input, 2 wrong usage, 3 no plan, 130 interrupted"""
+exit status: 0 done, 1 bad input, 2 wrong usage, 3 no plan, 130 interrupted, 143 terminated"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line; returns the exit status.
 
-    Bad input gives one line and status 1, wrong usage status 2, no plan status 3, an interrupt status 130.
+    Bad input gives one line and status 1, wrong usage status 2, no plan status 3, an interrupt status 130, SIGTERM
+    status 143.
     """
     parser = command_parser()
     chosen, unknown = parser.parse_known_args(arguments)
@@ -39,7 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen.console = console = Console(getattr(chosen, "json", False), chosen.quiet)
     with console.reporting():
         try:
-            return chosen.run(chosen) or 0
+            with ended_by(signal.SIGTERM):
+                return chosen.run(chosen) or 0
         except (InputError, RefinementError) as error:
             console.fail(error)
         except MemoryError:
@@ -47,6 +51,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except KeyboardInterrupt:
             console.warn("interrupted")
             return INTERRUPTED
+        except Ended as end:
+            console.warn(str(end))
+            return end.told()
         except BrokenPipeError:
             close_broken_pipe()
     return BAD_INPUT

@@ -1,9 +1,12 @@
 import errno
+import os
 
 import pytest
 
+from hdsp.base import files
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file, replacing
+from hdsp.base.storage import open_folder
 
 
 def test_a_file_appears_whole_with_its_folder(tmp_path):
@@ -32,3 +35,33 @@ def test_existing_file_says_what_is_missing(tmp_path):
         existing_file(tmp_path / "none.yaml", "robot")
     with pytest.raises(InputError, match="is a folder, not a file"):
         existing_file(tmp_path, "robot")
+
+
+def test_contents_and_name_are_on_the_disk_before_and_after_the_replacement(tmp_path, monkeypatch):
+    path, synced = tmp_path / "file.txt", []
+
+    def noted(opened):
+        synced.append((os.path.realpath(f"/proc/self/fd/{opened}"), path.exists()))
+
+    monkeypatch.setattr(files.os, "fsync", noted)
+    with replacing(path) as temporary:
+        temporary.write_text("whole")
+    assert synced == [(str(temporary), False), (str(tmp_path), True)]
+
+
+def test_h6_a_write_survives_a_run_that_removes_its_temporary_file(tmp_path, monkeypatch):
+    folder, sync = open_folder(tmp_path), files._sync
+    removals = iter([True, True])
+
+    def removed_by_another_run(path):
+        if next(removals, False):
+            path.unlink()
+        sync(path)
+
+    monkeypatch.setattr(files, "_sync", removed_by_another_run)
+    folder.write("shard.h5", b"labels")
+    assert folder.names() == ["shard.h5"] and folder.read("shard.h5") == b"labels"
+    removals = iter([True] * 100)
+    with pytest.raises(InputError, match="No such file"):
+        folder.write("shard.h5", b"others")
+    assert folder.read("shard.h5") == b"labels"

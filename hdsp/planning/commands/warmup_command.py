@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import signal
 
 from hdsp.base.compilation import compilations
+from hdsp.base.ending import ended_by
 from hdsp.base.gradual import now
 from hdsp.planning.commands.command_parser import add_heuristic, add_robot
 from hdsp.terrain.height_map import HeightMap
@@ -26,8 +28,9 @@ def _warm_up(chosen: argparse.Namespace) -> None:
     from hdsp.planning.planner import Planner
 
     began, before = now(), compilations.done
-    planner = Planner(HeightMap.flat((80, 80)), chosen.robot, chosen.heuristic)
-    warm_up(planner.robot, planner.heuristic)
+    with ended_by(signal.SIGINT):  # a compiler looks at no signals for seconds
+        planner = Planner(HeightMap.flat((80, 80)), chosen.robot, chosen.heuristic)
+        warm_up(planner.robot, planner.heuristic)
     compiled = compilations.done - before
     about = f"{compiled} kernels compiled" if compiled else "all kernels were there"
     print(f"ready: {about}, {now() - began:.1f} s")

@@ -1,0 +1,105 @@
+"""Signals that end a process: an exception in the main thread, so that files and workers are cleared away.
+
+Code of libraries may run for seconds without looking at signals, for example a compiler. A process that is still there
+after ``LATEST`` ends at once, with the same line and exit status.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+#: Seconds from a signal to the end of the process at the latest.
+LATEST = 1.7
+_LINE_TOLD = threading.Event()
+
+
+class Ended(BaseException):
+    """A signal asks the process to end.
+
+    Libraries turn a ``KeyboardInterrupt`` into exit statuses of their own; this exception passes them.
+
+    Attributes:
+        number: the signal.
+    """
+
+    def __init__(self, number: int):
+        super().__init__(words_of(number))
+        self.number = number
+
+    def told(self) -> int:
+        """Returns the exit status, for a caller that has written the line for people."""
+        _LINE_TOLD.set()
+        return status_of(self.number)
+
+
+def words_of(number: int) -> str:
+    """The line for people."""
+    return "interrupted" if number == signal.SIGINT else "terminated"
+
+
+def status_of(number: int) -> int:
+    """Exit status after a signal by the convention of shells."""
+    return 128 + number
+
+
+@contextmanager
+def ended_by(*numbers: int) -> Iterator[None]:
+    """Raises ``Ended`` in the main thread when one of some signals arrives during a block.
+
+    Ignored signals stay ignored. In other threads, which receive no signals, the block is as it is.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    former = {number: signal.getsignal(number) for number in numbers}
+    heard = [number for number in numbers if former[number] is not signal.SIG_IGN]
+    watch = _Watch(heard)
+    try:
+        for number in heard:
+            signal.signal(number, watch.hear)
+        yield
+    finally:
+        for number in heard:
+            signal.signal(number, former[number])
+        watch.close()
+
+
+class _Watch:
+    """A thread that ends a process whose main thread does not get to its end after a signal."""
+
+    def __init__(self, numbers: list[int]):
+        self._numbers, self._heard = numbers, False
+        self._read, self._write = os.pipe()
+        os.set_blocking(self._write, False)
+        self._former = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
+        threading.Thread(target=self._wait, name="hdsp-ending", daemon=True).start()
+
+    def hear(self, number: int, _frame: object) -> None:
+        if self._heard:  # the end is on its way
+            return
+        self._heard = True
+        raise Ended(number)
+
+    def close(self) -> None:
+        """Ends the watch, unless a signal came: then it watches until the process ends."""
+        signal.set_wakeup_fd(self._former)
+        os.close(self._write)
+
+    def _wait(self) -> None:
+        while data := os.read(self._read, 1):
+            if data[0] in self._numbers:
+                break
+        os.close(self._read)
+        if not data:
+            return
+        threading.Event().wait(LATEST)
+        with suppress(OSError, ValueError):
+            if not _LINE_TOLD.is_set():
+                print(words_of(data[0]), file=sys.stderr, flush=True)
+            sys.stderr.flush()
+        os._exit(status_of(data[0]))
