@@ -34,7 +34,7 @@ from hdsp.labels.run.split_run import ClusterSettings, label_split
 from hdsp.labels.run.splits import LabelRun
 from hdsp.robot.lattice import ABSTRACT_ACTIONS
 from pipeline.config import configure
-from pipeline.label import label_run
+from pipeline.label_places import label_run
 
 #: Maps in the paper's training set before maps without a valid start are dropped; 249,194 tasks remain.
 MAPS = 18_000

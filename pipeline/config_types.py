@@ -74,7 +74,7 @@ class Labelling:
         mixed, rich, sloped: terrain categories that splits refer to.
         sensing: degradation of maps in splits with `sensing`.
         scheduler, slurm: see `hdsp.base.workers.ClusterSettings`.
-        destination: folder or URL for shards; None = data/labels.
+        destination: folder or URL for labels of all settings; None = data/labels.
     """
 
     settings: LabelSettings
@@ -111,12 +111,14 @@ class EvaluationSet:
         scans: folder of scans, which are labelled first (`hdsp.labels.scan_sets`).
         paper: the paper's set for comparison.
         robot: robot of labels that were not made here; other robots leave the set out.
+        split: a labelled split, with the labels of this configuration.
     """
 
     tasks: Name | None = None
     scans: Name | None = None
     paper: Name | None = None
     robot: Name | None = None
+    split: Name | None = None
 
     @property
     def place(self) -> str:
@@ -125,9 +127,9 @@ class EvaluationSet:
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if (self.tasks is None) == (self.scans is None):
-            given = {"tasks": self.tasks, "scans": self.scans}
-            raise fault("", given, "either tasks (a folder of shards) or scans (a folder of scans)")
+        given = {name: getattr(self, name) for name in ("tasks", "scans", "split")}
+        if sum(value is not None for value in given.values()) != 1:
+            raise fault("", given, "either tasks (a folder of shards), scans (a folder of scans) or split")
         return self
 
 
@@ -294,6 +296,9 @@ class Config:
         splits = {**self.labelling.splits, **self.simulation.splits}
         for role in ("splits", "val_splits"):
             _known(f"trainer.{role}", getattr(self.trainer, role), splits, "labelling.splits, simulation.splits")
+        for name, entry in self.evaluation.sets.items():
+            if entry.split is not None and entry.split not in splits:
+                raise fault(f"evaluation.sets.{name}.split", entry.split, f"one of {', '.join(splits)}")
         if not self.arena.tasks:
             raise fault("arena.tasks", (), "at least one task")
         return self

@@ -1,56 +1,56 @@
-"""Stage `label`: seeds -> random maps with task labels, in shards; an interrupted run continues."""
+"""Stage `label`: seeds -> random maps with task labels, in shards; an interrupted run continues.
+
+python -m pipeline.label SPLIT             # labels the maps that have none yet
+python -m pipeline.label SPLIT --verify    # also reads all shards and replaces damaged ones
+python -m pipeline.label --prune           # lists labels that this configuration does not use, and asks
+"""
 
 from __future__ import annotations
 
 import json
-from pathlib import Path
-from typing import TYPE_CHECKING
+import sys
+from typing import Any
 
-from hdsp.base.errors import InputError
+from hdsp.base.storage import Place
 from pipeline.config_types import Config
+from pipeline.label_places import USED, label_run, split_place
 from pipeline.stage import Folders, run_stage, write_json
 
-if TYPE_CHECKING:
-    from hdsp.labels.run.splits import LabelRun
+VERIFY = "--verify"
 
 
-def label(config: Config, folders: Folders, split: str) -> None:
+def label(config: Config, folders: Folders, split: str, verify: bool = False) -> None:
     from hdsp.base.workers import ClusterSettings
     from hdsp.labels.run.split_run import label_split
 
-    runtime, own = config.runtime, config.labelling
+    runtime, own, run = config.runtime, config.labelling, label_run(config, split)
     cluster = ClusterSettings(runtime.workers, own.scheduler, own.slurm, runtime.dashboard, runtime.memory)
-    place = shards_place(config, folders.outputs, split)
-    result = label_split(label_run(config, split), place, cluster, progress=runtime.progress)
+    place = split_place(config, folders.outputs, split)
+    result = label_split(run, place, cluster, progress=runtime.progress, verify=verify)
     write_json(folders.write("reports", "labels", f"{split}.json"), result.summary)
+    write_used(folders, split, result.place)
     if result.record:  # beside the labels instead of in a report, because it differs in each run
         with folders.write("data", "label_runs", f"{split}.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(result.record) + "\n")
 
 
-def shards_place(config: Config, folder: Path, split: str) -> str | Path:
-    """Returns the folder or URL with a split's shards.
+def write_used(folders: Folders, split: str, place: Place) -> None:
+    """Writes which labels of a split this configuration uses: the output that DVC watches."""
+    from hdsp.labels.shard_index import read_index
 
-    `folder` contains data/, which always holds splits from scanned courses.
-    """
-    destination = config.labelling.destination if split in config.labelling.splits else None
-    return f"{destination.rstrip('/')}/{split}" if destination else folder / "data" / "labels" / split
-
-
-def label_run(config: Config, split: str) -> LabelRun:
-    """Returns the `LabelRun` for a split in the configuration.
-
-    Raises:
-        InputError: the split does not exist, or a setting is wrong.
-    """
-    from hdsp.labels.run.splits import LabelRun
-
-    own = config.labelling
-    splits = own.splits
-    if split not in splits:
-        raise InputError(f"unknown split {split!r}; labelling.splits has {', '.join(splits)}")
-    return LabelRun(splits[split], config.robot, config.terrain, own.settings, own.sensing)
+    index = read_index(place)
+    assert index is not None  # the run has completed it
+    used: dict[str, Any] = {"labels_hash": index.labels_hash, "maps": index.maps, "kept": sum(index.kept)}
+    write_json(folders.write("data", "labels", split, USED), used)
 
 
 if __name__ == "__main__":
-    run_stage(label, "label", positional=["split"])
+    if "--prune" in sys.argv:
+        from pipeline.label_prune import main
+
+        main()
+    elif VERIFY in sys.argv:
+        sys.argv.remove(VERIFY)
+        run_stage(lambda config, folders, split: label(config, folders, split, verify=True), "label", ["split"])
+    else:
+        run_stage(label, "label", positional=["split"])

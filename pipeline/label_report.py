@@ -11,21 +11,25 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 from pipeline.config_types import Config
-from pipeline.label import label_run, shards_place
+from pipeline.label_places import label_run, not_there, shards_place
 from pipeline.paper import LABELS
 from pipeline.stage import Folders, run_stage, write_json
 
 
 def label_report(config: Config, folders: Folders) -> None:
     from hdsp.labels.run.label_summary import describe_labels
+    from hdsp.labels.shards import shard_paths
 
     splits: dict[str, Any] = {}
     for split, chosen in config.labelling.splits.items():
         if chosen.sensing or not chosen.standable:
             continue  # the paper has no splits of this kind
         place = shards_place(config, folders.inputs, split)
+        if not shard_paths(place):
+            raise InputError(not_there(place))
         ours = describe_labels(label_run(config, split), place)
         records = folders.read("data", "label_runs", f"{split}.jsonl")
         lines = records.read_text(encoding="utf-8").splitlines() if records.is_file() else []

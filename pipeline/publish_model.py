@@ -22,7 +22,7 @@ from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
 from pipeline.config import plain
 from pipeline.config_types import Config
-from pipeline.label import shards_place
+from pipeline.label_places import shards_place
 from pipeline.model_card import effort, model_card
 from pipeline.report import put_between_markers
 from pipeline.stage import Folders, read_json, run_stage

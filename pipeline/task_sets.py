@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from hdsp.base.storage import Place, is_folder, is_url
 from pipeline.config_types import Config, EvaluationSet
+from pipeline.label_places import not_there, shards_place
 from pipeline.stage import Folders
 
 if TYPE_CHECKING:
@@ -23,17 +24,19 @@ def read_set(folder: Place) -> tuple[TaskSet | None, str]:
     Raises:
         InputError: a shard is damaged.
     """
-    from hdsp.labels.shards import read_tasks
+    from hdsp.labels.shards import read_tasks, shard_paths
 
-    if not is_folder(folder):
-        return None, f"{folder} is not there yet"
     if not is_url(folder) and (absent := Path(folder) / ABSENT).is_file():
         return None, json.loads(absent.read_text(encoding="utf-8"))["reason"]
+    if not is_folder(folder) or not shard_paths(folder):
+        return None, not_there(folder)
     return read_tasks(folder), ""
 
 
-def set_place(entry: EvaluationSet, folders: Folders) -> Place:
+def set_place(entry: EvaluationSet, config: Config, folders: Folders) -> Place:
     """Returns the place of the shards or scans for an entry in `evaluation.sets`."""
+    if entry.split is not None:
+        return shards_place(config, folders.inputs, entry.split)
     return entry.place if is_url(entry.place) else folders.read(entry.place)
 
 
@@ -42,16 +45,17 @@ def read_evaluation_set(
 ) -> tuple[TaskSet | None, str]:
     """Like `read_set`, for an entry in `evaluation.sets`.
 
-    In an entry, `tasks` names an input folder or URL with shards; `scans` names any folder with scans, which are
-    labelled first (`hdsp.labels.scan_sets`). `robot` marks labels made elsewhere; they exist for this robot alone.
+    In an entry, `split` names a labelled split; `tasks` names an input folder or URL with shards; `scans` names any
+    folder with scans, which are labelled first (`hdsp.labels.scan_sets`). `robot` marks labels made elsewhere; they
+    exist for this robot alone.
 
     Raises:
         InputError: a shard is damaged, or the folder of scans gives no tasks.
     """
     if (robot := entry.robot) not in (None, config.robot.name):
         return None, f"its labels are of robot {robot}"
-    if entry.tasks is not None:
-        return read_set(set_place(entry, folders))
+    if entry.scans is None:
+        return read_set(set_place(entry, config, folders))
     from hdsp.labels.scan_sets import read_scan_folder
 
     found = read_scan_folder(

@@ -16,7 +16,7 @@ from hdsp.base.storage import Place, is_url, open_folder
 from pipeline import served_model, tracking
 from pipeline.config import flatten, plain
 from pipeline.config_types import Config
-from pipeline.label import shards_place
+from pipeline.label_places import shards_place
 from pipeline.stage import Folders, run_stage, write_json
 from pipeline.task_sets import read_evaluation_set, read_set, set_place
 
@@ -45,7 +45,7 @@ def train(config: Config, folders: Folders) -> None:
         entry = config.evaluation.sets[name]
         tasks, _ = read_evaluation_set(name, entry, config, folders)
         if tasks is not None:
-            sets[name], splits[name] = tasks, set_place(entry, folders)
+            sets[name], splits[name] = tasks, set_place(entry, config, folders)
 
     hashes = {f"data.{name}": folder_hash(path) for name, path in splits.items()}
     data_hash = _hash_of([hashes[f"data.{name}"] for name in trainer.splits])
@@ -94,11 +94,9 @@ def notes(config: Config, tasks: TaskSet | list[Place]) -> dict[str, Any]:
 
     `tasks` are the training tasks, or the folders that hold them.
     """
-    from hdsp.labels.shards import read_shards
+    from hdsp.labels.shards import shard_sizes
 
-    streamed = (
-        [len(shard.tasks) for place in tasks for shard in read_shards(place)] if isinstance(tasks, list) else None
-    )
+    streamed = [maps for place in tasks for _, maps in shard_sizes(place)] if isinstance(tasks, list) else None
     return {
         "profile": config.profile,
         "maps": len(tasks) if streamed is None else sum(streamed),
@@ -161,7 +159,14 @@ def part_of(folders: Sequence[Place], trainer: TrainerSettings) -> TaskSet:
 
 
 def folder_hash(folder: Place) -> str:
-    """Hash over all file names and contents in a folder, with subfolders; for a URL without subfolders."""
+    """Hash over all file names and contents in a folder, with subfolders; for a URL without subfolders.
+
+    For an index of labels, the hash of everything they depend on.
+    """
+    from hdsp.labels.shard_index import read_index
+
+    if (index := read_index(folder)) is not None:
+        return index.digest
     if is_url(folder):
         remote = open_folder(folder)
         files = ((name, remote.read(name)) for name in remote.names())

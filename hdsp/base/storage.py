@@ -4,9 +4,10 @@ A local file is written beside its final path and then renamed. An object store 
 """
 
 import os
+import shutil
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,7 +21,7 @@ _WRITES = 5  # attempts
 
 
 class Folder(Protocol):
-    """Files by name.
+    """Files by name; a name may lead into subfolders (``a/b.h5``).
 
     Attributes:
         place: path or URL, valid in any process on any machine with access to the folder.
@@ -37,10 +38,25 @@ class Folder(Protocol):
         """Creates the folder; raises `InputError` if it is not writable."""
 
     def names(self) -> list[str]:
-        """Returns the sorted file names; empty if the folder does not exist."""
+        """Returns the sorted names of its own files; empty if the folder does not exist."""
+
+    def folders(self) -> list[str]:
+        """Returns the sorted names of its subfolders; empty if the folder does not exist."""
+
+    def stamps(self) -> dict[str, str]:
+        """Returns all files, also in subfolders, with a text that changes when a file is written again.
+
+        The text consists of size and time, or the store's own mark of a version.
+        """
+
+    def has(self, name: str) -> bool:
+        """Returns whether a file exists."""
 
     def read(self, name: str) -> bytes:
         """Returns a file's contents; raises `InputError` if it cannot be read."""
+
+    def read_many(self, names: Sequence[str]) -> list[bytes]:
+        """Returns the contents of several files, fetched at the same time where the store allows it."""
 
     def write(self, name: str, content: bytes) -> None:
         """Creates or replaces a file; raises `InputError` on a failure."""
@@ -48,8 +64,8 @@ class Folder(Protocol):
     def remove(self, name: str) -> None:
         """Removes a file if it exists."""
 
-    def set_aside(self, name: str) -> str:
-        """Moves a file into the sibling folder with suffix ``.foreign``; returns its new place."""
+    def remove_all(self) -> None:
+        """Removes the folder with everything in it."""
 
 
 def is_url(place: Place) -> bool:
@@ -66,6 +82,14 @@ def open_folder(place: Place) -> Folder:
     if is_url(place) and not str(place).startswith("file://"):
         return _RemoteFolder(str(place))
     return _LocalFolder(Path(str(place).removeprefix("file://")))
+
+
+def inside(place: Place, *names: str) -> Place:
+    """Returns the place of a file or folder inside a folder; a path for a path, a URL for a URL."""
+    if not is_url(place):
+        return Path(place).joinpath(*names)
+    text = str(place)
+    return "".join([text if text.endswith("/") else f"{text}/", "/".join(names)])
 
 
 def split_place(place: Place) -> tuple[Folder, str]:
@@ -106,6 +130,18 @@ class _LocalFolder:
     def names(self) -> list[str]:
         return sorted(path.name for path in self.path.iterdir() if path.is_file()) if self.path.is_dir() else []
 
+    def folders(self) -> list[str]:
+        return sorted(path.name for path in self.path.iterdir() if path.is_dir()) if self.path.is_dir() else []
+
+    def stamps(self) -> dict[str, str]:
+        return dict(_stamps(str(self.path), "")) if self.path.is_dir() else {}
+
+    def has(self, name: str) -> bool:
+        return (self.path / name).is_file()
+
+    def read_many(self, names: Sequence[str]) -> list[bytes]:
+        return [self.read(name) for name in names]
+
     def read(self, name: str) -> bytes:
         path = self.path / name
         try:
@@ -129,13 +165,9 @@ class _LocalFolder:
         with self._changing(name):
             (self.path / name).unlink(missing_ok=True)
 
-    def set_aside(self, name: str) -> str:
-        aside = self.path.with_name(f"{self.path.name}.foreign")
-        with self._changing(name):
-            aside.mkdir(exist_ok=True)
-            target = aside / _free_name(name, lambda other: (aside / other).exists())
-            (self.path / name).rename(target)
-        return str(target)
+    def remove_all(self) -> None:
+        with self._changing(""):
+            shutil.rmtree(self.path)
 
     @contextmanager
     def _changing(self, name: str) -> Iterator[None]:
@@ -155,6 +187,7 @@ class _RemoteFolder:
         except (ImportError, ValueError) as error:
             raise InputError(f"cannot use {url}: {_one_line(error)}") from error
         self.of_one_process = type(self._files).__name__ == "MemoryFileSystem"
+        self._made: set[str] = set()
 
     def prepare(self) -> None:
         probe = ".can-be-written"
@@ -170,18 +203,46 @@ class _RemoteFolder:
         return self._try(lambda: self._files.isdir(self._root), f"cannot look at {self.place}")
 
     def names(self) -> list[str]:
-        def listing() -> list[dict]:
-            self._files.invalidate_cache()  # other processes write here too
-            return self._files.ls(self._root, detail=True) if self._files.isdir(self._root) else []
+        return self._entries("file")
 
-        entries = self._try(listing, f"cannot list {self.place}")
-        return sorted(entry["name"].rpartition("/")[2] for entry in entries if entry["type"] == "file")
+    def folders(self) -> list[str]:
+        return self._entries("directory")
+
+    def stamps(self) -> dict[str, str]:
+        def listing() -> dict[str, dict]:
+            self._files.invalidate_cache()  # other processes write here too
+            return self._files.find(self._root, detail=True) if self._files.isdir(self._root) else {}
+
+        found = self._try(listing, f"cannot list {self.place}")
+        start = len(self._files._strip_protocol(self._root).rstrip("/")) + 1
+        return {name[start:]: _remote_stamp(entry) for name, entry in found.items()}
+
+    def has(self, name: str) -> bool:
+        def look() -> bool:
+            self._files.invalidate_cache()
+            return self._files.isfile(self._path(name))
+
+        return self._try(look, f"cannot look at {self.place}/{name}")
+
+    def read_many(self, names: Sequence[str]) -> list[bytes]:
+        paths = [self._path(name) for name in names]
+        if not paths:
+            return []
+        found = self._try(lambda: self._files.cat(paths), f"{self.place} cannot be read")
+        return [found[path] for path in paths] if isinstance(found, dict) else [found]
 
     def read(self, name: str) -> bytes:
         return self._try(lambda: self._files.cat_file(self._path(name)), f"{self.place}/{name} cannot be read")
 
     def write(self, name: str, content: bytes) -> None:
-        self._try(lambda: self._files.pipe_file(self._path(name), content), f"cannot write {self.place}/{name}")
+        def write() -> None:
+            folder = self._path(name).rpartition("/")[0]
+            if folder not in self._made:
+                self._files.makedirs(folder, exist_ok=True)  # needed by file systems, not by object stores
+                self._made.add(folder)
+            self._files.pipe_file(self._path(name), content)
+
+        self._try(write, f"cannot write {self.place}/{name}")
 
     def remove(self, name: str) -> None:
         def remove() -> None:
@@ -190,15 +251,16 @@ class _RemoteFolder:
 
         self._try(remove, f"cannot remove {self.place}/{name}")
 
-    def set_aside(self, name: str) -> str:
-        def move() -> str:
-            aside = f"{self._root}.foreign"
-            self._files.makedirs(aside, exist_ok=True)
-            target = f"{aside}/{_free_name(name, lambda other: self._files.exists(f'{aside}/{other}'))}"
-            self._files.mv(self._path(name), target)
-            return self._files.unstrip_protocol(target)
+    def remove_all(self) -> None:
+        self._try(lambda: self._files.rm(self._root, recursive=True), f"cannot remove {self.place}")
 
-        return self._try(move, f"cannot move {self.place}/{name}")
+    def _entries(self, kind: str) -> list[str]:
+        def listing() -> list[dict]:
+            self._files.invalidate_cache()  # other processes write here too
+            return self._files.ls(self._root, detail=True) if self._files.isdir(self._root) else []
+
+        entries = self._try(listing, f"cannot list {self.place}")
+        return sorted(entry["name"].rstrip("/").rpartition("/")[2] for entry in entries if entry["type"] == kind)
 
     def _path(self, name: str) -> str:
         return f"{self._root}/{name}"
@@ -210,9 +272,20 @@ class _RemoteFolder:
             raise InputError(f"{failure}: {_one_line(error)}") from error
 
 
-def _free_name(name: str, taken: Callable[[str], bool]) -> str:
-    numbered = (f"{name}.{k}" for k in range(1, 1_000_000))
-    return name if not taken(name) else next(other for other in numbered if not taken(other))
+def _stamps(folder: str, before: str) -> Iterator[tuple[str, str]]:
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.is_dir():
+                yield from _stamps(entry.path, f"{before}{entry.name}/")
+            else:
+                with suppress(FileNotFoundError):  # another process has removed its temporary file
+                    status = entry.stat()
+                    yield f"{before}{entry.name}", f"{status.st_size} {status.st_mtime_ns}"
+
+
+def _remote_stamp(entry: dict[str, Any]) -> str:
+    versions = (entry.get(key) for key in ("ETag", "etag", "md5Hash", "LastModified", "mtime", "created"))
+    return f"{entry.get('size') or 0} {next((version for version in versions if version is not None), '')}"
 
 
 def _one_line(error: Exception) -> str:

@@ -59,6 +59,23 @@ class LabelCounts:
     def __add__(self, other: "LabelCounts") -> "LabelCounts":
         return LabelCounts(*(getattr(self, name) + getattr(other, name) for name in self.__dataclass_fields__))
 
+    def to_json(self) -> dict[str, Any]:
+        """Returns plain values, without zeros in the arrays."""
+        plain = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return {name: _sparse(value) if isinstance(value, np.ndarray) else value for name, value in plain.items()}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> "LabelCounts":
+        """Counts from `to_json`."""
+        zeros = cls()
+        plain = dict(values)
+        for name in ("reasons", "compared", "ratios"):
+            array = getattr(zeros, name)
+            positions, found = values[name]
+            array.flat[positions] = found
+            plain[name] = array
+        return cls(**plain)
+
     @property
     def tasks(self) -> int:
         return int(self.reasons.sum())
@@ -128,3 +145,9 @@ def reason_name(reason: int) -> str:
     from hdsp.detailed.search.outcome import Status
 
     return "unknown" if reason == REASON_UNKNOWN else str(Status(reason))
+
+
+def _sparse(array: np.ndarray) -> list[list]:
+    """Positions of the non-zero values in a flat array, and the values."""
+    positions = np.flatnonzero(array)
+    return [positions.tolist(), array.flat[positions].tolist()]

@@ -17,7 +17,8 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
 from hdsp.base.short_repr import short_repr
-from hdsp.base.storage import Place, is_folder, is_url, open_folder, split_place
+from hdsp.base.storage import Place, inside, is_folder, is_url, open_folder, split_place
+from hdsp.labels.shard_index import SHARDS, ShardIndex, complete_indices, label_sets, read_index
 from hdsp.labels.tasks import FIELDS, OPTIONAL_FIELDS, TaskSet
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "shard_names",
     "shard_of",
     "shard_paths",
+    "shard_sizes",
     "write_shard",
 ]
 
@@ -166,10 +168,10 @@ def read_tasks(path: Place) -> TaskSet:
 
 
 def read_shards(folder: Place) -> Iterator[Shard]:
-    """Yields the shards of a folder in name order; at most one is in memory.
+    """Yields the shards of a folder in order; at most one is in memory. The folder is as for `shard_paths`.
 
     Raises:
-        InputError: if the folder contains no shard, or a shard is damaged.
+        InputError: if the folder contains no shard, or a shard is damaged; as `shard_paths`.
     """
     paths = shard_paths(folder)
     if not paths:
@@ -178,14 +180,49 @@ def read_shards(folder: Place) -> Iterator[Shard]:
 
 
 def shard_paths(folder: Place) -> list[Place]:
-    """Shards of a folder in name order: paths, or URLs if the folder is a URL."""
-    names = shard_names(open_folder(folder).names())
-    return [f"{str(folder).rstrip('/')}/{name}" if is_url(folder) else Path(folder) / name for name in names]
+    """Shards of a folder in order: paths, or URLs if the folder is a URL.
+
+    Args:
+        folder: an index of labels (`hdsp.labels.shard_index`), whose shards alone are returned; a split's folder with
+            one label set, whose longest complete index counts; or a folder with shards and subfolders, in name order.
+
+    Raises:
+        InputError: if the folder holds several label sets, or an index is damaged.
+    """
+    if (index := _index_of(folder)) is not None:
+        return list(index.places)
+    files = open_folder(folder)
+    if label_sets(folder) or SHARDS in files.folders():
+        return []  # label sets, all unfinished
+    return [inside(folder, name) for name in shard_names(sorted(files.stamps()))]
+
+
+def shard_sizes(folder: Place) -> list[tuple[Place, int]]:
+    """Shards as in `shard_paths`, each with its number of maps; reads no shard if the folder has an index.
+
+    Raises:
+        InputError: as `shard_paths`, or if a shard without an index is damaged.
+    """
+    if (index := _index_of(folder)) is not None:
+        return list(zip(index.places, index.kept, strict=True))
+    return [(path, len(read_shard(path).tasks)) for path in shard_paths(folder)]
 
 
 def shard_names(names: list[str]) -> list[str]:
     """Names of shards; temporary files from a running or killed writer are excluded."""
-    return [name for name in names if name.endswith(SUFFIX) and not name.startswith(".")]
+    return [name for name in names if name.endswith(SUFFIX) and not name.rpartition("/")[2].startswith(".")]
+
+
+def _index_of(folder: Place) -> ShardIndex | None:
+    """The index in a folder, or the only complete one below it; None for a folder without an index."""
+    if (index := read_index(folder)) is not None:
+        return index
+    indices = complete_indices(folder)
+    loose = shard_names(open_folder(folder).names())
+    if len(indices) > 1 or (indices and loose):
+        beside = f", and {len(loose)} shards beside them" if loose else ""
+        raise InputError(f"folder {folder} holds several label sets{beside}; name one: {', '.join(map(str, indices))}")
+    return read_index(indices[0]) if indices else None
 
 
 def _header(version: int, body: bytes) -> bytes:

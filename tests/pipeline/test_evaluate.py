@@ -5,6 +5,7 @@ import json
 
 import pytest
 
+from hdsp.labels.shards import shard_paths
 from tests.pipeline.conftest import run_python, tiny
 
 pytestmark = [pytest.mark.pipeline, pytest.mark.xdist_group("chain")]
@@ -37,7 +38,8 @@ def test_networks_are_also_judged_by_their_calibration(chain):
 
 
 def test_a_folder_of_shards_that_somebody_has_is_judged_with_the_abstraction_of_the_package(chain, tmp_path):
-    overrides = ["evaluation.model=momaro", f"evaluation.sets.mine.scans={chain / 'data/labels/random'}"]
+    (shard,) = shard_paths(chain / "data/labels/random")
+    overrides = ["evaluation.model=momaro", f"evaluation.sets.mine.scans={shard.parent}"]
     said = run_python("pipeline.evaluate", *tiny(chain), f"runtime.outputs={tmp_path}", *overrides).stdout
     sets = json.loads((tmp_path / "reports/abstraction_quality.json").read_text())["sets"]
     assert "mine, trained: " in said

@@ -10,7 +10,7 @@ from hdsp.labels.shards import write_shard
 from hdsp.learning.learning_settings import TrainerSettings
 from pipeline.config import configure
 from pipeline.config_types import EvaluationSet
-from pipeline.label import shards_place
+from pipeline.label_places import shards_place
 from pipeline.stage import Folders
 from pipeline.task_sets import read_evaluation_set, read_set
 from pipeline.train import folder_hash, part_of
@@ -42,6 +42,8 @@ def test_sets_that_are_not_there_yet_are_named(config, tmp_path):
         ),
         ("{paper: random}", r"evaluation\.sets\.mine is .*; need either tasks"),
         ("{tasks: x, scans: x}", r"evaluation\.sets\.mine is .*; need either tasks"),
+        ("{tasks: x, split: val}", r"evaluation\.sets\.mine is .*; need either tasks"),
+        ("{split: vla}", r"evaluation\.sets\.mine\.split is 'vla'; need one of train, val, random"),
     ],
 )
 def test_wrong_entries_are_named(entry, says):
@@ -63,15 +65,18 @@ def test_labels_are_read_at_their_destination_as_from_a_folder(tmp_path):
     elsewhere = configure(["labelling.destination=memory://elsewhere/labels/"])
     tasks = random_tasks(6)
     places = [shards_place(configure(), tmp_path, "train"), shards_place(elsewhere, tmp_path, "train")]
-    assert places == [tmp_path / "data/labels/train", "memory://elsewhere/labels/train"]
-    assert shards_place(elsewhere, tmp_path, "courses") == tmp_path / "data/labels/courses"  # scanned, not labelled
-    assert read_set(places[1]) == (None, "memory://elsewhere/labels/train is not there yet")
+    kind = str(places[0].relative_to(tmp_path / "data/labels/train"))
+    assert places[1] == f"memory://elsewhere/labels/train/{kind}"
+    courses = shards_place(configure(["profile=beyond", "labelling.destination=memory://x"]), tmp_path, "courses")
+    assert courses.is_relative_to(tmp_path / "data/labels/courses")  # scanned, not labelled
+    missing = "memory://elsewhere/labels/train holds no finished labels of this configuration and code; "
+    assert read_set(places[1]) == (None, f"{missing}`python -m pipeline.label train`")
     for place in places:
         for number in range(2):
             part = tasks[3 * number : 3 * number + 3]
             write_shard(f"{place}/{number}.h5", part, {"labels_hash": "0" * 64, "maps": 3})
-        entry = EvaluationSet(str(place))
-        read, _ = read_evaluation_set("random", entry, elsewhere, Folders(tmp_path, tmp_path))
+        config = elsewhere if place == places[1] else configure()
+        read, _ = read_evaluation_set("random", EvaluationSet(split="train"), config, Folders(tmp_path, tmp_path))
         for found in (read, part_of([place], TrainerSettings()), part_of([place, place], TrainerSettings(share=0.5))):
             assert len(found) == 6
         np.testing.assert_array_equal(read.heights, tasks.heights)

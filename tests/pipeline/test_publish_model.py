@@ -14,6 +14,7 @@ from hdsp.learning import LearnedAbstraction, Provenance, train
 from hdsp.learning.networks import build_network
 from hdsp.robot.robot import Robot
 from pipeline.config import configure
+from pipeline.label_places import shards_place
 from pipeline.publish_model import figures_of, markers, publish_model
 from pipeline.stage import Folders
 from pipeline.train import notes
@@ -28,9 +29,10 @@ def sets() -> dict[str, TaskSet]:
 
 
 def test_the_folder_holds_a_calibrated_model_and_a_card_of_its_figures(sets, tmp_path, monkeypatch, capsys):
-    for name, tasks in sets.items():
-        write_shard(tmp_path / f"data/labels/{name}/0.h5", tasks, {"labels_hash": "0" * 64, "maps": len(tasks)})
     config, folders = configure(["profile=tiny", "trainer.epochs=5"]), Folders(tmp_path, tmp_path)
+    for name, tasks in sets.items():
+        place = shards_place(config, tmp_path, name)
+        write_shard(place / "0.h5", tasks, {"labels_hash": "0" * 64, "maps": len(tasks)})
     known = Provenance.of(config.robot, "", **notes(config, synthetic_tasks(64)))
     source = train(tiny_config(epochs=5), synthetic_tasks(64), sets, tmp_path, provenance=known, quiet=True).model_dir
     for name in ("train", "val"):

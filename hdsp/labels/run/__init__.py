@@ -2,6 +2,8 @@
 
 - `split_run`: labels all maps of a split into shards, resumable
 - `splits`: maps and shards of a split, and the hash of its labels
+- `label_store`: shards and index of a label set, and which of them are valid
+- `stored_sets`: all label sets of a split, to be listed and removed
 - `label_summary`: counts, shares and costs of a labelled split, and reasons for dropped maps
 - `cluster`, `jobs`: the scheduling side and the worker side of a run on Dask; `progress`: its bar
 
@@ -13,32 +15,38 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hdsp.labels.run.cluster import ClusterLabelling
+    from hdsp.labels.run.label_store import LabelStore
     from hdsp.labels.run.label_summary import describe_labels
     from hdsp.labels.run.progress import TaskProgress
     from hdsp.labels.run.split_run import LabelledSplit, label_split
-    from hdsp.labels.run.splits import LabelRun, ShardPlan, SplitSettings
+    from hdsp.labels.run.splits import LabelRun, SplitSettings
+    from hdsp.labels.run.stored_sets import StoredSet, stored_sets
 
 __all__ = [
     "ClusterLabelling",
     "LabelRun",
+    "LabelStore",
     "LabelledSplit",
-    "ShardPlan",
     "SplitSettings",
+    "StoredSet",
     "TaskProgress",
     "describe_labels",
     "label_split",
+    "stored_sets",
 ]
 
 #: Module of each public name.
 _MODULES = {
     "ClusterLabelling": "cluster",
     "LabelRun": "splits",
+    "LabelStore": "label_store",
     "LabelledSplit": "split_run",
-    "ShardPlan": "splits",
     "SplitSettings": "splits",
+    "StoredSet": "stored_sets",
     "TaskProgress": "progress",
     "describe_labels": "label_summary",
     "label_split": "split_run",
+    "stored_sets": "stored_sets",
 }
 
 

@@ -18,7 +18,8 @@ from hdsp.base.workers import dead_workers, replace_workers
 from hdsp.labels.counts import LabelCounts
 from hdsp.labels.run.jobs import LabelMap, count_labels, label_maps, store_shard
 from hdsp.labels.run.progress import TaskProgress
-from hdsp.labels.run.splits import LabelRun, ShardPlan, labels_code
+from hdsp.labels.run.splits import LabelRun, labels_code
+from hdsp.labels.shard_index import ShardPlan
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -238,7 +239,7 @@ class ClusterLabelling:
         return futures
 
     def _check_visible(self, shard: ShardPlan) -> None:
-        if shard.name not in open_folder(self._place).names():
+        if not open_folder(self._place).has(shard.name):
             raise InputError(
                 f"a worker has written {shard.name} to {self._place}, but it is not there as this machine sees it: "
                 "need a folder that all machines share, or the URL of an object store"

@@ -11,7 +11,8 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.base.storage import Place, open_folder
 from hdsp.labels.counts import LabelCounts, counts_by_category
-from hdsp.labels.run.splits import LabelMap, LabelRun, ShardPlan, labels_code
+from hdsp.labels.run.splits import LabelMap, LabelRun, labels_code
+from hdsp.labels.shard_index import ShardPlan
 from hdsp.labels.shards import shard_bytes
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ def describe_labels(run: LabelRun, place: Place, explained_maps: int = 2000) -> 
 
     Args:
         run: the split, with everything on which its labels depend.
-        place: shard folder or URL.
+        place: index of its labels, or another folder or URL with its shards alone.
         explained_maps: map count to explain, from the start of the split. Dropped maps among them are made again
             to find the obstacle at their start: a body collision, or a foot without a foothold.
 

@@ -1,24 +1,24 @@
 """Splits: their maps, the distribution of maps over shards, and everything on which the labels depend.
 
 Map number t in a split is map ``t // categories`` of category ``t % categories``; a shard contains the labels for
-consecutive maps. A shard's name contains a hash of everything its labels depend on, including code.
+consecutive maps. A label set's folder is named by a hash of everything its labels depend on, including code.
 """
 
 import hashlib
 import json
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
 from hdsp.base.provenance import ROOT, code_fingerprint
 from hdsp.base.settings import Count, Natural, checked, one_of
-from hdsp.labels.shards import SCHEMA_VERSION, SUFFIX
+from hdsp.labels.shard_index import ShardPlan, planned_shards
+from hdsp.labels.shards import SCHEMA_VERSION
 from hdsp.labels.tasks import TaskSet, columns_of
 from hdsp.robot.lattice import HEADINGS_PER_ABSTRACT, PATCH_CELLS, AbstractHeading
 from hdsp.robot.robot import Robot
@@ -32,10 +32,6 @@ if TYPE_CHECKING:
 
 #: (map, robot, settings, start heading) -> labels, or None for a map that the split leaves out.
 LabelMap = Callable[[HeightMap, Robot, "LabelSettings", int], "MapTasks | None"]
-
-#: Pattern of all shard names, for any split and settings.
-SHARD_NAME = re.compile(rf"\d{{5,}}-[0-9a-f]{{12}}{re.escape(SUFFIX)}")
-
 
 Category = Annotated[str, one_of(ALL_CATEGORIES)]
 
@@ -71,13 +67,6 @@ class SplitSettings:
     def maps(self) -> int:
         """Number of maps before dropping."""
         return self.maps_per_category * len(self.categories)
-
-
-class ShardPlan(NamedTuple):
-    """A planned shard: its file name, and its map numbers."""
-
-    name: str
-    maps: range
 
 
 @dataclass(frozen=True)
@@ -116,11 +105,7 @@ class LabelRun:
 
     def shards(self) -> list[ShardPlan]:
         """The split's planned shards, in order."""
-        step, maps = self.split.maps_per_shard, self.split.maps
-        return [
-            ShardPlan(f"{k:05d}-{self.labels_hash[:12]}{SUFFIX}", range(first, min(first + step, maps)))
-            for k, first in enumerate(range(0, maps, step))
-        ]
+        return planned_shards(self.split.maps, self.split.maps_per_shard)
 
     def map_of(self, number: int) -> tuple[str, int, int]:
         """(category, index, detailed start heading) for map ``number``."""

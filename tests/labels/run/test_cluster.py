@@ -16,9 +16,9 @@ from hdsp.base.errors import InputError
 from hdsp.base.workers import connected
 from hdsp.labels.rules import LabelSettings
 from hdsp.labels.run.split_run import ClusterSettings, LabelRun, SplitSettings, label_split
-from hdsp.labels.shards import read_tasks, shard_paths
+from hdsp.labels.shards import read_tasks
 from hdsp.terrain.scenes import TerrainSettings
-from tests.labels.run.test_split_run import ROBOT, ROOT, SPLIT, FakeSettings, contents, label, wait_for
+from tests.labels.run.test_split_run import ROBOT, ROOT, SPLIT, FakeSettings, contents, finished, label, wait_for
 from tests.labels.task_sets import (
     assert_same_tasks,
     fake_label,
@@ -85,7 +85,7 @@ def test_a_worker_that_dies_for_good_leaves_its_work_to_the_others(scheduler, tm
         [sys.executable, "-c", f"from tests.labels.run.test_cluster import *; {call(tmp_path / 'there', scheduler)}"],
         cwd=ROOT,
     )
-    assert wait_for(lambda: shard_paths(tmp_path / "there"))
+    assert wait_for(lambda: finished(tmp_path / "there"))
     kill_with_children(worker.pid)
     assert run.wait(60) == 0
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
@@ -112,7 +112,7 @@ def test_a_scheduler_that_dies_ends_the_run_with_what_is_finished(tmp_path):
         run = subprocess.Popen(
             [sys.executable, "-c", script], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
-        assert wait_for(lambda: shard_paths(tmp_path / "labels"))
+        assert wait_for(lambda: finished(tmp_path / "labels"))
         kill_with_children(dask.pid)
         said, errors = run.communicate(timeout=60)
         assert "the Dask scheduler is gone; finished shards stay" in said, errors
@@ -286,7 +286,7 @@ def contents_so_far(folder: Path) -> dict:
     from hdsp.labels.shards import read_shard
 
     found = {}
-    for path in shard_paths(folder):
+    for path in finished(folder):
         shard = read_shard(path)
         found[path.name] = {**{name: a.tobytes() for name, a in shard.tasks.arrays().items()}, **shard.attributes}
     return found

@@ -16,6 +16,8 @@ from hdsp.detailed.world.world import build_world
 from hdsp.labels.counts import LabelCounts, split_summary
 from hdsp.labels.rules import LabelSettings
 from hdsp.labels.run.split_run import ClusterSettings, LabelRun, SplitSettings, label_split
+from hdsp.labels.run.stored_sets import stored_sets
+from hdsp.labels.shard_index import complete_indices, read_index
 from hdsp.labels.shards import read_shard, read_tasks, shard_paths, write_shard
 from hdsp.robot.lattice import robot_frame_goals
 from hdsp.robot.robot import Robot
@@ -44,20 +46,31 @@ class FakeSettings:
     folder: str = ""
 
 
-def label(folder, split=SPLIT, workers=1, function=fake_label, settings=None):
+def label(folder, split=SPLIT, workers=1, function=fake_label, settings=None, verify=False):
     """Calls `label_split` with defaults for arguments that do not matter."""
     run = LabelRun(split, ROBOT, TerrainSettings(), settings or FakeSettings())
     cluster = ClusterSettings(workers, dashboard=None)
-    return label_split(run, folder, cluster, progress=False, label=function).summary
+    return label_split(run, folder, cluster, progress=False, label=function, verify=verify).summary
 
 
-def contents(folder):
+def finished(folder):
+    """All shards below a folder, also of unfinished label sets."""
+    return sorted(path for path in Path(folder).rglob("*.h5") if not path.name.startswith("."))
+
+
+def index_of(folder):
+    """The only complete index below a folder."""
+    (place,) = complete_indices(folder)
+    return place
+
+
+def contents(folder, paths=None):
     """Bytes of every dataset in every shard, and the attributes.
 
     The files themselves are not compared, because LZF may compress equal bytes differently.
     """
     found = {}
-    for path in folder.iterdir():
+    for path in finished(folder) if paths is None else paths:
         shard = read_shard(path)
         found[path.name] = {**{name: a.tobytes() for name, a in shard.tasks.arrays().items()}, **shard.attributes}
     return found
@@ -115,46 +128,55 @@ def test_a_second_run_labels_nothing(tmp_path):
 
 def test_more_maps_keep_the_full_shards_that_are_there(tmp_path):
     label(tmp_path / "grown")
-    times = {path.name: path.stat().st_mtime_ns for path in shard_paths(tmp_path / "grown")}
+    short = index_of(tmp_path / "grown")
+    times = {path.name: path.stat().st_mtime_ns for path in shard_paths(short)}
+    before = read_tasks(short)
     label(tmp_path / "grown", replace(SPLIT, maps_per_category=6))
     kept = [path for path in shard_paths(tmp_path / "grown") if path.stat().st_mtime_ns == times.get(path.name)]
     assert len(kept) == 4, "all but the last, which was not full"
     label(tmp_path / "fresh", replace(SPLIT, maps_per_category=6))
-    assert contents(tmp_path / "grown") == contents(tmp_path / "fresh")
+    assert contents(tmp_path / "fresh").items() <= contents(tmp_path / "grown").items()
     assert_same_tasks(read_tasks(tmp_path / "grown"), read_tasks(tmp_path / "fresh"))
+    assert_same_tasks(read_tasks(short), before)
+    assert label(tmp_path / "grown", function=failing_label)["maps"] == len(before)
 
 
-def test_damaged_and_foreign_files_are_named_and_nothing_foreign_is_lost(tmp_path, capsys):
+def test_damaged_shards_are_named_and_made_again_and_foreign_files_stay(tmp_path, capsys):
     folder = tmp_path / "labels"
     label(folder)
-    good = contents(folder)
+    good, tasks = contents(folder), read_tasks(folder)
     first, second, third, *_ = shard_paths(folder)
     first.write_bytes(first.read_bytes()[:-10])
     content = bytearray(second.read_bytes())
     content[3000] ^= 1
     second.write_bytes(content)
     write_shard(third, random_tasks(3), {"labels_hash": "of other settings", "maps": 8})
-    foreign = {"foreign.h5": b"another's work", "mine.h5": (write_shard(folder / "mine.h5", random_tasks(2), HASH))}
-    foreign["mine.h5"] = foreign["mine.h5"].read_bytes()
-    (folder / "foreign.h5").write_bytes(foreign["foreign.h5"])
-    (folder / "00077-0123456789ab.h5").write_bytes(b"")
-    (folder / ".00000-abc.77-ff.tmp.h5").write_bytes(b"half")
+    mine = write_shard(first.with_name("mine.h5"), random_tasks(2), HASH)
+    foreign = {"foreign.h5": b"another's work", "000000900-8.h5": b"", ".0.77-ff.tmp.h5": b"half"}
+    for name, content in foreign.items():
+        first.with_name(name).write_bytes(content)
+    foreign["mine.h5"] = mine.read_bytes()
     label(folder)
-    assert contents(folder) == good
-    assert {path.name: path.read_bytes() for path in (tmp_path / "labels.foreign").iterdir()} == foreign
+    assert contents(folder, shard_paths(folder)) == good
+    assert_same_tasks(read_tasks(folder), tasks)
+    assert {name: first.with_name(name).read_bytes() for name in foreign} == foreign
     said = capsys.readouterr().err
-    for name in (first.name, second.name, third.name, *foreign, "00077-0123456789ab.h5", ".00000-abc.77-ff.tmp.h5"):
-        assert name in said
-    assert "damaged" in said and "other settings" in said and "labels.foreign/foreign.h5" in said
+    assert all(path.name in said for path in (first, second, third))
+    assert "damaged" in said and "other settings" in said
 
 
-def test_a_second_foreign_file_of_a_name_does_not_replace_the_first(tmp_path):
-    for word in (b"one", b"two"):
-        (tmp_path / "labels").mkdir(exist_ok=True)
-        (tmp_path / "labels/notes.h5").write_bytes(word)
-        label(tmp_path / "labels", SplitSettings(seed=1, maps_per_category=1))
-    aside = tmp_path / "labels.foreign"
-    assert ((aside / "notes.h5").read_bytes(), (aside / "notes.h5.1").read_bytes()) == (b"one", b"two")
+def test_damage_that_left_the_time_of_a_file_is_found_on_request(tmp_path, capsys):
+    label(tmp_path)
+    good, damaged = contents(tmp_path), shard_paths(tmp_path)[1]
+    times, content = damaged.stat(), bytearray(damaged.read_bytes())
+    content[3000] ^= 1
+    damaged.write_bytes(content)
+    os.utime(damaged, ns=(times.st_atime_ns, times.st_mtime_ns))
+    label(tmp_path, function=failing_label)
+    with pytest.raises(InputError, match="damaged"):
+        read_tasks(tmp_path)
+    label(tmp_path, verify=True)
+    assert damaged.name in capsys.readouterr().err and contents(tmp_path) == good
 
 
 @pytest.mark.parametrize(
@@ -173,13 +195,39 @@ def test_the_hash_covers_all_that_labels_depend_on(change):
     assert replace(run, **change).inputs() != run.inputs()
 
 
-def test_labels_of_other_settings_are_replaced(tmp_path):
+def test_labels_of_other_settings_stay_beside_these(tmp_path, capsys):
+    other = replace(SPLIT, seed=9)
     label(tmp_path)
-    label(tmp_path, replace(SPLIT, seed=9))
-    assert len(shard_paths(tmp_path)) == 5
-    assert set(read_tasks(tmp_path).seed) == {9}
-    hashes = {read_shard(path).attributes["labels_hash"][:12] for path in shard_paths(tmp_path)}
-    assert {path.stem[-12:] for path in shard_paths(tmp_path)} == hashes
+    mine = index_of(tmp_path)
+    before = read_tasks(mine)
+    label(tmp_path, other)
+    with pytest.raises(InputError, match=r"holds several label sets; name one: .*36-maps, .*36-maps"):
+        read_tasks(tmp_path)
+    indices = {read_index(place).labels_hash: read_tasks(place) for place in complete_indices(tmp_path)}
+    assert [set(tasks.seed) for tasks in indices.values()] in ([{1}, {9}], [{9}, {1}])
+    assert_same_tasks(read_tasks(mine), before)
+    for split in (SPLIT, other, SPLIT):
+        label(tmp_path, split, function=failing_label)
+    assert not capsys.readouterr().err
+    for place in complete_indices(tmp_path):
+        index = read_index(place)
+        assert {read_shard(path).attributes["labels_hash"] for path in index.places} == {index.labels_hash}
+
+
+def test_two_settings_in_one_store_of_objects_lose_nothing():
+    place, other = "memory://side/by/side", replace(SPLIT, seed=9)
+    label(place)
+    label(place, other)
+    found = [read_tasks(index) for index in complete_indices(place)]
+    for split in (SPLIT, other):
+        label(place, split, function=failing_label)
+    for before, index in zip(found, complete_indices(place), strict=True):
+        assert_same_tasks(read_tasks(index), before)
+    first, second = stored_sets(place)
+    assert first.differs_in(second.inputs) == ["split.seed"] and first.maps == (36,) and first.shards == 5
+    first.remove()
+    assert [stored.place for stored in stored_sets(place)] == [second.place]
+    assert len(read_tasks(place)) in map(len, found)
 
 
 @linux
@@ -193,18 +241,19 @@ def test_a_run_killed_in_the_middle_leaves_whole_shards_and_is_continued(tmp_pat
     )
     run = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT)
     deadline = time.time() + 60
-    while len(shard_paths(folder)) < 2 and time.time() < deadline:
+    while len(finished(folder)) < 2 and time.time() < deadline:
         time.sleep(0.02)
     workers = children(run.pid)
     os.kill(run.pid, signal.SIGKILL)
     run.wait()
-    done = shard_paths(folder)
+    done = finished(folder)
     assert 2 <= len(done) < 9, "killed in the middle"
     kept = {path.name: (path.stat().st_mtime_ns, len(read_shard(path).tasks)) for path in done}
     assert workers and wait_for(lambda: not any(alive(pid) for pid in workers)), "workers end with their parent"
     label(folder, split)
     assert contents(folder) == contents(tmp_path / "undisturbed")
-    assert all((folder / name).stat().st_mtime_ns == time_ns for name, (time_ns, _) in kept.items())
+    times = {path.name: path.stat().st_mtime_ns for path in finished(folder)}
+    assert all(times[name] == time_ns for name, (time_ns, _) in kept.items())
 
 
 @linux
@@ -216,15 +265,17 @@ def test_an_interrupt_ends_a_run_and_its_workers(tmp_path):
         f"label(Path({str(tmp_path)!r}), replace(SPLIT, maps_per_category=120), 2, slow_fake_label)"
     )
     run = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, start_new_session=True, stderr=subprocess.PIPE)
-    assert wait_for(lambda: shard_paths(tmp_path))
+    assert wait_for(lambda: finished(tmp_path))
     workers = children(run.pid)
     os.killpg(run.pid, signal.SIGINT)  # like Ctrl-C: all processes receive it
     _, said = run.communicate(timeout=20)
     assert run.returncode != 0
     assert b"KeyboardInterrupt" in said and b"Process Spawn" not in said, "one process reports, not all"
     assert wait_for(lambda: not any(alive(pid) for pid in workers))
-    assert all(read_shard(path) for path in shard_paths(tmp_path))
-    assert len(shard_paths(tmp_path)) == len(list(tmp_path.iterdir()))
+    assert all(read_shard(path) for path in finished(tmp_path))
+    assert len(finished(tmp_path)) == sum(path.is_file() for path in tmp_path.rglob("*"))
+    with pytest.raises(InputError, match="holds no shard"):
+        read_tasks(tmp_path)  # unfinished labels are no split
 
 
 def test_a_worker_imports_neither_torch_nor_mlflow(tmp_path):
