@@ -8,9 +8,10 @@ is found before HDF5 parses the file.
 import hashlib
 import io
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,7 @@ __all__ = [
     "Shard",
     "TaskSet",
     "is_shard",
+    "read_arrays",
     "read_shard",
     "read_shards",
     "read_tasks",
@@ -136,18 +138,23 @@ def shard_of(content: bytes, where: str = "") -> Shard:
     Raises:
         InputError: if the contents are no shard, cut off or damaged, or have another schema version.
     """
-    import h5py
-
-    _verify(content, where)
-    try:
-        with h5py.File(io.BytesIO(content)) as file:
-            optional = [name for name in OPTIONAL_FIELDS if name in file]
-            arrays = {name: file[name][()] for name in (*FIELDS, *optional, "category")}
-            names = np.array([*file.attrs[_CATEGORY_NAMES], ""], dtype=np.str_)
-            attributes = {name: _plain(value) for name, value in file.attrs.items() if name not in _OWN_ATTRIBUTES}
+    with _opened(content, where) as file:
+        optional = [name for name in OPTIONAL_FIELDS if name in file]
+        arrays = {name: file[name][()] for name in (*FIELDS, *optional, "category")}
+        names = np.array([*file.attrs[_CATEGORY_NAMES], ""], dtype=np.str_)
+        attributes = {name: _plain(value) for name, value in file.attrs.items() if name not in _OWN_ATTRIBUTES}
         return Shard(TaskSet(**{**arrays, "category": names[arrays["category"]]}), attributes)
-    except (OSError, KeyError, IndexError, ValueError, TypeError) as error:
-        raise InputError(f"shard {where}: {' '.join(str(error).split())}") from error
+
+
+def read_arrays(path: Place, names: Collection[str]) -> dict[str, np.ndarray]:
+    """Reads some arrays of a shard by name, without the others; optional ones that it lacks are left out.
+
+    Raises:
+        InputError: as `read_shard`.
+    """
+    folder, name = split_place(path)
+    with _opened(folder.read(name), str(path)) as file:
+        return {name: file[name][()] for name in names if name in file or name not in OPTIONAL_FIELDS}
 
 
 def is_shard(path: str | os.PathLike) -> bool:
@@ -223,6 +230,19 @@ def _index_of(folder: Place) -> ShardIndex | None:
         beside = f", and {len(loose)} shards beside them" if loose else ""
         raise InputError(f"folder {folder} holds several label sets{beside}; name one: {', '.join(map(str, indices))}")
     return read_index(indices[0]) if indices else None
+
+
+@contextmanager
+def _opened(content: bytes, where: str) -> Iterator[Any]:
+    """The HDF5 file in a shard's verified contents."""
+    import h5py
+
+    _verify(content, where)
+    try:
+        with h5py.File(io.BytesIO(content)) as file:
+            yield file
+    except (OSError, KeyError, IndexError, ValueError, TypeError) as error:
+        raise InputError(f"shard {where}: {' '.join(str(error).split())}") from error
 
 
 def _header(version: int, body: bytes) -> bytes:

@@ -206,6 +206,7 @@ class TrainerSettings:
             weights.
         splits, val_splits: labelled splits that ``pipeline.train`` passes to ``train``.
         stream: whether ``pipeline.train`` passes split folders, from which a few shards at a time are in memory.
+        stream_shards: shards whose maps are shuffled together in a streamed training.
         share, residues: ``pipeline.train`` passes this share of all maps in ``splits``, and from this share only maps
             with these abstract headings modulo a quarter turn; None = all.
     """
@@ -226,6 +227,7 @@ class TrainerSettings:
     checkpoint_minutes: Positive = field(default=10.0, repr=False)
     initial: Name | None = field(default=None, repr=False)
     stream: bool = field(default=False, repr=False)
+    stream_shards: Count = field(default=8, repr=False)
     share: Annotated[float, Field(gt=0, le=1)] = field(default=1.0, repr=False)
     residues: Annotated[tuple[Residue, ...], Field(min_length=1)] | None = field(default=None, repr=False)
     splits: Annotated[tuple[Name, ...], Field(min_length=1)] = field(default=("train",), repr=False)
@@ -249,11 +251,13 @@ class HardwareSettings:
             evaluated without torch (``hdsp.learning.inference``): codes of 8 bits, on any processor. ``bf16`` runs the
             network's trunk in bfloat16, in torch.
         threads: torch CPU threads; None = torch's choice.
+        readers: processes that read shards ahead of a streamed training; 0 = the training itself reads them.
     """
 
     accelerator: Literal["auto", "cpu", "gpu"] = "auto"
     precision: Literal["auto", "32", "bf16"] = "auto"
     threads: Count | None = None
+    readers: Natural = 0
 
     def device(self) -> "torch.device":
         """Returns the device for computations outside a trainer.

@@ -58,13 +58,23 @@ class BatchIndex(NamedTuple):
     mirrored: Tensor | None
 
 
+class TaskArrays(NamedTuple):
+    """The arrays of a ``TaskSet`` that batches consist of."""
+
+    heights: np.ndarray
+    goals: np.ndarray
+    feasible: np.ndarray
+    cost: np.ndarray
+    planning_cost: np.ndarray | None = None
+
+
 class TaskDataset(Dataset):
     """Tensors that share memory with a ``TaskSet``; indexed by ``BatchIndex``.
 
     ``targets`` names the costs in a batch: ``cost``, and ``planning_cost`` for ``PlanningBatch`` if the labels have it.
     """
 
-    def __init__(self, tasks: "TaskSet", targets: Targets = ("cost",)):
+    def __init__(self, tasks: "TaskSet | TaskArrays", targets: Targets = ("cost",)):
         if len(tasks.heights) == 0:
             raise InputError("task set: it holds no maps")
         self.heights = _shared(tasks.heights, np.float32)
@@ -100,7 +110,6 @@ class BatchSampler(Sampler[BatchIndex]):
     Attributes:
         epoch: epoch of the next iteration.
         skip: number of batches before an interruption, which only the next iteration leaves out.
-        first: size of the first batch if it differs; 0 = it does not.
     """
 
     def __init__(
@@ -108,7 +117,7 @@ class BatchSampler(Sampler[BatchIndex]):
     ):
         self.maps, self.goals, self.settings = maps, goals, settings
         self.shuffle, self.mirror, self.seed, self.epoch = shuffle, mirror, seed, 0
-        self.skip = self.first = 0
+        self.skip = 0
 
     def set_epoch(self, epoch: int) -> None:
         """Sets the next iteration's epoch; Lightning calls it before each epoch."""
@@ -124,8 +133,7 @@ class BatchSampler(Sampler[BatchIndex]):
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
         order = torch.randperm(items, generator=generator) if self.shuffle else torch.arange(items)
         skip, self.skip = self.skip, 0
-        parts = [order[: self.first]] * bool(self.first) + list(order[self.first :].split(self.settings.size))
-        for number, chosen in enumerate(part for part in parts if len(part)):
+        for number, chosen in enumerate(order.split(self.settings.size)):
             mirrored = torch.rand(len(chosen), generator=generator) < 0.5 if self.mirror else None
             if number < skip:
                 continue
@@ -158,7 +166,7 @@ def task_loader(
     """
     dataset = TaskDataset(tasks, targets)
     sampler = BatchSampler(len(dataset), dataset.goals.shape[1], settings, shuffle, mirror, seed)
-    return DataLoader(dataset, batch_size=None, sampler=sampler, collate_fn=_as_is)
+    return DataLoader(dataset, batch_size=None, sampler=sampler, collate_fn=as_is)
 
 
 def mirror_heights(heights: Tensor) -> Tensor:
@@ -189,5 +197,5 @@ def _shared(array: np.ndarray, dtype) -> Tensor:
     return torch.from_numpy(array)
 
 
-def _as_is(batch: Any) -> Any:
+def as_is(batch: Any) -> Any:
     return batch

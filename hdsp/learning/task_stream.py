@@ -2,36 +2,53 @@
 
 import os
 from collections.abc import Iterator, Sequence
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from itertools import accumulate
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
-from torch.utils.data import DataLoader, IterableDataset, get_worker_info
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from hdsp.base.errors import InputError
 from hdsp.learning.learning_settings import BatchSettings
-from hdsp.learning.task_data import Batch, BatchSampler, PlanningBatch, Targets, TaskDataset
+from hdsp.learning.task_data import (
+    Batch,
+    BatchIndex,
+    BatchSampler,
+    PlanningBatch,
+    Targets,
+    TaskArrays,
+    TaskDataset,
+    as_is,
+)
 from hdsp.robot.lattice import N_ABSTRACT_ACTIONS
 
 if TYPE_CHECKING:
     from hdsp.base.storage import Place
 
+#: Groups of shards that each reading process reads ahead.
+PREFETCH = 1
+
 
 class TaskStream(IterableDataset):
     """Batches from labelled splits that need not fit into memory; reads a few shards at a time.
 
-    An epoch holds each map once, as with `task_loader`. Shards come in a new order every epoch, and maps are shuffled
-    among the shards in memory. Remaining maps fill the first batch from the next shards, so all batches but the last
-    are full. The order is a function of (seed, epoch) alone.
+    An epoch holds each map once, as with `task_loader`. Shards come in a new order every epoch, in groups, and a
+    group's maps are shuffled. All batches but the last are full; a batch may hold maps of two groups. Order and
+    mirroring are a function of (seed, epoch) alone, whatever the number of readers and processes.
 
     Args:
         places: one or several folders or URLs with shards.
         settings: batches by map or by single tasks.
         shuffle, mirror, seed, targets: as for `task_loader`.
-        shards_in_memory: number of shards read at a time.
+        shards_in_memory: shards in a group. A larger group mixes maps better.
+        readers: processes that read groups ahead; 0 = this process reads them when they are needed. Memory holds about
+            2 (readers + 1) groups; a group of 8 shards with 90 maps takes 15 MB.
 
     Attributes:
-        epoch, skip: as in `BatchSampler`; skipped batches are still read.
+        epoch, skip: as in `BatchSampler`; shards with skipped batches alone are not read.
+        rank, ranks: number of this process in a training of several ones, which take the batches in turn. All get
+            equally many; up to ranks - 1 batches are left out.
 
     Raises:
         InputError: a place holds no shard, or a shard is damaged (raised when it is read).
@@ -46,76 +63,161 @@ class TaskStream(IterableDataset):
         seed: int = 0,
         shards_in_memory: int = 8,
         targets: Targets = ("cost",),
+        readers: int = 0,
     ):
-        from hdsp.labels.shards import shard_paths
+        from hdsp.labels.shards import shard_sizes
 
-        self.paths = []
+        self.paths: list[Place] = []
+        self.maps: list[int] = []
         for place in [places] if isinstance(places, str | os.PathLike) else places:
-            found = shard_paths(place)
+            found = shard_sizes(place)
             if not found:
                 raise InputError(f"folder {place} holds no shard")
-            self.paths += found
+            self.paths += [path for path, _ in found]
+            self.maps += [maps for _, maps in found]
         self.settings, self.shuffle, self.mirror = settings, shuffle, mirror
         self.seed, self.shards_in_memory = seed, shards_in_memory
-        self.targets = targets
-        self.epoch = self.skip = 0
+        self.targets, self.readers = targets, readers
+        self.epoch = self.skip = self.rank = 0
+        self.ranks = 1
 
     def __repr__(self) -> str:
         return f"TaskStream({len(self.paths)} shards, batches of {self.settings.size} {self.settings.by}s)"
 
-    @cached_property
-    def maps(self) -> list[int]:
-        """Maps in each shard; the first access reads all shards."""
-        from hdsp.labels.shards import read_shard
-
-        return [len(read_shard(path).tasks) for path in self.paths]
-
     def __len__(self) -> int:
-        """Batches per epoch, for a single reading process."""
-        items = sum(self.maps) * (1 if self.settings.by == "map" else N_ABSTRACT_ACTIONS)
-        return -(-items // self.settings.size)
+        """Batches per epoch for one process."""
+        batches = -(-sum(self.maps) * self._per_map // self.settings.size)
+        return batches // self.ranks
 
     def set_epoch(self, epoch: int) -> None:
         """Sets the next iteration's epoch; Lightning calls it before each epoch."""
         self.epoch = epoch
 
     def __iter__(self) -> Iterator[Batch | PlanningBatch]:
-        skip, self.skip = self.skip, 0
-        rest: Batch | PlanningBatch | None = None
-        for dataset, sampler in self._parts():
-            sampler.first = self.settings.size - len(rest.heights) if rest is not None else 0
-            for index in sampler:
-                batch = dataset[index]
-                if rest is not None:
-                    batch, rest = type(batch)(*(torch.cat(pair) for pair in zip(rest, batch, strict=True))), None
-                if len(batch.heights) < self.settings.size:
-                    rest = batch
-                elif skip:
-                    skip -= 1
-                else:
-                    yield batch
-        if rest is not None and not skip:
-            yield rest
+        size, last = self.settings.size, len(self) * self.ranks
+        number, self.skip = self.skip * self.ranks, 0
+        first = number * size
+        groups = [group for group in self._groups() if group.end > first]
+        pieces: list[Batch | PlanningBatch] = []
+        wanted = size
+        for group, dataset in zip(groups, self._read(groups), strict=True):
+            order = group.order
+            for at in _cuts(max(first, group.start), group.end, size):
+                part = slice(at.start - group.start, at.stop - group.start)
+                if number % self.ranks == self.rank:
+                    pieces.append(dataset[self._index(order.items[part], order.mirrored[part])])
+                wanted -= len(at)
+                if not wanted:
+                    yield from _joined(pieces)
+                    pieces, wanted, number = [], size, number + 1
+                if number == last:
+                    return
+        yield from _joined(pieces)
 
-    def _parts(self) -> Iterator[tuple[TaskDataset, BatchSampler]]:
-        """Yields the maps that are in memory together, with their sampler."""
-        from hdsp.labels.shards import read_shard
-        from hdsp.labels.tasks import TaskSet
+    def _index(self, items: Tensor, mirrored: Tensor) -> BatchIndex:
+        flipped = mirrored if self.mirror else None
+        if self.settings.by == "map":
+            return BatchIndex(items, None, flipped)
+        return BatchIndex(items // N_ABSTRACT_ACTIONS, items % N_ABSTRACT_ACTIONS, flipped)
 
+    @property
+    def _per_map(self) -> int:
+        return 1 if self.settings.by == "map" else N_ABSTRACT_ACTIONS
+
+    def _groups(self) -> "list[_Group]":
+        """The epoch's groups that hold maps, in order."""
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
         count = len(self.paths)
         order = torch.randperm(count, generator=generator) if self.shuffle else torch.arange(count)
-        groups = list(enumerate(order.split(self.shards_in_memory)))
-        if (worker := get_worker_info()) is not None:
-            groups = groups[worker.id :: worker.num_workers]  # each process of a loader reads shards of its own
-        for number, chosen in groups:
-            tasks = TaskSet.concatenate([read_shard(self.paths[k]).tasks for k in chosen.tolist()])
-            if not len(tasks):
-                continue
-            seed = self.seed * 10_007 + number
-            sampler = BatchSampler(len(tasks), N_ABSTRACT_ACTIONS, self.settings, self.shuffle, self.mirror, seed)
-            sampler.set_epoch(self.epoch)
-            yield TaskDataset(tasks, self.targets), sampler
+        chosen = [part.tolist() for part in order.split(self.shards_in_memory)]
+        sizes = [sum(self.maps[k] for k in shards) * self._per_map for shards in chosen]
+        starts = accumulate(sizes, initial=0)
+        seeds = ((self.seed * 10_007 + number) * 1_000_003 + self.epoch for number in range(len(chosen)))
+        return [
+            _Group(tuple(shards), start, start + items, seed if self.shuffle or self.mirror else None, self.shuffle)
+            for shards, start, items, seed in zip(chosen, starts, sizes, seeds, strict=False)
+            if items
+        ]
+
+    def _read(self, groups: "Sequence[_Group]") -> Iterator[TaskDataset]:
+        reader = _GroupReader([[self.paths[k] for k in group.shards] for group in groups], self.targets)
+        if not self.readers or len(groups) < 2:
+            found: Any = (reader[k] for k in range(len(groups)))
+        else:
+            found = DataLoader(
+                reader,
+                batch_size=None,
+                num_workers=min(self.readers, len(groups)),
+                prefetch_factor=PREFETCH,
+                collate_fn=as_is,
+            )
+        for arrays in found:
+            if isinstance(arrays, InputError):
+                raise arrays
+            yield TaskDataset(arrays, self.targets)
+
+
+class _Order(NamedTuple):
+    """Items of a group in their order, int64 [n], and whether each is mirrored, bool [n]."""
+
+    items: Tensor
+    mirrored: Tensor
+
+
+class _Group(NamedTuple):
+    """Shards that are in memory together: their numbers, and the range of their items in the epoch."""
+
+    shards: tuple[int, ...]
+    start: int
+    end: int
+    seed: int | None
+    shuffle: bool
+
+    @property
+    def order(self) -> _Order:
+        count = self.end - self.start
+        if self.seed is None:
+            return _Order(torch.arange(count), torch.zeros(count, dtype=torch.bool))
+        generator = torch.Generator().manual_seed(self.seed)
+        items = torch.randperm(count, generator=generator) if self.shuffle else torch.arange(count)
+        return _Order(items, torch.rand(count, generator=generator) < 0.5)
+
+
+class _GroupReader(Dataset):
+    """Reads groups of shards; an `InputError` is returned, because processes cannot raise it in one line."""
+
+    def __init__(self, groups: "list[list[Place]]", targets: Targets):
+        self.groups, self.names = groups, {"heights", "goals", "feasible", *targets, "cost"}
+
+    def __len__(self) -> int:
+        return len(self.groups)
+
+    def __getitem__(self, number: int) -> TaskArrays | InputError:
+        import numpy as np
+
+        from hdsp.labels.shards import read_arrays
+
+        try:
+            parts = [read_arrays(path, self.names) for path in self.groups[number]]
+        except InputError as error:
+            return error
+        shared = [name for name in TaskArrays._fields if all(name in part for part in parts)]
+        return TaskArrays(**{name: np.concatenate([part[name] for part in parts]) for name in shared})
+
+
+def _cuts(start: int, end: int, size: int) -> Iterator[range]:
+    """Cuts a range where batches begin, at multiples of ``size``."""
+    while start < end:
+        stop = min(end, (start // size + 1) * size)
+        yield range(start, stop)
+        start = stop
+
+
+def _joined(pieces: list[Batch | PlanningBatch]) -> Iterator[Batch | PlanningBatch]:
+    if len(pieces) == 1:
+        yield pieces[0]
+    elif pieces:
+        yield type(pieces[0])(*(torch.cat(parts) for parts in zip(*pieces, strict=True)))
 
 
 class ResumableBatches:

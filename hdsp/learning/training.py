@@ -113,7 +113,7 @@ def train(
     if trainer_settings.initial is not None:
         _begin_with(module.network, trainer_settings.initial, config.model)
     predicted: Targets = ("cost", "planning_cost") if module.network.predicts_planning_cost else ("cost",)
-    source, maps = _training_batches(trainer_settings, train_tasks, predicted)
+    source, maps = _training_batches(trainer_settings, train_tasks, predicted, config.hardware.readers)
     batches = ResumableBatches(source)
     val_loaders = [
         task_loader(tasks, VALIDATION_BATCH, targets=predicted if tasks.planning_cost is not None else ("cost",))
@@ -205,7 +205,7 @@ def _loggers(logger: Logger | Iterable[Logger] | None) -> list[Logger] | bool:
 
 
 def _training_batches(
-    settings: TrainerSettings, tasks: "TaskSet | Sequence[Place]", targets: Targets
+    settings: TrainerSettings, tasks: "TaskSet | Sequence[Place]", targets: Targets, readers: int
 ) -> tuple[Any, int]:
     """An epoch's batches, and their map count."""
     from hdsp.labels.tasks import TaskSet
@@ -213,7 +213,7 @@ def _training_batches(
     order: dict[str, Any] = {"shuffle": True, "mirror": settings.mirror, "seed": settings.seed, "targets": targets}
     if isinstance(tasks, TaskSet):
         return task_loader(tasks, settings.batch, **order), len(tasks)
-    stream = TaskStream(tasks, settings.batch, **order)
+    stream = TaskStream(tasks, settings.batch, **order, shards_in_memory=settings.stream_shards, readers=readers)
     if not len(stream):
         raise InputError(f"{', '.join(map(str, tasks))}: the shards hold no maps")
     return stream, sum(stream.maps)
@@ -228,8 +228,9 @@ def _fingerprint(config: TrainingConfig, batches: Any) -> str:
     later = {name: getattr(trainer, name) for name in ("ema", "early_stopping", "initial")}
     parts += [f"{name} {value}" for name, value in later.items() if value is not None]
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode())
-    if isinstance(batches, TaskStream):  # a shard's name holds its label hash
-        digest.update(json.dumps([*map(str, batches.paths), *batches.maps]).encode())
+    if isinstance(batches, TaskStream):  # the path of a shard holds its label hash
+        order = [batches.shards_in_memory, *map(str, batches.paths), *batches.maps]
+        digest.update(json.dumps(order).encode())
         return digest.hexdigest()
     data = batches.dataset
     planning = [data.planning_cost] if data.planning_cost is not None else []

@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from hdsp.base.errors import InputError
 from hdsp.labels.shards import write_shard
@@ -29,7 +31,7 @@ def test_a_stream_gives_every_map_once_in_a_new_order_each_epoch(tasks, shards):
 
     def maps(number):
         stream.set_epoch(number)
-        return torch.cat([batch.heights[:, 0] for batch in torch.utils.data.DataLoader(stream, batch_size=None)])
+        return torch.cat([batch.heights[:, 0] for batch in stream])
 
     first, second = maps(0), maps(1)
     assert torch.equal(first, maps(0)) and not torch.equal(first, second)
@@ -57,10 +59,10 @@ def test_a_stream_has_as_many_batches_as_it_says(tasks, shards, by):
 @pytest.mark.parametrize("streamed", [False, True])
 @pytest.mark.parametrize("by", ["map", "task"])
 def test_batches_go_on_after_those_of_before_an_interruption(tasks, shards, streamed, by):
-    settings, order = BatchSettings(by, 4), {"shuffle": True, "mirror": True, "seed": 3}
+    chosen, order = BatchSettings(by, 4), {"shuffle": True, "mirror": True, "seed": 3}
 
     def batches(taken=0):
-        source = TaskStream(shards, settings, **order) if streamed else task_loader(tasks, settings, **order)
+        source = TaskStream(shards, chosen, **order) if streamed else task_loader(tasks, chosen, **order)
         resumable = ResumableBatches(source)
         resumable.load_state_dict({"given": taken})
         resumable.sampler.set_epoch(2)
@@ -82,20 +84,70 @@ def test_batches_go_on_after_those_of_before_an_interruption(tasks, shards, stre
         assert len(list(resumable)) == len(whole)
 
 
-def test_a_stream_holds_no_more_shards_than_it_may(shards, monkeypatch):
+@pytest.fixture
+def read(monkeypatch):
+    """Paths of the shards that were read."""
     import hdsp.labels.shards
 
-    alive = []
-    real = hdsp.labels.shards.read_shard
-    monkeypatch.setattr(hdsp.labels.shards, "read_shard", lambda path: alive.append(path) or real(path))
-    stream = iter(TaskStream(shards, BatchSettings("map", 1), shards_in_memory=2))
-    next(stream)
-    assert len(alive) == 2
+    paths, real = [], hdsp.labels.shards.read_arrays
+    monkeypatch.setattr(hdsp.labels.shards, "read_arrays", lambda path, names: paths.append(path) or real(path, names))
+    return paths
+
+
+def test_a_stream_holds_no_more_shards_than_it_may(shards, read):
+    next(iter(TaskStream(shards, BatchSettings("map", 1), shards_in_memory=2)))
+    assert len(read) == 2
     with pytest.raises(InputError, match="holds no shard"):
         TaskStream(shards / "nothing", BatchSettings())
 
 
-def test_processes_of_a_loader_share_the_shards(tasks, shards):
-    stream = TaskStream(shards, BatchSettings("map", 4), shards_in_memory=1)
-    loader = torch.utils.data.DataLoader(stream, batch_size=None, num_workers=2)
-    assert sum(len(batch.heights) for batch in loader) == len(tasks)
+def test_shards_with_skipped_batches_alone_are_not_read(shards, read):
+    stream = TaskStream(shards, BatchSettings("map", 2), shards_in_memory=1)
+    stream.skip = 4  # eight maps: all but the last shard
+    assert [len(batch.heights) for batch in stream] == [2]
+    assert [path.name for path in read] == ["4.h5"]
+
+
+@settings(max_examples=6, deadline=None)
+@given(
+    size=st.integers(1, 9), group=st.integers(1, 5), by=st.sampled_from(["map", "task"]), seed=st.integers(0, 3),
+    skip=st.integers(0, 9), ranks=st.integers(1, 3),
+)  # fmt: skip
+def test_processes_take_the_batches_of_one_in_turn(shards, size, group, by, seed, skip, ranks):
+    def batches(**attributes):
+        stream = TaskStream(shards, BatchSettings(by, size), True, True, seed, group)
+        for name, value in attributes.items():
+            setattr(stream, name, value)
+        return list(stream)
+
+    whole = batches(epoch=1)
+    parts = [batches(epoch=1, rank=rank, ranks=ranks) for rank in range(ranks)]
+    assert {len(part) for part in parts} == {len(whole) // ranks}
+    for number, batch in enumerate(whole[: len(whole) // ranks * ranks]):
+        assert same(batch, parts[number % ranks][number // ranks])
+    rest = batches(epoch=1, skip=skip)
+    assert len(rest) == max(0, len(whole) - skip)
+    assert all(map(same, rest, whole[skip:]))
+
+
+def same(one, other) -> bool:
+    return all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def test_readers_give_the_batches_of_a_stream_without_them(shards):
+    def batches(readers):
+        return list(TaskStream(shards, BatchSettings("map", 3), True, True, 1, 1, readers=readers))
+
+    assert all(map(same, batches(2), batches(0)))
+
+
+def test_a_damaged_shard_is_named_in_one_line_also_by_a_reader(tasks, tmp_path):
+    for number in range(3):
+        write_shard(tmp_path / f"{number}.h5", tasks[:2], {"labels_hash": "x"})
+    for readers in (0, 1):
+        stream = TaskStream(tmp_path, BatchSettings("map", 2), shards_in_memory=1, readers=readers)
+        content = (tmp_path / "1.h5").read_bytes()
+        (tmp_path / "1.h5").write_bytes(content[:-5])
+        with pytest.raises(InputError, match=r"^shard [^\n]*1\.h5 is damaged[^\n]*$"):
+            list(stream)
+        (tmp_path / "1.h5").write_bytes(content)

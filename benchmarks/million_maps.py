@@ -1,0 +1,295 @@
+"""Labels and a streamed epoch at the scale of a million maps: memory, restarts, rates, and what ten million need.
+
+    python -m benchmarks.million_maps --maps 1000000 --workers 2
+    python -m benchmarks.million_maps --maps 20000        # minutes
+
+A true label takes a large part of a second, so only `--recorded` maps are labelled truly; their rate is printed. The
+label run then has a stand-in for the detailed planner, which gives these labels again, map by map, and never drops a
+map. All the rest is that of a true run: workers, shards, index, restarts. Each part works in its own process:
+
+1. `label_split` on a tenth of the maps, and on all of them. The second run is killed (SIGKILL) in its middle and
+   started again. `restart_s` is the time from the start of a process to the list of missing shards, after the kill and
+   when nothing is missing; the larger counts. `restart_cpu_s` is the same in processor time.
+2. One epoch of a small network, streamed from the shards. It is killed in the middle and started again; `resume_s` is
+   the time from the start of the process to its first batch, `maps_per_s` the rate afterwards.
+
+`memory_gb` is the largest peak of a process. `ten_million` extrapolates along lines through the measured points of a
+tenth and of all maps; `true_core_hours` counts the true labels, `epoch_hours` the small network. The last line is JSON.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hdsp.base.workers import peak_memory
+from hdsp.labels.run.split_run import ClusterSettings, label_split
+from hdsp.labels.run.splits import LabelRun
+from hdsp.labels.shard_index import SHARDS, read_index
+from hdsp.labels.shards import read_tasks
+from pipeline.config import configure
+from pipeline.label_places import label_run
+
+TEN_MILLION = 10_000_000
+#: A network whose epoch costs little beside the reading.
+NETWORK = {
+    "architecture": "compact",
+    "encoding": {"reference": "base", "channels": ["height"]},
+    "options": {"widths": [4, 4], "blocks": [0, 0], "map_features": 2, "hidden": 16},
+}
+VALIDATION_MAPS = 90
+
+
+@dataclass(frozen=True)
+class RecordedRun(LabelRun):
+    """A label run whose labels are those of recorded maps, again and again."""
+
+    recorded: str = ""
+
+    def inputs(self) -> dict[str, Any]:
+        return {**super().inputs(), "recorded": Path(self.recorded).name}
+
+    @cached_property
+    def _labels(self) -> dict[str, list]:
+        from hdsp.labels.rules import MapTasks
+
+        tasks = read_tasks(self.recorded)
+        arrays = tasks.arrays()
+        rows = [MapTasks(**{name: arrays[name][k] for name in MapTasks._fields}) for k in range(len(tasks))]
+        categories = tasks.category.tolist()
+        return {
+            category: [row for row, own in zip(rows, categories, strict=True) if own == category] or rows
+            for category in self.split.categories
+        }
+
+    def tasks_of(self, number: int, label=None):
+        category, index, _ = self.map_of(number)
+        known = self._labels[category]
+        return known[index % len(known)]
+
+
+def main(argv=None) -> dict[str, Any]:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--maps", type=int, default=1_000_000)
+    parser.add_argument("--recorded", type=int, default=450, help="maps that are labelled truly")
+    parser.add_argument("--workers", type=int, default=2, help="processes of the label run")
+    parser.add_argument("--readers", type=int, default=1, help="processes that read shards for the training")
+    parser.add_argument("--maps-per-shard", type=int, default=90)
+    parser.add_argument("--folder", type=Path, help="place for the shards, which are removed afterwards")
+    parser.add_argument("--part", choices=PARTS, help=argparse.SUPPRESS)
+    arguments = parser.parse_args(argv)
+    if arguments.part:
+        result = PARTS[arguments.part](arguments)
+        print(json.dumps(result))
+        return result
+    folder = Path(tempfile.mkdtemp(dir=arguments.folder, prefix="million_maps-"))
+    arguments.folder = folder
+    try:
+        result = measured(arguments)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    print(json.dumps(result))
+    return result
+
+
+def measured(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Runs all parts in processes of their own."""
+    truly = in_process(arguments, "truly")
+    tenth = argparse.Namespace(**{**vars(arguments), "maps": arguments.maps // 10})
+    few = in_process(tenth, "label")
+    shards = arguments.maps // arguments.maps_per_shard
+    killed_in_process(arguments, "label", lambda: written_shards(arguments.folder) > shards / 2)
+    after_kill = in_process(arguments, "label")
+    again = in_process(arguments, "label")
+    again_few = in_process(tenth, "label")
+    progress = arguments.folder / "progress.json"
+    killed_in_process(arguments, "train", lambda: seen_batches(progress) > arguments.maps / BATCH / 2)
+    trained = in_process(arguments, "train")
+    size = sum(path.stat().st_size for path in arguments.folder.rglob("*.h5"))
+    restarts = [after_kill["restart_s"], again["restart_s"]]
+    memory = {"label": after_kill["memory_gb"], "train": trained["memory_gb"], "worker": after_kill["worker_gb"]}
+    points = arguments.maps // 10, arguments.maps
+    return {
+        "maps": arguments.maps,
+        "maps_per_s": trained["maps_per_s"],
+        "memory_gb": max(memory.values()),
+        "restart_s": max(restarts),
+        "restart_cpu_s": max(after_kill["restart_cpu_s"], again["restart_cpu_s"]),
+        "resume_s": trained["resume_s"],
+        "memory_by_process_gb": memory,
+        "memory_growth_in_the_epoch_gb": trained["growth_gb"],
+        "restart_after_kill_s": restarts[0],
+        "restart_of_a_tenth_cpu_s": again_few["restart_cpu_s"],
+        "shards_of_stand_in_maps_per_s": after_kill["maps_per_s"],
+        "true_labels_maps_per_s_and_core": truly["maps_per_s"],
+        "disk_gb": round(size / 1e9, 3),
+        "ten_million": {
+            "restart_cpu_s": along_a_line(points, (again_few["restart_cpu_s"], again["restart_cpu_s"])),
+            "memory_gb": along_a_line(points, (few["memory_gb"], again["memory_gb"])),
+            "disk_gb": round(size / arguments.maps * TEN_MILLION / 1e9, 1),
+            "epoch_hours": round(TEN_MILLION / trained["maps_per_s"] / 3600, 2),
+            "true_core_hours": round(TEN_MILLION / truly["maps_per_s"] / 3600, 1),
+        },
+    }
+
+
+def along_a_line(at: tuple[int, int], values: tuple[float, float]) -> float:
+    """Value at ten million maps on the line through two points; it never falls below the measured ones."""
+    slope = (values[1] - values[0]) / (at[1] - at[0])
+    return round(max(values[1] + slope * (TEN_MILLION - at[1]), *values), 2)
+
+
+def command(arguments: argparse.Namespace, part: str) -> list[str]:
+    options = {name.replace("_", "-"): value for name, value in vars(arguments).items() if name != "part"}
+    flags = [text for name, value in options.items() for text in (f"--{name}", str(value))]
+    return [sys.executable, "-m", "benchmarks.million_maps", *flags, "--part", part]
+
+
+def in_process(arguments: argparse.Namespace, part: str) -> dict[str, Any]:
+    """The result of a part in a new process."""
+    done = subprocess.run(command(arguments, part), stdout=subprocess.PIPE, text=True, check=True)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def killed_in_process(arguments: argparse.Namespace, part: str, reached) -> None:
+    """Starts a part, and kills its process and those below it once a condition holds."""
+    process = subprocess.Popen(command(arguments, part), stdout=subprocess.DEVNULL, start_new_session=True)
+    while not reached():
+        if process.poll() is not None:
+            raise SystemExit(f"error: {part} ended before it could be killed; try more --maps")
+        time.sleep(0.2)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def written_shards(folder: Path) -> int:
+    pools = list(folder.glob(f"labels/*/{SHARDS}"))
+    return sum(len(os.listdir(part)) for pool in pools for part in pool.iterdir())
+
+
+def seen_batches(progress: Path) -> int:
+    return json.loads(progress.read_text())["batches"] if progress.is_file() else 0
+
+
+def since_start() -> float:
+    """Seconds since this process began."""
+    import psutil
+
+    return time.time() - psutil.Process().create_time()
+
+
+def truly(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Labels maps with the detailed planner; the rate leaves out the first shard, which compiles."""
+    per_category = -(-arguments.recorded // 9)
+    settings = f"{{maps_per_category: {per_category}, maps_per_shard: {max(9, arguments.recorded // 10)}}}"
+    run = label_run(configure([f"labelling.splits.train={{seed: 1, heading_residues: [0], {settings[1:]}"]), "train")
+    cluster = ClusterSettings(1, dashboard=None)
+    began = time.perf_counter()
+    label_split(run, arguments.folder / "recorded", cluster, progress=False)
+    return {"maps_per_s": round(run.split.maps / (time.perf_counter() - began), 2)}
+
+
+def stand_in(arguments: argparse.Namespace) -> RecordedRun:
+    per_category = -(-arguments.maps // 9)
+    split = f"{{seed: 1, maps_per_category: {per_category}, maps_per_shard: {arguments.maps_per_shard}}}"
+    run = label_run(configure([f"labelling.splits.train={split}"]), "train")
+    (index,) = (arguments.folder / "recorded").glob("*/*-maps")
+    return RecordedRun(run.split, run.robot, run.terrain, run.settings, run.sensing, str(index))
+
+
+def label(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Labels with the stand-in, after what is there."""
+    from hdsp.labels.run.label_store import LabelStore
+
+    known: list[tuple[float, float]] = []
+    find = LabelStore.missing
+
+    def noted(store, *options):
+        missing = find(store, *options)
+        known.append((since_start(), time.process_time()))
+        return missing
+
+    LabelStore.missing = noted  # type: ignore[method-assign]
+    cluster = ClusterSettings(arguments.workers, dashboard=None)
+    result = label_split(stand_in(arguments), arguments.folder / "labels", cluster, progress=False)
+    record = result.record or {}
+    return {
+        "restart_s": round(known[0][0], 2),
+        "restart_cpu_s": round(known[0][1], 2),
+        "memory_gb": round(peak_memory() / 1e9, 3),
+        "worker_gb": round(record.get("peak_memory", 0) / 1e9, 3),
+        "maps_per_s": round(record.get("tasks_per_second", 0) / 22, 1),
+    }
+
+
+#: Maps in a batch of the training.
+BATCH = 64
+
+
+def train(arguments: argparse.Namespace) -> dict[str, Any]:
+    """One epoch of the small network, after the last checkpoint."""
+    import lightning.pytorch as pl
+
+    from hdsp.learning import train as train_network
+
+    class Watch(pl.Callback):
+        def __init__(self):
+            self.first = self.began = self.memory = None
+            self.batches, self.seen = 0, 0.0
+
+        def on_train_batch_start(self, trainer, module, batch, index):
+            if self.first is None:
+                self.first, self.began = since_start(), time.perf_counter()
+
+        def on_train_batch_end(self, trainer, module, outputs, batch, index):
+            self.batches += 1
+            if self.batches == 50:
+                self.memory = peak_memory()
+            self.seconds = time.perf_counter() - self.began
+            if time.perf_counter() > self.seen + 1:
+                self.seen = time.perf_counter()
+                (arguments.folder / "progress.json").write_text(json.dumps({"batches": index}))
+
+    watch = Watch()
+    run = stand_in(arguments)
+    place = next(place for place in arguments.folder.glob(f"labels/*/{run.split.maps}-maps"))
+    assert read_index(place) is not None
+    validation = read_tasks(run.recorded)[:VALIDATION_MAPS]
+    config = {
+        "model": NETWORK,
+        "trainer": {
+            "epochs": 1,
+            "batch": {"by": "map", "size": BATCH},
+            "optimizer": {"name": "adamw", "lr": 1e-3},
+            "losses": {"rule": "constant"},
+            "selection": {"metric": "feasibility_accuracy"},
+            "checkpoint_minutes": 0.02,
+        },
+        "hardware": {"accelerator": "cpu", "precision": "32", "threads": 1, "readers": arguments.readers},
+    }
+    work = arguments.folder / "training"
+    result = train_network(config, [place], {"val": validation}, work, callbacks=[watch], quiet=True)
+    assert result.maps == run.split.maps and np.isfinite(result.metrics["loss/feasibility"])
+    return {
+        "maps_per_s": round(watch.batches * BATCH / watch.seconds, 1),
+        "memory_gb": round(peak_memory() / 1e9, 3),
+        "growth_gb": round((peak_memory() - watch.memory) / 1e9, 3),
+        "resume_s": round(watch.first, 2),
+    }
+
+
+PARTS = {"truly": truly, "label": label, "train": train}
+
+if __name__ == "__main__":
+    main()
