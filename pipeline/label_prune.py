@@ -17,7 +17,7 @@ from pipeline.label_places import course_run, label_run, split_place
 from pipeline.stage import Folders, run_stage
 
 if TYPE_CHECKING:
-    from hdsp.labels.run.stored_sets import StoredSet
+    from hdsp.labels.run.set_listing import StoredSet
 
 YES, KEEP, PRUNE = "--yes", "--keep", "--prune"
 #: Names of differing settings in a line of the list.
@@ -35,7 +35,7 @@ def main() -> None:
 
 def prune(config: Config, folders: Folders, confirmed: bool = False, kept: Sequence[str] = ()) -> None:
     """Lists all label sets; removes those of other configurations after a confirmation."""
-    from hdsp.labels.run.stored_sets import stored_sets
+    from hdsp.labels.run.set_listing import stored_sets
 
     unused: list[StoredSet] = []
     leftovers: list[StoredSet] = []

@@ -57,7 +57,7 @@ def publish_model(config: Config, folders: Folders, source: str) -> None:
     size = sum(value.nbytes for value in trained.network.state_dict().values())
     precision: Precision = "float16" if size > LARGEST else "float32"
     with tempfile.TemporaryDirectory() as folder:
-        trained.save_pretrained(Path(folder) / "model", precision)
+        trained.save_pretrained(Path(folder) / "model", precision, picture=False)
         abstraction = LearnedAbstraction.from_pretrained(Path(folder) / "model", robot, hardware)
 
     val = _validation(trained.provenance.notes.get("trainer") or plain(config.trainer), config, folders)
@@ -82,7 +82,7 @@ def publish_model(config: Config, folders: Folders, source: str) -> None:
     target = folders.write("hdsp", "learning", "shipped", name)
     spent = hours(Path(source), abstraction, folders)
     card = model_card(abstraction, robot, precision, figures, missing, config, name, spent)
-    abstraction.save_pretrained(target, precision, beside={"README.md": card})
+    abstraction.save_pretrained(target, precision, card)
     begin, end = markers(name)
     if PAGE.is_file() and begin in PAGE.read_text(encoding="utf-8"):
         put_between_markers(PAGE, f"{summary(abstraction, figures, spent)}\n", begin, end)

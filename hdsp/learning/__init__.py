@@ -7,7 +7,8 @@
 - `abstraction`, `saved_abstraction`, `calibration`: a trained network that judges tasks, its folder, its corrections
 - `inference`, `torch_evaluation`: evaluation without torch, with torch; `footprint_geometry`: values for both
 - `learned_costs`, `rotated_maps`: abstract costs of a whole map
-- `loading`, `shipped`: the abstractions that come with the package
+- `loading`, `shipped`: the abstractions that come with the package; `hub`, `hub_card`: others on the Hugging Face hub
+- `onnx_export`: an abstraction as an ONNX model
 
 Importing this package loads neither torch nor Lightning; the first use of a name loads its module.
 """
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from hdsp.learning.module import AbstractionModule
     from hdsp.learning.network_conformance import check_network
     from hdsp.learning.networks import TaskNetwork, build_network, count_parameters
+    from hdsp.learning.onnx_export import export_onnx
     from hdsp.learning.saved_abstraction import Provenance
     from hdsp.learning.task_data import task_loader
     from hdsp.learning.task_stream import TaskStream
@@ -47,6 +49,7 @@ __all__ = [
     "build_network",
     "check_network",
     "count_parameters",
+    "export_onnx",
     "task_loader",
     "train",
 ]
@@ -70,6 +73,7 @@ _MODULES = {
     "build_network": "networks",
     "check_network": "network_conformance",
     "count_parameters": "networks",
+    "export_onnx": "onnx_export",
     "task_loader": "task_data",
     "train": "training",
 }

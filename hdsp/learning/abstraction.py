@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+import tempfile
 from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import asdict
@@ -14,6 +15,7 @@ from scipy.special import expit
 
 from hdsp.base.errors import InputError
 from hdsp.learning.calibration import MINIMUM_COST, Calibration, calibration_figures, fit_calibration
+from hdsp.learning.hub_card import CARD, PICTURE, HubCard, picture_of
 from hdsp.learning.inference.footprint_engine import FootprintEngine, KeptPlace, engine_options
 from hdsp.learning.judgements import Judgements
 from hdsp.learning.learning_settings import HardwareSettings, ModelSettings
@@ -279,14 +281,15 @@ class LearnedAbstraction:
         return np.asarray(near.all(axis=-1).any(axis=-1))
 
     def save_pretrained(
-        self, folder: str | Path, precision: Precision = "float32", beside: Mapping[str, str] | None = None
+        self, folder: str | Path, precision: Precision = "float32", text: str | None = None, picture: bool = True
     ) -> Path:
-        """Writes the abstraction; an existing folder is replaced as a whole.
+        """Writes the abstraction with its card; an existing folder is replaced as a whole.
 
         Args:
-            folder: receives ``config.json`` and ``model.safetensors``.
+            folder: receives ``config.json``, ``model.safetensors``, the card ``README.md`` and a picture.
             precision: stored precision of trained values; ``float16`` rounds them and halves the file.
-            beside: further texts for the folder, by file name.
+            text: text of the card below its front matter (licence, tags, metrics); None = a short one.
+            picture: whether to draw judged patches, if the package for pictures is installed.
 
         Raises:
             InputError: the folder cannot be written, or holds something other than an abstraction.
@@ -306,8 +309,34 @@ class LearnedAbstraction:
             "edges_threshold": self.edges_threshold,
             "weights_sha256": hashlib.sha256(weights).hexdigest(),
         }
-        others = {name: content.encode() for name, content in (beside or {}).items()}
-        return replace_folder(Path(folder), {WEIGHTS: weights, CONFIG: config_text(config).encode(), **others})
+        drawn = picture_of(self.predict) if picture else None
+        files = {WEIGHTS: weights, CONFIG: config_text(config).encode()}
+        card = HubCard(Path(folder).name, self.model.architecture, self.provenance, self.metrics)
+        files[CARD] = card.markdown(text, drawn is not None).encode()
+        return replace_folder(Path(folder), files | ({PICTURE: drawn} if drawn else {}))
+
+    def push_to_hub(self, repository: str, private: bool = False, precision: Precision = "float32") -> str:
+        """Uploads the abstraction with its card to ``user/repository`` of the Hugging Face hub.
+
+        The token is the one of ``hf auth login`` or of the environment variable ``HF_TOKEN``.
+
+        Args:
+            repository: made if it does not exist.
+            private: whether a new repository is private.
+            precision: as for ``save_pretrained``.
+
+        Returns:
+            the address of the commit.
+
+        Raises:
+            InputError: the package ``huggingface_hub`` is missing, the token does not suffice, or there is no network.
+        """
+        from hdsp.learning.hub import check_repository, upload
+
+        check_repository(repository)
+        with tempfile.TemporaryDirectory() as work:
+            folder = self.save_pretrained(Path(work) / repository.rpartition("/")[2], precision)
+            return upload(folder, repository, private)
 
     @classmethod
     def from_pretrained(

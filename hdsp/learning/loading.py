@@ -38,10 +38,11 @@ def robot_of(preset: str) -> str:
 def load_abstraction(
     source: str | Path, robot: str | Path | dict | Robot | None = None, hardware: HardwareSettings | None = None
 ) -> LearnedAbstraction:
-    """Loads a trained abstraction, e.g. ``load_abstraction("momaro")``; no download, no pickle.
+    """Loads a trained abstraction, e.g. ``load_abstraction("momaro")``; no pickle.
 
     Args:
-        source: shipped abstraction name, or a folder written by ``LearnedAbstraction.save_pretrained``.
+        source: shipped abstraction name; a folder written by ``LearnedAbstraction.save_pretrained``; or a repository
+            of the Hugging Face hub, ``user/repository`` or ``user/repository@revision``, which is downloaded once.
         robot: if given, the abstraction has to fit this robot with its current values. Default for a shipped
             abstraction: its robot.
         hardware: device and precision for inference.
@@ -53,16 +54,25 @@ def load_abstraction(
     names = presets()
     is_preset = str(source) in names
     if not is_preset and not Path(source).is_dir():
-        known = ", ".join(names) or "none"
-        raise InputError(
-            f"abstraction {str(source)!r}: no folder, and not one of those that come with the package ({known})"
-        )
+        source = _downloaded(str(source), ", ".join(names) or "none")
     from hdsp.learning.abstraction import LearnedAbstraction
 
     folder = Path(str(shipped().joinpath(str(source)))) if is_preset else Path(source)
     if robot is None and is_preset:
         robot = robot_of(str(source))
     return LearnedAbstraction.from_pretrained(folder, None if robot is None else Robot.load(robot), hardware)
+
+
+def _downloaded(source: str, known: str) -> Path:
+    from hdsp.learning.hub import download, is_repository
+
+    missing = f"abstraction {source!r}: no folder, and not one of those that come with the package ({known})"
+    if not is_repository(source):
+        raise InputError(missing)
+    try:
+        return download(source)
+    except InputError as error:
+        raise InputError(f"{missing}; {error}") from error
 
 
 def abstraction_of(robot: Robot, hardware: HardwareSettings | None = None) -> LearnedAbstraction:

@@ -163,7 +163,7 @@ def train(
     metrics = {key: value for key, value in history.rows[best_epoch].items() if key != "epoch"}
     abstraction = LearnedAbstraction(module.network, config.model, provenance or Provenance(), metrics)
     abstraction = abstraction.calibrated(val_sets[trainer_settings.selection.set])
-    abstraction.save_pretrained(out_dir / "model")
+    abstraction.save_pretrained(out_dir / "model", picture=False)
     seconds, resumed_from = time.perf_counter() - started, len(history.rows) - history.epochs_seen
     return TrainResult(out_dir / "model", best_epoch, metrics, history.rows, seconds, resumed_from, maps)
 

@@ -3,7 +3,7 @@
 - `split_run`: labels all maps of a split into shards, resumable
 - `splits`: maps and shards of a split, and the hash of its labels
 - `label_store`: shards and index of a label set, and which of them are valid
-- `stored_sets`: all label sets of a split, to be listed and removed
+- `set_listing`: all label sets of a split, to be listed and removed
 - `label_summary`: counts, shares and costs of a labelled split, and reasons for dropped maps
 - `cluster`, `jobs`: the scheduling side and the worker side of a run on Dask; `progress`: its bar
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from hdsp.labels.run.label_store import LabelStore
     from hdsp.labels.run.label_summary import describe_labels
     from hdsp.labels.run.progress import TaskProgress
+    from hdsp.labels.run.set_listing import StoredSet, stored_sets
     from hdsp.labels.run.split_run import LabelledSplit, label_split
     from hdsp.labels.run.splits import LabelRun, SplitSettings
-    from hdsp.labels.run.stored_sets import StoredSet, stored_sets
 
 __all__ = [
     "ClusterLabelling",
@@ -42,11 +42,11 @@ _MODULES = {
     "LabelStore": "label_store",
     "LabelledSplit": "split_run",
     "SplitSettings": "splits",
-    "StoredSet": "stored_sets",
+    "StoredSet": "set_listing",
     "TaskProgress": "progress",
     "describe_labels": "label_summary",
     "label_split": "split_run",
-    "stored_sets": "stored_sets",
+    "stored_sets": "set_listing",
 }
 
 

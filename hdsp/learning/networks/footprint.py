@@ -225,7 +225,7 @@ class Footprint(TaskNetwork):
 
     def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, ...]:
         width = self.pose_features
-        goals = goals.expand(len(features), -1, -1)
+        goals = goals.expand(features.shape[0], -1, -1)
         sizes = [POSES * POSES * width, 2 * (SAMPLES - 1) * width, self.options.feet]
         straight, turned, feet = features.split(sizes, dim=1)
         straight = straight.reshape(-1, POSES, POSES, width)

@@ -68,11 +68,13 @@ class GoalMap(TaskNetwork):
         return self.trunk(encoded)
 
     def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
-        of_map = self.of_map(features.view(len(features), -1, SIDE, SIDE))
+        of_map = self.of_map(features.unflatten(1, (-1, SIDE, SIDE)))
         painted = self.paint(goals)
-        of_goal = self.of_goal(painted.flatten(0, 1)).unflatten(0, painted.shape[:2])
+        maps, count = goals.shape[0], goals.shape[1]
+        of_goal = self.of_goal(painted.flatten(0, 1))
+        of_goal = of_goal.view(maps, count, *of_goal.shape[1:])
         both = (of_map[:, None] + of_goal).flatten(0, 1)
-        cost, logits = self.heads(self.rest(both)).view(len(features), -1, 2).unbind(-1)
+        cost, logits = self.heads(self.rest(both)).view(maps, count, 2).unbind(-1)
         return cost, logits
 
     def paint(self, goals: Tensor) -> Tensor:

@@ -66,7 +66,7 @@ class Table(TaskNetwork):
         return self.trunk(encoded)
 
     def goal_part(self, features: Tensor, goals: Tensor) -> tuple[Tensor, Tensor]:
-        entries = self.entries(goals).expand(len(features), -1)
+        entries = self.entries(goals).expand(features.shape[0], -1)
         cost, logits = self.heads(self.rest(features)).chunk(2, dim=-1)
         return cost.gather(1, entries), logits.gather(1, entries)
 

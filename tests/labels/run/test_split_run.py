@@ -15,8 +15,8 @@ from hdsp.detailed.search.outcome import Status
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.counts import LabelCounts, split_summary
 from hdsp.labels.rules import LabelSettings
+from hdsp.labels.run.set_listing import stored_sets
 from hdsp.labels.run.split_run import ClusterSettings, LabelRun, SplitSettings, label_split
-from hdsp.labels.run.stored_sets import stored_sets
 from hdsp.labels.shard_index import complete_indices, read_index
 from hdsp.labels.shards import read_shard, read_tasks, shard_paths, write_shard
 from hdsp.robot.lattice import robot_frame_goals
