@@ -50,9 +50,10 @@ run_stage(stage, "label")
 import signal, time
 from hdsp.base.ending import ended_by
 with ended_by(signal.SIGTERM):
-    print("ready", flush=True)
-    for _ in range(100):
+    for turn in range(100):
         try:
+            if turn == 0:
+                print("ready", flush=True)
             time.sleep(0.9)
         except BaseException:  # code that takes no notice
             pass
