@@ -83,7 +83,9 @@ def saved(tmp_path_factory):
     model = load_settings(ModelSettings, TINY_MODEL, "model")
     provenance = Provenance.of(Robot.load("momaro"), "0123", maps=3, trainer={"splits": ["train"]})
     abstraction = LearnedAbstraction(build_network(model), model, provenance, {"cost_error/val": 0.1})
-    return abstraction.calibrated(synthetic_tasks(40)).save_pretrained(tmp_path_factory.mktemp("saved") / "model")
+    return abstraction.calibrated(synthetic_tasks(40)).save_pretrained(
+        tmp_path_factory.mktemp("saved") / "model", picture=False
+    )
 
 
 def test_configurations_of_models(saved, tmp_path):

@@ -31,7 +31,7 @@ def abstraction():
 
 @pytest.fixture
 def saved(abstraction, tmp_path):
-    return abstraction.save_pretrained(tmp_path / "model")
+    return abstraction.save_pretrained(tmp_path / "model", picture=False)
 
 
 def edit(folder, change):
@@ -61,7 +61,9 @@ def test_actions_that_are_infeasible_on_flat_ground_are_never_judged_feasible(ab
     with torch.no_grad():
         abstraction.network.heads.bias.copy_(torch.tensor([0.4, 9.0]))  # otherwise all are feasible
     ahead_only = LearnedAbstraction(abstraction.network, abstraction.model, Provenance.of(robot), hardware=EXACT)
-    read = LearnedAbstraction.from_pretrained(ahead_only.save_pretrained(tmp_path / "ahead"), robot, EXACT)
+    read = LearnedAbstraction.from_pretrained(
+        ahead_only.save_pretrained(tmp_path / "ahead", picture=False), robot, EXACT
+    )
     tasks, flat = synthetic_tasks(30), flat_table(robot)
     tasks.goals[:], never = robot_frame_goals(0), np.isinf(flat[0])
     assert read.predict(tasks.heights, tasks.goals)[0].tolist() == [(~never).tolist()] * 30
@@ -103,7 +105,7 @@ def test_unknown_cells_give_finite_predictions(abstraction):
 
 def test_saving_again_replaces_the_whole_folder(abstraction, saved):
     abstraction.metrics["cost_error/val"] = 0.05
-    abstraction.save_pretrained(saved)
+    abstraction.save_pretrained(saved, picture=False)
     assert LearnedAbstraction.from_pretrained(saved).metrics == {"cost_error/val": 0.05}
     assert [path.name for path in saved.parent.iterdir()] == ["model"]
 
@@ -111,7 +113,7 @@ def test_saving_again_replaces_the_whole_folder(abstraction, saved):
 def test_a_folder_with_other_files_is_not_replaced(abstraction, tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(InputError, match="not replaced"):
-        abstraction.save_pretrained(tmp_path)
+        abstraction.save_pretrained(tmp_path, picture=False)
     assert (tmp_path / "thesis.tex").exists()
 
 

@@ -210,7 +210,7 @@ def test_the_calibration_is_saved_with_the_model_and_older_models_go_without(abs
 
     tasks = synthetic_tasks(60)
     calibrated = abstraction.calibrated(tasks)
-    folder = calibrated.save_pretrained(tmp_path / "model")
+    folder = calibrated.save_pretrained(tmp_path / "model", picture=False)
     read = LearnedAbstraction.from_pretrained(folder, hardware=EXACT)
     assert read.calibration == calibrated.calibration
     config = json.loads((folder / "config.json").read_text())

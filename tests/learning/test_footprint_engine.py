@@ -165,7 +165,7 @@ def test_a_network_with_other_widths_and_channels(tmp_path):
     with torch.no_grad():
         network.goal_cost[-1].bias += 2  # no cost is at its lower bound
     in_torch = LearnedAbstraction(network, _model(settings))
-    folder = in_torch.save_pretrained(tmp_path / "model")
+    folder = in_torch.save_pretrained(tmp_path / "model", picture=False)
     patches, goals = rough_patches(3), robot_frame_goals(5)
     patches[0, 30:33, 20:50] = np.nan
     for precision, tolerance in (("32", 1e-4), ("auto", 1e-2)):

@@ -66,7 +66,7 @@ def test_a_threshold_opens_actions_that_are_probably_infeasible(costs, terrain, 
         np.testing.assert_array_equal(found, LearnedCosts(network, kind=kind, threshold=0.5).edges(terrain, box))
     other = copy(network)
     other.edges_threshold = 0.01
-    other.save_pretrained(tmp_path / "mine")
+    other.save_pretrained(tmp_path / "mine", picture=False)
     saved = LearnedAbstraction.from_pretrained(tmp_path / "mine", hardware=network.hardware)
     np.testing.assert_array_equal(np.isfinite(LearnedCosts(saved).edges(terrain, box)), opened[0])
     np.testing.assert_array_equal(saved.predict(patches, goals)[0], probability > 0.5)
@@ -106,7 +106,10 @@ def test_edges_for_planning_come_from_a_network_that_predicts_them(method, terra
     with torch.no_grad():
         in_torch.network.goal_cost[-1].bias += torch.tensor([2.0, 1.9])
     box = 2, 3, 4, 5
-    for abstraction in (in_torch, LearnedAbstraction.from_pretrained(in_torch.save_pretrained(tmp_path / "model"))):
+    for abstraction in (
+        in_torch,
+        LearnedAbstraction.from_pretrained(in_torch.save_pretrained(tmp_path / "model", picture=False)),
+    ):
         label, planned = (
             LearnedCosts(abstraction, method=method, kind=kind, threshold=0.5, robot="momaro").edges(terrain, box)
             for kind in ("label", "planning")

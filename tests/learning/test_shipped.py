@@ -66,7 +66,7 @@ def test_an_abstraction_is_of_the_robot_that_it_is_named_by(monkeypatch):
 
 
 def test_a_folder_of_ones_own_is_loaded_as_well(abstraction, tmp_path):
-    folder = abstraction.save_pretrained(tmp_path / "mine", "float16")
+    folder = abstraction.save_pretrained(tmp_path / "mine", "float16", picture=False)
     mine = hdsp.load_abstraction(folder, "momaro")
     patches, goals = np.zeros((1, 72, 72), np.float32), robot_frame_goals(1)
     np.testing.assert_allclose(mine.predict(patches, goals)[1], abstraction.predict(patches, goals)[1], atol=0.01)
@@ -76,7 +76,7 @@ def test_a_folder_of_ones_own_is_loaded_as_well(abstraction, tmp_path):
         "precision"
     ] == "float16"
     with pytest.raises(InputError, match="precision 'int8': allowed are"):
-        abstraction.save_pretrained(tmp_path / "no", "int8")
+        abstraction.save_pretrained(tmp_path / "no", "int8", picture=False)
 
 
 def test_it_is_refused_for_another_robot():

@@ -2,6 +2,10 @@
 
 import csv
 import json
+import os
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 
 import lightning.pytorch as pl
@@ -15,6 +19,7 @@ from hdsp.labels.shards import write_shard
 from hdsp.learning import HardwareSettings, LearnedAbstraction, train
 from hdsp.learning.callbacks import AveragedWeights
 from hdsp.learning.metrics import combined_score
+from tests import ROOT
 from tests.learning.synthetic import synthetic_tasks, tiny_config
 from tests.learning.test_zoo import model_file
 
@@ -157,6 +162,36 @@ def test_a_training_interrupted_within_an_epoch_ends_like_an_undisturbed_one(tas
     timeless = [[{k: v for k, v in row.items() if k != "seconds"} for row in r.history] for r in (whole, resumed)]
     assert timeless[0] == timeless[1]
     weights = [(path.model_dir / "model.safetensors").read_bytes() for path in (whole, resumed)]
+    assert weights[0] == weights[1]
+
+
+def streamed(folder, out, callbacks=()):
+    """A streamed training, eight batches an epoch, with a reader and on one thread."""
+    config = tiny_config(epochs=2, mirror=True, checkpoint_minutes=1e-7, stream=True, stream_shards=2)
+    config["trainer"]["batch"]["size"] = 12
+    config["hardware"]["readers"] = 1
+    return train(config, [folder], {"val": synthetic_tasks(16, seed=1)}, out, callbacks=callbacks, quiet=True)
+
+
+class KillWithin(pl.Callback):
+    """Ends its process at once, as `kill -9` does, after a checkpoint within the second epoch."""
+
+    def on_train_batch_start(self, trainer, module, batch, index):
+        if (trainer.current_epoch, index) == (1, 5):
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_streamed_training_that_was_killed_ends_with_the_same_weights(tasks, tmp_path):
+    for number in range(6):
+        write_shard(tmp_path / f"shards/{number}.h5", tasks[number * 16 : number * 16 + 16], {"labels_hash": "x"})
+    places = tmp_path / "shards", tmp_path / "killed"
+    script = f"from tests.learning.test_training import *; streamed({places[0]!r}, {places[1]!r}, [KillWithin()])"
+    script = f"from pathlib import *; {script}"
+    killed = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
+    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    resumed, whole = streamed(*places), streamed(tmp_path / "shards", tmp_path / "whole")
+    assert resumed.resumed_from == 1
+    weights = [(result.model_dir / "model.safetensors").read_bytes() for result in (resumed, whole)]
     assert weights[0] == weights[1]
 
 

@@ -5,6 +5,12 @@ import json
 import pytest
 
 from hdsp.labels.shards import read_tasks
+from pipeline.config import configure
+from pipeline.label import label as stage
+from pipeline.label_places import shards_place
+from pipeline.label_prune import prune
+from pipeline.stage import Folders
+from pipeline.task_sets import read_set
 from tests.pipeline.conftest import SPLITS, run_python, tiny
 
 pytestmark = [pytest.mark.pipeline, pytest.mark.xdist_group("chain")]
@@ -69,3 +75,48 @@ def test_a_report_of_labels_of_other_settings_is_refused(labelled):
         match=r"holds no finished labels of this configuration and code; `python -m pipeline",
     ):
         run_python("pipeline.label_report", *tiny(labelled), "labelling.settings.cost_limit_factor=1.2")
+
+
+@pytest.fixture
+def two_settings(tmp_path):
+    """Two configurations that label into one destination, as two branches do."""
+    where = f"labelling.destination={tmp_path / 'shared'}"
+    of_one = ["profile=tiny", "+labelling.splits.val.categories=[cuboid_1]", "runtime.workers=1", where]
+    return configure(of_one), configure([*of_one, "labelling.settings.cost_limit_factor=0.5"])
+
+
+def test_branches_share_a_destination_without_loss_and_read_their_own_labels(two_settings, tmp_path):
+    folders, found = Folders(tmp_path, tmp_path), {}
+    for config in (*two_settings, *two_settings):
+        stage(config, folders, "val")
+        used = json.loads((tmp_path / "data/labels/val/labels.json").read_text())
+        tasks, _ = read_set(shards_place(config, tmp_path, "val"))
+        times = {path: path.stat().st_mtime_ns for path in (tmp_path / "shared").rglob("*.h5")}
+        limit = config.labelling.settings.cost_limit_factor
+        assert found.setdefault(limit, (used, tasks.cost.tobytes()))[0] == used
+        assert found[limit][1] == tasks.cost.tobytes() and used["kept"] == len(tasks) > 0
+    (one, costs), (other, other_costs) = found.values()
+    assert one["labels_hash"] != other["labels_hash"] and costs != other_costs
+    assert len(times) == 2
+    third = configure(["profile=tiny", "+labelling.splits.val.categories=[cuboid_1]", "robot=go2w"])
+    assert read_set(shards_place(third, tmp_path / "shared", "val"))[0] is None, "labels of others are not accepted"
+
+
+def test_pruning_lists_first_and_removes_what_no_configuration_needs(two_settings, tmp_path, capsys):
+    folders = Folders(tmp_path, tmp_path)
+    for config in two_settings:
+        stage(config, folders, "val")
+    mine, other = (shards_place(config, tmp_path, "val") for config in two_settings)
+    name = other.parent.name
+    prune(two_settings[0], folders)
+    said = capsys.readouterr().out
+    assert f"keep   {mine.parent}: 1 maps, 1 shards" in said and f"remove {other.parent}: 1 maps, 1 shards" in said
+    assert "other settings.cost_limit_factor" in said and "nothing is removed yet: add --yes" in said
+    prune(two_settings[0], folders, confirmed=True, kept=[name])
+    assert "nothing to remove" in capsys.readouterr().out and other.is_dir()
+    unfinished = mine.parent / "shards/00000/.0.77-ff.tmp.h5"
+    unfinished.write_bytes(b"half")
+    prune(two_settings[0], folders, confirmed=True)
+    assert "removed 1 label sets" in capsys.readouterr().out
+    assert not other.parent.exists() and not unfinished.exists()
+    assert read_set(mine)[0] is not None

@@ -98,7 +98,7 @@ def test_a_network_without_a_dense_map_judges_the_states_that_queries_need(tmp_p
     model = load_settings(ModelSettings, TINY_MODEL)
     torch.manual_seed(0)
     abstraction = LearnedAbstraction(build_network(model), model, Provenance.of(ROBOT, ""))
-    abstraction.save_pretrained(tmp_path / "models/abstraction")
+    abstraction.save_pretrained(tmp_path / "models/abstraction", picture=False)
     folders = Folders(tmp_path, tmp_path)
     terrain = read_ground(config.arena, folders).terrain
     tasks = read_tasks(terrain, config)
