@@ -26,8 +26,9 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import defaultdict
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -60,23 +61,23 @@ class RecordedRun(LabelRun):
     def inputs(self) -> dict[str, Any]:
         return {**super().inputs(), "recorded": Path(self.recorded).name}
 
-    @cached_property
-    def _labels(self) -> dict[str, list]:
-        from hdsp.labels.rules import MapTasks
-
-        tasks = read_tasks(self.recorded)
-        arrays = tasks.arrays()
-        rows = [MapTasks(**{name: arrays[name][k] for name in MapTasks._fields}) for k in range(len(tasks))]
-        categories = tasks.category.tolist()
-        return {
-            category: [row for row, own in zip(rows, categories, strict=True) if own == category] or rows
-            for category in self.split.categories
-        }
-
     def tasks_of(self, number: int, label=None):
         category, index, _ = self.map_of(number)
-        known = self._labels[category]
-        return known[index % len(known)]
+        known = recorded_labels(self.recorded)
+        of_category = known.get(category) or [row for rows in known.values() for row in rows]
+        return of_category[index % len(of_category)]
+
+
+@cache
+def recorded_labels(place: str) -> dict[str, list]:
+    """Recorded labels by category; each process reads them once."""
+    from hdsp.labels.rules import MapTasks
+
+    tasks = read_tasks(place)
+    arrays, found = tasks.arrays(), defaultdict(list)
+    for k, category in enumerate(tasks.category.tolist()):
+        found[category].append(MapTasks(**{name: arrays[name][k] for name in MapTasks._fields}))
+    return dict(found)
 
 
 def main(argv=None) -> dict[str, Any]:
