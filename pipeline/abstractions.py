@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
-from pipeline.config_types import METHODS, SHIPPED, Config
-from pipeline.stage import Folders
+
+from .config_types import METHODS, SHIPPED, Config, is_own_heuristic
+from .stage import Folders
 
 if TYPE_CHECKING:
     from hdsp.abstract import AbstractCosts, TaskPredictor
@@ -45,8 +46,10 @@ def task_predictor(name: str, config: Config, folders: Folders, model: str = TRA
     robot = config.robot
     if name == "trained" or name.startswith(SHIPPED):
         from hdsp.learning.abstraction import LearnedAbstraction
+        from hdsp.learning.architectures import network_class
         from hdsp.learning.loading import load_abstraction, presets
 
+        network_class(config.model.architecture)  # code that the configuration names may be run
         hardware = config.runtime.hardware
         hardware.apply_threads()
         if name.startswith(SHIPPED):
@@ -65,6 +68,11 @@ def task_predictor(name: str, config: Config, folders: Folders, model: str = TRA
 
         return FlatCosts(robot)
     raise InputError(f"unknown abstraction {name!r}; allowed are {', '.join(METHODS)}")
+
+
+def heuristic_source(name: str, config: Config, folders: Folders) -> AbstractCosts | str:
+    """Returns the heuristic of a planner: its name, or abstract costs; raises as `task_predictor`."""
+    return name if name == "geometric" or is_own_heuristic(name) else abstract_costs(name, config, folders)
 
 
 def abstract_costs(name: str, config: Config, folders: Folders) -> AbstractCosts:

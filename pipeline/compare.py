@@ -21,11 +21,12 @@ import yaml
 
 from hdsp.base.errors import InputError
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, abstract_shape
-from pipeline.config import CONF, compose, flatten, plain
-from pipeline.config_types import Config
-from pipeline.report import put_between_markers
-from pipeline.stage import Folders, read_json, run_stage, write_json
-from pipeline.tables import EMPTY, markdown, percent
+
+from .config import CONF, compose, flatten, plain
+from .config_types import Config
+from .report import put_between_markers
+from .stage import Folders, read_json, run_stage, write_json
+from .tables import EMPTY, markdown, percent
 
 PAGE = "architectures.md"
 #: Configuration sections in which experiments may differ.

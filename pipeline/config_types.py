@@ -7,18 +7,19 @@ needs of them.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from hdsp.abstract.manual import ManualSettings
 from hdsp.abstract.oracle import LabelSettings
+from hdsp.base.extensions import HEURISTICS, extension_place
 from hdsp.base.settings import Count, Name, Natural, NotNegative, Positive, checked, chosen_by, fault
 from hdsp.base.workers import MemorySize, Scheduler, SlurmOptions
 from hdsp.labels.course_patches import CoursePatchSettings
 from hdsp.labels.run.splits import Category, SplitSettings
 from hdsp.labels.scan_patches import ScanPatchSettings
-from hdsp.learning.learning_settings import HardwareSettings, ModelSettings, TrainerSettings
+from hdsp.learning.learning_settings import HardwareSettings, LightningSettings, ModelSettings, TrainerSettings
 from hdsp.robot.robot import Robot
 from hdsp.terrain.arenas import ArenaDescription
 from hdsp.terrain.random_arenas import RandomArena
@@ -39,8 +40,18 @@ def _method(name: str) -> str:
     return name
 
 
+def is_own_heuristic(name: str) -> bool:
+    """Whether a name stands for a heuristic of another package."""
+    return name not in METHODS and extension_place(HEURISTICS, name) is not None
+
+
+def is_place(split: str) -> bool:
+    """Whether a split's name is the folder or URL of its shards."""
+    return "/" in split
+
+
 def _heuristic(name: str) -> str:
-    return name if name == "geometric" else _method(name)
+    return name if name == "geometric" or is_own_heuristic(name) else _method(name)
 
 
 def _named(sources: Any) -> Any:
@@ -228,7 +239,7 @@ class PlannerSettings:
     """Group `planner`: the planning experiment.
 
     Attributes:
-        heuristics: `geometric`, or the name of an abstraction.
+        heuristics: `geometric`, the name of an abstraction, or of another package's heuristic.
         weights: of weighted A*.
         margin: distance between the body and obstacles, m.
         limits: a search ends at its first limit.
@@ -258,6 +269,9 @@ class Runtime:
         data_dir: folder with published data sets and scans; None = HDSP_DATA_DIR, or fetched.
         variant: name of a shipped abstraction beside the robot's default one.
         hardware: device, precision and threads.
+        lightning: how Lightning runs a training.
+        system_metrics: whether MLflow records load and memory of the machine.
+        register: name under which MLflow registers the model, `NAME@ALIAS` with an alias; None = it is not registered.
     """
 
     workers: Count | None
@@ -269,6 +283,34 @@ class Runtime:
     data_dir: Name | None
     variant: Name | None
     hardware: HardwareSettings
+    lightning: LightningSettings
+    system_metrics: bool
+    register: Name | None
+
+
+@checked
+class SearchSettings:
+    """Group `search`: a search for settings (`pipeline.search`).
+
+    Attributes:
+        name: name of the study.
+        space: values in Hydra's syntax, by key.
+        trials: trials with a value, those of earlier calls included.
+        jobs: trials at the same time.
+        metric: number in `reports/training.json`.
+        direction: whether small or large values are better.
+        seed: seed of the sampler.
+        storage: Optuna's storage; None = SQLite in outputs/search.
+    """
+
+    name: Name
+    space: dict[str, Any]
+    trials: Count
+    jobs: Count
+    metric: Name
+    direction: Literal["minimize", "maximize"]
+    seed: Natural
+    storage: Name | None
 
 
 @checked
@@ -288,6 +330,7 @@ class Config:
     ]
     simulation: Simulation
     planner: PlannerSettings
+    search: SearchSettings
     runtime: Runtime
     profile: Name
 
@@ -295,7 +338,8 @@ class Config:
     def _check(self) -> Self:
         splits = {**self.labelling.splits, **self.simulation.splits}
         for role in ("splits", "val_splits"):
-            _known(f"trainer.{role}", getattr(self.trainer, role), splits, "labelling.splits, simulation.splits")
+            own = tuple(name for name in getattr(self.trainer, role) if not is_place(name))
+            _known(f"trainer.{role}", own, splits, "labelling.splits, simulation.splits, or a folder (with a /)")
         for name, entry in self.evaluation.sets.items():
             if entry.split is not None and entry.split not in splits:
                 raise fault(f"evaluation.sets.{name}.split", entry.split, f"one of {', '.join(splits)}")

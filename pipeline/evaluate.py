@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
-from pipeline.abstractions import available, task_predictor
-from pipeline.config_types import Config
-from pipeline.stage import Folders, run_stage, write_json
-from pipeline.task_sets import read_evaluation_set
+
+from . import tracking
+from .abstractions import available, task_predictor
+from .config_types import Config
+from .stage import Folders, run_stage, write_json
+from .task_sets import read_evaluation_set
 
 if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
@@ -45,16 +47,30 @@ def evaluate(config: Config, folders: Folders) -> None:
     if example is None:
         raise InputError("no tasks: " + "; ".join(f"{name}: {values['reason']}" for name, values in sets.items()))
 
-    write_json(folders.write("reports", "abstraction_quality.json"), {"sets": sets})
-    with replacing(folders.write("reports", "abstraction_quality.csv")) as path, path.open("w", newline="") as file:
+    reports = [folders.write("reports", f"abstraction_quality.{suffix}") for suffix in ("json", "csv")]
+    write_json(reports[0], {"sets": sets})
+    with replacing(reports[1]) as path, path.open("w", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
         writer.writerows(rows(sets))
     save_quality_bars(sets, folders.write("reports", "figures", "abstraction_quality.png"))
     save_reliability(sets, folders.write("reports", "figures", "reliability.png"))
+    tracking.add_results(folders, table_one(sets), reports, "evaluation")
     judged = predict(next(iter(predictors.values())), example)
     picture = folders.write("reports", "figures", "example_patches.png")
     save_example_patches(example, judged, picture, config.evaluation.examples, config.robot)
+
+
+def table_one(sets: Mapping[str, Any]) -> dict[str, float | None]:
+    """Returns Table I and calibration errors with flat names, for MLflow."""
+    found: dict[str, float | None] = {}
+    for name, values in sets.items():
+        for method, figures in values.get("methods", {}).items():
+            for metric in ("feasibility_accuracy", "cost_error"):
+                found[f"table 1/{name}/{method}/{metric}"] = figures[metric]
+        for method, figures in values.get("calibration", {}).items():
+            found[f"calibration/{name}/{method}/ece"] = figures["ece"]
+    return found
 
 
 def calibration(predictors: Mapping[str, Any], tasks: TaskSet) -> dict[str, Any]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pipeline.paper import ABSTRACTION_QUALITY, HEURISTIC_PERFORMANCE
-from pipeline.tables import EMPTY, markdown, percent, shown_cost, shown_increase, shown_seconds, shown_speedup
+from .paper import ABSTRACTION_QUALITY, HEURISTIC_PERFORMANCE
+from .tables import EMPTY, markdown, percent, shown_cost, shown_increase, shown_seconds, shown_speedup
 
 #: Weight of the planning rows.
 WEIGHT = "1.25"

@@ -19,13 +19,14 @@ import yaml
 
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.base.files import replacing
-from pipeline.config_types import Config
-from pipeline.headline import headline_table
-from pipeline.seconds import PLACE
-from pipeline.seconds import table as seconds_table
-from pipeline.stage import Folders, read_json
-from pipeline.stored_paths import PathKey, StoredPath, read_paths
-from pipeline.tables import HEURISTIC_NAMES, abstraction_quality_table, heuristic_table, markdown, random_task_table
+
+from .config_types import Config
+from .headline import headline_table
+from .seconds import PLACE
+from .seconds import table as seconds_table
+from .stage import Folders, read_json
+from .stored_paths import PathKey, StoredPath, read_paths
+from .tables import HEURISTIC_NAMES, abstraction_quality_table, heuristic_table, markdown, random_task_table
 
 #: Width of pictures in pixels; wider ones are scaled down.
 WIDTH = 1600
@@ -116,7 +117,7 @@ def scenes_of(config: Config, folders: Folders, planning: Mapping[str, Any]) -> 
         `before`, `after`: the shared text; `tasks`: name, caption and own text of each page. Without viser or without
         paths, `tasks` is empty. And the heuristic and weight in words, or the reason for the absence of scenes.
     """
-    from pipeline.plan import read_ground, read_tasks
+    from .plan import read_ground, read_tasks
 
     nothing: dict[str, Any] = {"before": "", "after": "", "tasks": []}
     try:

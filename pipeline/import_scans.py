@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.config_types import Config
-from pipeline.stage import Folders, run_stage, write_json
-from pipeline.task_sets import ABSENT
+from .config_types import Config
+from .stage import Folders, run_stage, write_json
+from .task_sets import ABSENT
 
 
 def import_scans(config: Config, folders: Folders) -> None:

@@ -12,9 +12,10 @@ import sys
 from typing import Any
 
 from hdsp.base.storage import Place
-from pipeline.config_types import Config
-from pipeline.label_places import USED, label_run, split_place
-from pipeline.stage import Folders, run_stage, write_json
+
+from .config_types import Config
+from .label_places import USED, label_run, split_place
+from .stage import Folders, run_stage, write_json
 
 VERIFY = "--verify"
 
@@ -46,7 +47,7 @@ def write_used(folders: Folders, split: str, place: Place) -> None:
 
 if __name__ == "__main__":
     if "--prune" in sys.argv:
-        from pipeline.label_prune import main
+        from .label_prune import main
 
         main()
     elif VERIFY in sys.argv:

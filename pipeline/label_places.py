@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hdsp.base.errors import InputError
-from hdsp.base.storage import Place, inside
-from pipeline.config_types import Config
+from hdsp.base.storage import Place, inside, is_url
+
+from .config_types import Config, is_place
 
 if TYPE_CHECKING:
     from hdsp.labels.course_patches import PatchRun
@@ -35,11 +36,15 @@ def split_place(config: Config, folder: Path, split: str) -> Place:
 def shards_place(config: Config, folder: Path, split: str) -> Place:
     """Returns the index of a split's labels with this configuration and this code; arguments as for `split_place`.
 
+    A split with a / in its name is a folder within `folder`, an absolute path, or a URL.
+
     Raises:
         InputError: the split does not exist.
     """
     from hdsp.labels.shard_index import index_place
 
+    if is_place(split):
+        return split if is_url(split) else folder / split
     place = split_place(config, folder, split)
     if split in config.simulation.splits:
         courses = course_run(config, split)

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 from hdsp.base.errors import InputError
 from hdsp.base.storage import Place
-from pipeline.config_types import Config
-from pipeline.label_places import course_run, label_run, split_place
-from pipeline.stage import Folders, run_stage
+
+from .config_types import Config
+from .label_places import course_run, label_run, split_place
+from .stage import Folders, run_stage
 
 if TYPE_CHECKING:
     from hdsp.labels.run.set_listing import StoredSet

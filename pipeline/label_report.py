@@ -13,10 +13,11 @@ from typing import Any
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
-from pipeline.config_types import Config
-from pipeline.label_places import label_run, not_there, shards_place
-from pipeline.paper import LABELS
-from pipeline.stage import Folders, run_stage, write_json
+
+from .config_types import Config
+from .label_places import label_run, not_there, shards_place
+from .paper import LABELS
+from .stage import Folders, run_stage, write_json
 
 
 def label_report(config: Config, folders: Folders) -> None:

@@ -7,15 +7,18 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from hdsp.base.extensions import distribution_of
+from hdsp.learning.architectures import ARCHITECTURES, architecture_place
 from hdsp.robot import lattice
 from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import COST_MODEL_VERSION
 from hdsp.terrain.scenes import CATEGORIES
-from pipeline.config import configure, flatten, plain
-from pipeline.config_types import Config
-from pipeline.paper import ABSTRACTION_QUALITY
-from pipeline.tables import markdown, percent
-from pipeline.train import data_notes
+
+from .config import configure, flatten, plain
+from .config_types import Config
+from .paper import ABSTRACTION_QUALITY
+from .tables import markdown, percent
+from .train import data_notes
 
 if TYPE_CHECKING:
     from hdsp.learning import LearnedAbstraction
@@ -273,6 +276,11 @@ def _again(abstraction: LearnedAbstraction, config: Config, robot: Robot) -> str
     border = f" evaluation.edges_threshold={threshold:g}" if threshold != EVEN else ""
     composed, settings = configure(chosen), chosen
     if composed.model != abstraction.model:
+        if abstraction.model.architecture not in ARCHITECTURES:
+            return (
+                f"## Reproduce\n\nCode and configuration of the network `{abstraction.model.architecture}` belong to "
+                f"{distribution_of(architecture_place(abstraction.model.architecture)) or 'a package'} outside of hdsp."
+            )
         settings = [*chosen, f"model={abstraction.model.architecture}"]
         composed = configure(settings)
     first, then = notes, ""

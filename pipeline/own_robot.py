@@ -16,15 +16,16 @@ from typing import Any
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 from hdsp.robot.robot import Robot
-from pipeline.config_types import Config
-from pipeline.evaluate import evaluate
-from pipeline.label import label
-from pipeline.plan import plan
-from pipeline.report import put_between_markers
-from pipeline.scan_courses import scan_courses
-from pipeline.stage import Folders, read_json, run_stage
-from pipeline.tables import markdown, percent
-from pipeline.train import train
+
+from .config_types import Config
+from .evaluate import evaluate
+from .label import label
+from .plan import plan
+from .report import put_between_markers
+from .scan_courses import scan_courses
+from .stage import Folders, read_json, run_stage
+from .tables import markdown, percent
+from .train import train
 
 PAGE = Path("docs/own-robot.md")
 

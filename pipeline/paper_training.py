@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from hdsp.base.errors import InputError
-from pipeline.compare import PAGE, markers
-from pipeline.config import compose
-from pipeline.config_types import Config
-from pipeline.report import put_between_markers
-from pipeline.stage import Folders, read_json, run_stage, write_json
-from pipeline.tables import markdown, percent
+
+from .compare import PAGE, markers
+from .config import compose
+from .config_types import Config
+from .report import put_between_markers
+from .stage import Folders, read_json, run_stage, write_json
+from .tables import markdown, percent
 
 RUN = ("outputs", "paper")
 #: History files of an unfinished and of a finished training.

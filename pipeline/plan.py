@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from functools import partial
 from statistics import median
@@ -12,15 +12,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
-from pipeline.abstractions import abstract_costs, available
-from pipeline.config import plain
-from pipeline.config_types import Config, PlannerSettings
-from pipeline.random_tasks import random_arena_runs, random_task_report
-from pipeline.side_by_side import side_by_side, with_threads
-from pipeline.speedup import best_known, summarise
-from pipeline.stage import Folders, read_json, run_stage, write_json
-from pipeline.tables import percent
-from pipeline.task_sets import ABSENT
+
+from . import tracking
+from .abstractions import available, heuristic_source
+from .config import plain
+from .config_types import Config, PlannerSettings
+from .random_tasks import random_arena_runs, random_task_report
+from .side_by_side import side_by_side, with_threads
+from .speedup import best_known, summarise
+from .stage import Folders, read_json, run_stage, write_json
+from .tables import percent
+from .task_sets import ABSENT
 
 if TYPE_CHECKING:
     from hdsp.abstract import AbstractCosts
@@ -71,7 +73,8 @@ class Searches(NamedTuple):
 
 def plan(config: Config, folders: Folders) -> None:
     from hdsp.viz import save_planned_path, save_planned_paths, save_planning_bars
-    from pipeline.stored_paths import PathKey, write_paths
+
+    from .stored_paths import PathKey, write_paths
 
     robot = config.robot
     ground = read_ground(config.arena, folders)
@@ -109,7 +112,9 @@ def plan(config: Config, folders: Folders) -> None:
         "collisions": collisions(runs),
         "random": random_task_report(config, [run for found in done[len(jobs) :] for run in found]),
     }
-    write_json(folders.write("reports", "planning.json"), report)
+    written = folders.write("reports", "planning.json")
+    write_json(written, report)
+    tracking.add_results(folders, table_two(report["summary"]), [written], "planning")
     save_planning_bars(runs, folders.write("reports", "figures", "planning.png"))
     found = {PathKey(task, name, weight): p for name, part in searches for (task, weight), p in part.paths.items()}
     write_paths(folders.write("data", "paths.npz"), {key: (path.states, path.actions) for key, path in found.items()})
@@ -129,6 +134,16 @@ def plan(config: Config, folders: Folders) -> None:
     )
 
 
+def table_two(summary: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, float | None]:
+    """Returns Table II with flat names, for MLflow."""
+    return {
+        f"table 2/{name}/W{weight}/{key}": values.get(key)
+        for name, by_weight in summary.items()
+        for weight, values in by_weight.items()
+        for key in ("speedup", "cost_increase", "seconds_mean")
+    }
+
+
 def search_tasks(config: Config, folders: Folders, name: str, tasks: Tasks) -> Searches:
     """Searches for each task and weight with one heuristic; prints a line for each search.
 
@@ -142,7 +157,7 @@ def search_tasks(config: Config, folders: Folders, name: str, tasks: Tasks) -> S
 
     robot, section = config.robot, config.planner
     ground = read_ground(config.arena, folders)
-    costs = "geometric" if name == "geometric" else abstract_costs(name, config, folders)
+    costs = heuristic_source(name, config, folders)
     planner = Planner(ground.terrain, robot, costs, margin=section.margin, conditioning=None)
     is_lazy, seconds = not isinstance(costs, str) and _by_patches(costs), 0.0
     flat = HeightMap.flat((100, 100))  # compiles and loads kernels before any measurement,

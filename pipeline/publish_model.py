@@ -4,8 +4,8 @@
 
 A folder with an unfinished training (`models/training`) is also accepted; the overrides then describe the trained
 model. The abstraction is calibrated on the validation set. All sets in `evaluation.sets` evaluate it in its final form,
-with rounded weights. Output is `hdsp/learning/shipped/ROBOT/`, or ROBOT-NAME with `runtime.variant=NAME`. With
-overrides, add `runtime.outputs=.`; otherwise the output lands in outputs/.
+with rounded weights. Output is `hdsp/learning/shipped/ROBOT/`, or ROBOT-NAME with `runtime.variant=NAME`; outside of a
+checkout `models/published/ROBOT/`. With overrides, add `runtime.outputs=.`; otherwise the output lands in outputs/.
 """
 
 from __future__ import annotations
@@ -20,14 +20,16 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
-from pipeline.config import plain
-from pipeline.config_types import Config
-from pipeline.label_places import shards_place
-from pipeline.model_card import effort, model_card
-from pipeline.report import put_between_markers
-from pipeline.stage import Folders, read_json, run_stage
-from pipeline.tables import markdown, percent
-from pipeline.task_sets import read_evaluation_set, read_set
+
+from .command_line import PACKAGE
+from .config import plain
+from .config_types import Config
+from .label_places import shards_place
+from .model_card import effort, model_card
+from .report import put_between_markers
+from .stage import Folders, read_json, run_stage
+from .tables import markdown, percent
+from .task_sets import read_evaluation_set, read_set
 
 if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
 
 #: Page that shows effort and quality of a robot's shipped abstraction, if it has the markers.
 PAGE = Path("docs/own-robot.md")
+#: Place of the result: in a checkout within the package, elsewhere among the models.
+SHIPPED, PUBLISHED = ("hdsp", "learning", "shipped"), ("models", "published")
 #: Weights above this number of bytes are rounded to half floats.
 LARGEST = 3_000_000
 #: File in the folder of an unfinished training.
@@ -46,10 +50,12 @@ ERROR_LEVELS = (0.5, 0.9, 0.99, 1.0)
 
 def publish_model(config: Config, folders: Folders, source: str) -> None:
     from hdsp.learning.abstraction import LearnedAbstraction
+    from hdsp.learning.architectures import network_class
 
     robot = config.robot
     hardware = config.runtime.hardware
     hardware.apply_threads()
+    network_class(config.model.architecture)  # code that the configuration names may be run
     if (Path(source) / CHECKPOINT).is_file():
         trained = in_progress(Path(source), robot, config, folders)
     else:
@@ -79,7 +85,7 @@ def publish_model(config: Config, folders: Folders, source: str) -> None:
     }
     variant = config.runtime.variant
     name = robot.name + (f"-{variant}" if variant else "")
-    target = folders.write("hdsp", "learning", "shipped", name)
+    target = folders.write(*(SHIPPED if PACKAGE == "pipeline" else PUBLISHED), name)
     spent = hours(Path(source), abstraction, folders)
     card = model_card(abstraction, robot, precision, figures, missing, config, name, spent)
     abstraction.save_pretrained(target, precision, card)
@@ -136,7 +142,8 @@ def in_progress(source: Path, robot: Robot, config: Config, folders: Folders) ->
     from hdsp.learning import LearnedAbstraction, Provenance
     from hdsp.learning.checkpoints import read_checkpoint
     from hdsp.learning.networks import build_network
-    from pipeline.train import folder_hash
+
+    from .train import folder_hash
 
     model = config.model
     network = build_network(model)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import shutil
 
-from pipeline.config_types import Config
-from pipeline.stage import Folders, run_stage, write_json
-from pipeline.task_sets import ABSENT
+from .config_types import Config
+from .stage import Folders, run_stage, write_json
+from .task_sets import ABSENT
 
 
 def published(config: Config, folders: Folders) -> None:

@@ -15,9 +15,10 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.planning.planner import Planner
 from hdsp.terrain.random_arenas import random_arena
-from pipeline.abstractions import abstract_costs, available
-from pipeline.config_types import Config, RandomTaskSettings
-from pipeline.stage import Folders
+
+from .abstractions import available, heuristic_source
+from .config_types import Config, RandomTaskSettings
+from .stage import Folders
 
 Pose = tuple[float, float, float]
 
@@ -33,7 +34,7 @@ def random_arena_runs(config: Config, folders: Folders, number: int) -> list[dic
     tasks: list[tuple[Pose, Pose]] = []
     runs = []
     for name in available(section.heuristics, config.robot):
-        heuristic = "geometric" if name == "geometric" else abstract_costs(name, config, folders)
+        heuristic = heuristic_source(name, config, folders)
         planner = Planner(terrain, config.robot, heuristic, margin=config.planner.margin, conditioning=None)
         tasks = tasks or draw_tasks(planner, section.tasks, section.seed + number)
         planner.prepare().plan(*tasks[0], expansions=1)  # loads kernels before any measurement

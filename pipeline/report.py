@@ -10,11 +10,12 @@ from typing import Any
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
-from pipeline.config_types import Config
-from pipeline.headline import headline_table
-from pipeline.html_report import write_html_report
-from pipeline.stage import Folders, read_json, run_stage, write_json
-from pipeline.tables import abstraction_quality_table, heuristic_table, random_task_table
+
+from .config_types import Config
+from .headline import headline_table
+from .html_report import write_html_report
+from .stage import Folders, read_json, run_stage, write_json
+from .tables import abstraction_quality_table, heuristic_table, random_task_table
 
 BEGIN, END = "<!-- tables: written by `python -m pipeline.report` -->", "<!-- end of tables -->"
 HEADLINE = "<!-- headline: written by `python -m pipeline.report` -->", "<!-- end of headline -->"

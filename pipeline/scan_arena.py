@@ -9,9 +9,10 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
-from pipeline.config_types import Config
-from pipeline.stage import Folders, run_stage, write_json
-from pipeline.task_sets import ABSENT
+
+from .config_types import Config
+from .stage import Folders, run_stage, write_json
+from .task_sets import ABSENT
 
 if TYPE_CHECKING:
     from hdsp.detailed.world.world import World

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import json
 
-from pipeline.config_types import Config
-from pipeline.label import write_used
-from pipeline.label_places import course_run, split_place
-from pipeline.stage import Folders, run_stage
+from .config_types import Config
+from .label import write_used
+from .label_places import course_run, split_place
+from .stage import Folders, run_stage
 
 
 def scan_courses(config: Config, folders: Folders, split: str) -> None:

@@ -12,7 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hdsp.base.files import replacing
-from pipeline.tables import markdown
+
+from .tables import markdown
 
 PLACE = Path("data", "seconds")
 

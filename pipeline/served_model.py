@@ -8,6 +8,7 @@ runs nothing of it.
 from __future__ import annotations
 
 import warnings
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,28 +20,52 @@ if TYPE_CHECKING:
 NAME = "abstraction"
 
 
-def log(mlflow: Any, abstraction_dir: Path, tasks: TaskSet) -> None:
-    """Logs the abstraction with its signature to the current run.
+def log(mlflow: Any, abstraction_dir: Path, tasks: TaskSet, register: str | None = None) -> str:
+    """Logs the abstraction with its signature to the current run; returns the logged model's number.
 
     Args:
         mlflow: the module, inside a run.
         abstraction_dir: folder with `config.json` and `model.safetensors`.
         tasks: any labelled maps; one serves as the input example.
+        register: name in MLflow's registry, NAME or NAME@ALIAS; None = it is not registered.
     """
     from hdsp.learning.abstraction import LearnedAbstraction
 
     example = {"heights": tasks.heights[:1], "goals": tasks.goals[:1]}
-    predictions = predict(LearnedAbstraction.from_pretrained(abstraction_dir), example)
+    abstraction = LearnedAbstraction.from_pretrained(abstraction_dir)
+    predictions = predict(abstraction, example)
+    name, _, alias = (register or "").partition("@")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # asks for an input example; the signature suffices
-        mlflow.pyfunc.log_model(
+        info = mlflow.pyfunc.log_model(
             name=NAME,
             python_model=str(Path(__file__)),
             artifacts={NAME: str(abstraction_dir)},
             signature=mlflow.models.infer_signature(example, predictions),
             # Without a list, MLflow starts a process to find the requirements.
-            pip_requirements=["numpy", "numba", "scipy", "torch", "safetensors"],
+            pip_requirements=requirements(abstraction.model.architecture),
+            registered_model_name=name or None,
         )
+    if alias:
+        mlflow.MlflowClient().set_registered_model_alias(name, alias, info.registered_model_version)
+    return info.model_id
+
+
+def requirements(architecture: str) -> list[str]:
+    """Returns the packages behind a network: this one with its extra for networks, and the architecture's own."""
+    from hdsp.base.extensions import distribution_of
+    from hdsp.learning.architectures import architecture_place
+
+    own = distribution_of(architecture_place(architecture))
+    names = ["hdsp", *([own] if own not in (None, "hdsp") else [])]
+    return [*(f"{name}=={found}" if (found := _version(name)) else name for name in names), "torch", "safetensors"]
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
 
 
 def predict(abstraction: Any, inputs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -83,5 +108,5 @@ def _define() -> None:
     mlflow.models.set_model(type("Served", (_Judge, mlflow.pyfunc.PythonModel), {})())
 
 
-if __name__ not in ("pipeline.served_model", "__main__"):  # MLflow runs this file under its own name
+if __name__.rpartition(".")[2] not in ("served_model", "__main__"):  # MLflow runs this file under its own name
     _define()

@@ -8,7 +8,7 @@ from dataclasses import replace
 from multiprocessing import get_context
 from typing import Any
 
-from pipeline.config_types import Config
+from .config_types import Config
 
 
 def side_by_side(jobs: Sequence[Callable[[], Any]], processes: int) -> list[Any]:

@@ -3,48 +3,28 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import math
 import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
-from omegaconf import DictConfig
+from omegaconf import OmegaConf
 
 from hdsp.base.ending import Ended, ended_by
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
-from hdsp.base.settings import read_json as read_json_file
-from pipeline.config import configure, expand_choices, read_params, typed
-from pipeline.config_types import Config
-from pipeline.seconds import timed
 
-SWEEP_FLAGS = ("-m", "--multirun")
+from .command_line import CommandLine, parse, show
+from .config import compose, read_params, typed
+from .config_types import Config
+from .folders import Folders, project_root, read_json, write_json
+from .seconds import timed
 
+__all__ = ["Folders", "Stage", "project_root", "read_json", "run_stage", "write_json"]
 
-@dataclass(frozen=True)
-class Folders:
-    """Input folder with results from earlier stages, and output folder; each holds data/, models/ and reports/."""
-
-    inputs: Path
-    outputs: Path
-
-    def read(self, *parts: str) -> Path:
-        return self.inputs.joinpath(*parts)
-
-    def write(self, *parts: str) -> Path:
-        """Returns a path to write to; its folder exists."""
-        path = self.outputs.joinpath(*parts)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return path
-
-
-Stage = Callable[..., None]
+Stage = Callable[..., object]
 
 
 def run_stage(
@@ -57,10 +37,11 @@ def run_stage(
     """Runs `stage(config, folders, *positional)` with the configuration from the command line.
 
     Without overrides, the configuration is params.yaml, and outputs go to the paths in dvc.yaml. With Hydra overrides,
-    it is composed from conf/, and outputs go to a new folder under outputs/, so that DVC's files stay unchanged. A
-    stage with a `place` writes its outputs there in both cases, unless `runtime.outputs` names another folder. With
-    `-m` (only if `sweep_context` is given), Hydra runs every combination of choices inside this context. Bad input ends
-    the process with one line and exit status 1, Ctrl-C with status 130, SIGTERM with status 143.
+    or a configuration of its own (`--config-dir`, `--config-name`), it is composed, and outputs go to a new folder
+    under outputs/, so that DVC's files stay unchanged. A stage with a `place` writes its outputs there in both cases,
+    unless `runtime.outputs` names another folder. With `-m`, Hydra runs every combination of choices inside
+    `sweep_context`. Hydra answers its own flags (`--help`, `--cfg job`, `--info`). Bad input ends the process with one
+    line and exit status 1, Ctrl-C with status 130, SIGTERM with status 143.
     """
     try:
         with ended_by(signal.SIGINT, signal.SIGTERM):
@@ -79,94 +60,45 @@ def _run(
     sweep_context: Callable[[Sequence[str]], contextlib.AbstractContextManager] | None,
     place: Callable[[Config], str] | None,
 ) -> None:
-    arguments, overrides, sweep = _parse(sys.argv[1:], name, positional, sweep_context is not None)
-    if sweep:
-        assert sweep_context is not None  # _parse refuses -m without
-        for variant in expand_choices(overrides):
-            configure(variant)  # any wrong value is reported before the first run
-        with sweep_context(overrides):
-            _sweep(stage, name, arguments, overrides)
+    line = parse(sys.argv[1:], name, positional)
+    if line.flags:
+        show(name, positional, line)
+    elif line.sweep:
+        from .sweeps import sweep
+
+        with (sweep_context or _no_context)(line.overrides):
+            sweep(stage, name, line)
+    elif line.is_plain:
+        config = read_params()
+        with timed(name, line.arguments):
+            stage(config, _folders(config, name, line, place), *line.arguments)
     else:
-        config = configure(overrides) if overrides else read_params()
-        with contextlib.nullcontext() if overrides else timed(name, arguments):
-            stage(config, _folders(config, name, bool(overrides), place), *arguments)
+        composed = compose(line.overrides, line.source)
+        config = typed(composed)
+        folders = _folders(config, name, line, place)
+        keep_overrides(folders, name, OmegaConf.to_yaml(composed), OmegaConf.to_yaml(list(line.overrides)))
+        stage(config, folders, *line.arguments)
 
 
-def project_root() -> Path:
-    """Returns the repository that holds the tracking database; `dvc exp run --temp` runs stages in a copy."""
-    return Path(os.environ.get("DVC_ROOT") or Path(__file__).resolve().parent.parent)
+def keep_overrides(folders: Folders, name: str, config: str, overrides: str) -> None:
+    """Writes configuration and overrides of a run beside its outputs, as Hydra does in a sweep."""
+    for file, text in (("config.yaml", config), ("overrides.yaml", overrides)):
+        with replacing(folders.write(".hydra", name, file)) as path:
+            path.write_text(text, encoding="utf-8")
 
 
-def write_json(path: Path, values: Any) -> None:
-    """Writes a JSON file, whole or absent; non-finite numbers become null, which every JSON reader accepts."""
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(_finite(values), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+def _no_context(overrides: Sequence[str]) -> contextlib.AbstractContextManager:
+    return contextlib.nullcontext()
 
 
-def read_json(path: Path) -> Any:
-    """Returns the contents of an earlier stage's report.
-
-    Raises:
-        InputError: the file does not exist, or is not JSON.
-    """
-    return read_json_file(path, "report")
-
-
-def _finite(values: Any) -> Any:
-    if isinstance(values, dict):
-        return {str(key): _finite(value) for key, value in values.items()}
-    if isinstance(values, list | tuple):
-        return [_finite(value) for value in values]
-    if hasattr(values, "item"):  # numpy scalars
-        values = values.item()
-    return None if isinstance(values, float) and not math.isfinite(values) else values
-
-
-def _parse(argv: Sequence[str], name: str, positional: Sequence[str], sweepable: bool):
-    usage = " ".join([f"python -m pipeline.{name}", *(p.upper() for p in positional), "[group=choice] [key=value] ..."])
-    sweep = any(a in SWEEP_FLAGS for a in argv)
-    if sweep and not sweepable:
-        raise InputError(f"{name} does not sweep (-m); usage: {usage}")
-    overrides = [a for a in argv if "=" in a or a[0] in "+~"]
-    arguments = [a for a in argv if a not in overrides and a not in SWEEP_FLAGS]
-    if len(arguments) != len(positional) or any(a.startswith("-") for a in arguments):
-        raise InputError(f"cannot read {' '.join(arguments) or 'an empty command line'!r}; usage: {usage}")
-    return arguments, overrides, sweep
-
-
-def _folders(config: Config, name: str, has_overrides: bool, place: Callable[[Config], str] | None = None) -> Folders:
+def _folders(config: Config, name: str, line: CommandLine, place: Callable[[Config], str] | None = None) -> Folders:
     outputs = config.runtime.outputs
     if outputs is None and place is not None:
         outputs = place(config)
     elif outputs is None:
-        outputs = f"outputs/{name}/{datetime.now():%Y-%m-%d_%H-%M-%S}" if has_overrides else "."
-    if has_overrides:
+        # Further processes of a training are started by the first one, with its environment.
+        began = os.environ.setdefault("HDSP_RUN_BEGAN", f"{datetime.now():%Y-%m-%d_%H-%M-%S}")
+        outputs = "." if line.is_plain else f"outputs/{name}/{began}"
+    if not line.is_plain:
         print(f"writing to {outputs}", file=sys.stderr)
-    return Folders(Path(config.runtime.inputs), Path(outputs))
-
-
-def _sweep(stage: Stage, name: str, arguments: Sequence[str], overrides: Sequence[str]) -> None:
-    """Runs a sweep through Hydra's own multirun, so that its launchers work."""
-    import hydra
-    from hydra.core.hydra_config import HydraConfig
-
-    from pipeline.config import CONF
-
-    failed: list[str] = []
-
-    def job(config: DictConfig) -> None:
-        here = HydraConfig.get()
-        print(f"run {here.job.num}: {' '.join(here.overrides.task)}", file=sys.stderr)
-        try:
-            checked = typed(config)
-            stage(checked, Folders(Path(checked.runtime.inputs), Path(here.runtime.output_dir)), *arguments)
-        except InputError as error:  # the sweep's other runs continue
-            failed.append(f"run {here.job.num} ({' '.join(here.overrides.task)}): {error}")
-
-    argv, sys.argv = sys.argv, [f"pipeline/{name}.py", "-m", *overrides]
-    try:
-        hydra.main(version_base=None, config_path=str(CONF), config_name="config")(job)()
-    finally:
-        sys.argv = argv
-    if failed:
-        raise InputError("; ".join(failed))
+    return Folders(Path(config.runtime.inputs), Path(outputs), line.overrides)

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pipeline.paper import ABSTRACTION_QUALITY, HEURISTIC_PERFORMANCE
-from pipeline.speedup import is_bound
+from .paper import ABSTRACTION_QUALITY, HEURISTIC_PERFORMANCE
+from .speedup import is_bound
 
 METHOD_NAMES = {
     "trained": "trained",

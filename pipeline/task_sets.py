@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hdsp.base.storage import Place, is_folder, is_url
-from pipeline.config_types import Config, EvaluationSet
-from pipeline.label_places import not_there, shards_place
-from pipeline.stage import Folders
+
+from .config_types import Config, EvaluationSet
+from .label_places import not_there, shards_place
+from .stage import Folders
 
 if TYPE_CHECKING:
     from hdsp.labels.shards import TaskSet

@@ -1,26 +1,54 @@
 """MLflow tracking: one experiment, one run per training, one parent run per sweep.
 
-The database is `mlflow.db` in the project root, unless MLFLOW_TRACKING_URI is set; `mlflow ui` reads it.
+The database is `mlflow.db` in the project root, unless MLFLOW_TRACKING_URI is set; `mlflow ui` reads it. Stages after
+the training add their results to its run.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
+import json
 import logging
 import os
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pipeline.stage import project_root
+from hdsp.base.files import replacing
+
+from .folders import Folders, project_root
 
 EXPERIMENT = "hdsp"
 PARENT_VARIABLE = "HDSP_MLFLOW_PARENT_RUN"
+#: File that ties a trained abstraction to its run.
+RUN_FILE = ("models", "training", "mlflow_run.json")
+#: Longest name of a run.
+LONGEST = 120
 
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """Description of a training for its run.
+
+    Attributes:
+        name: name in the list of runs; it tells what differs.
+        parameters: values that matter, with dotted names.
+        tags: data hashes and similar values.
+        texts: files by name: the whole configuration, overrides.
+        system_metrics: whether load and memory of the machine are recorded.
+    """
+
+    name: str
+    parameters: Mapping[str, Any]
+    tags: Mapping[str, str] = field(default_factory=dict)
+    texts: Mapping[str, str] = field(default_factory=dict)
+    system_metrics: bool = False
 
 
 def connect() -> Any:
@@ -45,31 +73,59 @@ def connect() -> Any:
 
 
 @contextlib.contextmanager
-def run(name: str, parameters: Mapping[str, Any], tags: Mapping[str, str]) -> Iterator[Any]:
-    """Yields the mlflow module inside a run with parameters and tags; a sweep's parent becomes its parent.
-
-    Args:
-        name: name in the list of runs.
-        parameters: one level, dotted names (`pipeline.config.flatten`).
-        tags: data hashes and similar values; git commit and DVC experiment are added here.
-    """
+def run(record: RunRecord) -> Iterator[Any]:
+    """Yields the mlflow module inside a new run; a sweep's parent becomes its parent."""
     mlflow = connect()
-    tags = {**git_tags(), **tags}
+    tags = {**git_tags(), **record.tags}
     if parent := os.environ.get(PARENT_VARIABLE):
         tags["mlflow.parentRunId"] = parent
     if experiment := os.environ.get("DVC_EXP_NAME"):
         tags["dvc.experiment"] = experiment
-    with mlflow.start_run(run_name=name, tags=tags):
-        mlflow.log_params(parameters)
+    with mlflow.start_run(run_name=shortened(record.name), tags=tags, log_system_metrics=record.system_metrics):
+        mlflow.log_params(record.parameters)
+        texts = dict(record.texts)
+        if difference := git_diff():
+            texts["git.diff"] = difference
+        for name, text in texts.items():
+            mlflow.log_text(text, name)
         yield mlflow
+
+
+def keep_run(folders: Folders, run_id: str, model_id: str | None, weights: str) -> None:
+    """Notes the run behind a trained abstraction, for later stages."""
+    with replacing(folders.write(*RUN_FILE)) as path:
+        path.write_text(json.dumps({"run": run_id, "model": model_id, "weights": weights}) + "\n", encoding="utf-8")
+
+
+def add_results(folders: Folders, metrics: Mapping[str, float | None], files: Sequence[Path], place: str) -> None:
+    """Adds metrics and files to the run behind `models/abstraction`, if it is known.
+
+    Args:
+        folders: stage folders; the model is among the inputs.
+        metrics: by name; None is left out.
+        files: the stage's reports.
+        place: folder for the files among the run's artifacts.
+    """
+    note, config = folders.read(*RUN_FILE), folders.read("models", "abstraction", "config.json")
+    if not (note.is_file() and config.is_file()):
+        return
+    known = json.loads(note.read_text(encoding="utf-8"))
+    if known["weights"] != json.loads(config.read_text(encoding="utf-8"))["weights_sha256"]:
+        return  # the abstraction comes from elsewhere, for example from a cache
+    mlflow = connect()
+    with contextlib.suppress(mlflow.MlflowException):  # the run may have been deleted
+        values = {name: float(value) for name, value in metrics.items() if value is not None}
+        mlflow.log_metrics(values, run_id=known["run"], model_id=known["model"])
+        for file in files:
+            mlflow.log_artifact(str(file), place, run_id=known["run"])
 
 
 @contextlib.contextmanager
 def sweep(overrides: Sequence[str]) -> Iterator[None]:
     """Opens a parent run; runs started inside become its children, also in other processes."""
     mlflow = connect()
-    tags = {**git_tags(), "sweep": " ".join(overrides)}
-    with mlflow.start_run(run_name="sweep " + " ".join(overrides), tags=tags) as parent:
+    words = " ".join(overrides)
+    with mlflow.start_run(run_name=shortened(f"sweep {words}"), tags={**git_tags(), "sweep": words}) as parent:
         parent_id = parent.info.run_id
     # The parent is closed while its children run, because they are separate runs in this or other processes.
     client = mlflow.MlflowClient()
@@ -84,6 +140,11 @@ def sweep(overrides: Sequence[str]) -> Iterator[None]:
         client.set_terminated(parent_id, status)
 
 
+def shortened(name: str) -> str:
+    """A name that fits into a list."""
+    return name if len(name) <= LONGEST else f"{name[: LONGEST - 4]} ..."
+
+
 def git_tags() -> dict[str, str]:
     """Returns the working tree's commit, and whether files differ from it; empty outside git."""
     try:
@@ -93,9 +154,16 @@ def git_tags() -> dict[str, str]:
         return {}
 
 
+def git_diff() -> str:
+    """Returns the differences of the code's working tree from its commit; empty without any, or outside git."""
+    try:
+        return _git("diff", "HEAD", "--", ".", ":(exclude)reports", ":(exclude)dvc.lock")
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+
+
 def _git(*arguments: str) -> str:
-    here = Path(__file__).parent
-    return subprocess.run(["git", *arguments], cwd=here, capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(["git", *arguments], capture_output=True, text=True, check=True).stdout.strip()
 
 
 @contextlib.contextmanager

@@ -6,87 +6,156 @@ import csv
 import hashlib
 import math
 import shutil
-from collections.abc import Sequence
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import yaml
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 from hdsp.base.storage import Place, is_url, open_folder
-from pipeline import served_model, tracking
-from pipeline.config import flatten, plain
-from pipeline.config_types import Config
-from pipeline.label_places import shards_place
-from pipeline.stage import Folders, run_stage, write_json
-from pipeline.task_sets import read_evaluation_set, read_set, set_place
+
+from . import served_model, tracking
+from .config import flatten, plain
+from .config_types import Config
+from .label_places import shards_place
+from .parts import training_parts
+from .stage import Folders, read_json, run_stage, write_json
+from .task_sets import read_evaluation_set, read_set, set_place
 
 if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
+    from hdsp.learning import TrainResult
     from hdsp.learning.learning_settings import TrainerSettings
 
-#: Configuration sections that training depends on.
-SECTIONS = ("robot", "terrain", "labelling", "model", "trainer")
 
-
-def train(config: Config, folders: Folders) -> None:
-    from hdsp.learning import LearnedAbstraction, Provenance, TrainingConfig, count_parameters
+def train(config: Config, folders: Folders) -> float:
+    """Trains the configured network; returns the score of its best epoch, lower is better."""
+    from hdsp.learning import Provenance, TrainingConfig
     from hdsp.learning import train as train_network
-    from hdsp.viz import save_training_curves
+    from hdsp.learning.processes import is_first_process
 
     config.model.checked_options()  # before the tasks are read
-    trainer = config.trainer
-    names = (*trainer.splits, *trainer.val_splits)
-    splits: dict[str, Place] = {name: shards_place(config, folders.inputs, name) for name in names}
-    learnt, deciding = ([splits[name] for name in names] for names in (trainer.splits, trainer.val_splits))
-    train_tasks = learnt if trainer.stream else part_of(learnt, trainer)
-    val_tasks = _required(deciding)
-    sets = {"val": val_tasks}
-    for name in config.evaluation.watched:
-        entry = config.evaluation.sets[name]
-        tasks, _ = read_evaluation_set(name, entry, config, folders)
-        if tasks is not None:
-            sets[name], splits[name] = tasks, set_place(entry, config, folders)
-
-    hashes = {f"data.{name}": folder_hash(path) for name, path in splits.items()}
-    data_hash = _hash_of([hashes[f"data.{name}"] for name in trainer.splits])
-    parameters = flatten({name: getattr(config, name) for name in SECTIONS} | {"profile": config.profile})
-    with tracking.run(f"{config.model.architecture} {config.profile}", parameters, hashes) as mlflow:
+    trainer, lightning = config.trainer, config.runtime.lightning
+    parts = training_parts(trainer, lightning)
+    train_tasks, sets, splits = read_sets(config, folders)
+    hashes = {name: folder_hash(path) for name, path in splits.items()}
+    data_hash = _hash_of([hashes[name] for name in trainer.splits])
+    first = is_first_process()  # others share its work, and write nothing
+    tracked: AbstractContextManager[Any] = nullcontext()
+    if first:
+        tracked = tracking.run(record_of(config, folders, hashes))
+    with tracked as mlflow:
+        datasets = log_datasets(mlflow, config, splits, hashes) if mlflow is not None else {}
         work = folders.write("models", "training")
         result = train_network(
-            TrainingConfig(config.model, trainer, config.runtime.hardware),
+            TrainingConfig(config.model, trainer, config.runtime.hardware, lightning),
             train_tasks,
             sets,
             work,
             on_epoch=lambda epoch, metrics: mlflow.log_metrics(metrics, step=epoch),
             provenance=Provenance.of(config.robot, data_hash, **notes(config, train_tasks)),
             quiet=not config.runtime.progress,
+            parts=parts,
+            on_step=lambda step, values: mlflow.log_metrics(values, step=step),
+            progress=config.runtime.progress and sys.stderr.isatty(),
         )
-        abstraction_dir = folders.write("models", "abstraction")
-        shutil.rmtree(abstraction_dir, ignore_errors=True)
-        shutil.copytree(result.model_dir, abstraction_dir)
+        if mlflow is not None:
+            write_results(config, folders, result, sets["val"], mlflow, datasets)
+    if first:
+        # The next training starts from scratch, perhaps after a code change; it must not resume a finished one.
+        shutil.rmtree(work / "checkpoints", ignore_errors=True)
+    return result.metrics["score"]
 
-        history = folders.write("reports", "training_history.csv")
-        write_history(history, result.history)
-        curves = folders.write("reports", "figures", "training_curves.png")
-        save_training_curves(result.history, curves)
-        summary = {
-            "model": config.model.architecture,
-            "parameters": count_parameters(LearnedAbstraction.from_pretrained(abstraction_dir).network),
-            "maps": result.maps,
-            "epochs": len(result.history),
-            "best_epoch": result.best_epoch,
-            "seconds": result.seconds,
-            **_nested(result.metrics),
-        }
-        write_json(folders.write("reports", "training.json"), summary)
 
-        mlflow.log_metrics({f"best/{name}": value for name, value in result.metrics.items()})
-        mlflow.set_tags({"best_epoch": str(result.best_epoch), "parameters": str(summary["parameters"])})
-        for file in (history, curves):
-            mlflow.log_artifact(str(file), "training")
-        served_model.log(mlflow, abstraction_dir, val_tasks)
-    # The next training starts from scratch, perhaps after a code change; it must not resume a finished one.
-    shutil.rmtree(work / "checkpoints", ignore_errors=True)
+def read_sets(config: Config, folders: Folders) -> tuple[TaskSet | list[Place], dict[str, TaskSet], dict[str, Place]]:
+    """Returns the training tasks (or their folders), the sets for validation, and the place of each split and set."""
+    trainer = config.trainer
+    names = (*trainer.splits, *trainer.val_splits)
+    splits: dict[str, Place] = {name: shards_place(config, folders.inputs, name) for name in names}
+    learnt, deciding = ([splits[name] for name in names] for names in (trainer.splits, trainer.val_splits))
+    train_tasks = learnt if trainer.stream else part_of(learnt, trainer)
+    if trainer.limits.overfit is not None:
+        train_tasks = part_of(learnt, trainer)[: trainer.limits.overfit]
+        return train_tasks, {"val": train_tasks}, splits
+    sets = {"val": _required(deciding)}
+    for name in config.evaluation.watched:
+        entry = config.evaluation.sets[name]
+        tasks, _ = read_evaluation_set(name, entry, config, folders)
+        if tasks is not None:
+            sets[name], splits[name] = tasks, set_place(entry, config, folders)
+    return train_tasks, sets, splits
+
+
+def record_of(config: Config, folders: Folders, hashes: Mapping[str, str]) -> tracking.RunRecord:
+    """Returns what MLflow records about a training before it begins."""
+    whole = plain(config)
+    matter = {name: whole[name] for name in ("model", "trainer", "profile")} | {"robot": config.robot.name}
+    parameters = {key: value for key, value in flatten(matter).items() if value not in (None, [], {})}
+    given = dict(line.lstrip("+~").partition("=")[::2] for line in folders.overrides)
+    elsewhere = (*parameters, "hydra", "runtime")
+    parameters |= {key: value for key, value in given.items() if not key.startswith(elsewhere)}
+    title = folders.title or config.profile
+    texts = {"config.yaml": yaml.safe_dump(whole, sort_keys=False), "overrides.txt": "\n".join(folders.overrides)}
+    tags = {f"data.{name}": value for name, value in hashes.items()}
+    name = title if f"model={config.model.architecture}" in title else f"{config.model.architecture} {title}"
+    return tracking.RunRecord(name, parameters, tags, texts, config.runtime.system_metrics)
+
+
+def log_datasets(mlflow: Any, config: Config, splits: Mapping[str, Place], hashes: Mapping[str, str]) -> dict[str, Any]:
+    """Logs each split and set as an input of the run; returns them by name."""
+    from mlflow.data.http_dataset_source import HTTPDatasetSource
+    from mlflow.data.meta_dataset import MetaDataset
+
+    datasets: dict[str, Any] = {}
+    for name, place in splits.items():
+        source = HTTPDatasetSource(str(place) if is_url(place) else Path(place).resolve().as_uri())
+        make: Any = MetaDataset
+        datasets[name] = make(source, name=name, digest=hashes[name][:32])
+        uses = ["training"] * (name in config.trainer.splits) + ["validation"] * (name in config.trainer.val_splits)
+        for use in uses or ["test"]:
+            mlflow.log_input(datasets[name], context=use)
+    return datasets
+
+
+def write_results(
+    config: Config, folders: Folders, result: TrainResult, tasks: TaskSet, mlflow: Any, datasets: Mapping[str, Any]
+) -> None:
+    """Copies the abstraction, writes reports, and completes the run in MLflow."""
+    from hdsp.learning import LearnedAbstraction, count_parameters
+    from hdsp.viz import save_training_curves
+
+    abstraction_dir = folders.write("models", "abstraction")
+    shutil.rmtree(abstraction_dir, ignore_errors=True)
+    shutil.copytree(result.model_dir, abstraction_dir)
+    history = folders.write("reports", "training_history.csv")
+    write_history(history, result.history)
+    curves = folders.write("reports", "figures", "training_curves.png")
+    save_training_curves(result.history, curves)
+    summary = {
+        "model": config.model.architecture,
+        "parameters": count_parameters(LearnedAbstraction.from_pretrained(abstraction_dir).network),
+        "maps": result.maps,
+        "epochs": len(result.history),
+        "best_epoch": result.best_epoch,
+        "seconds": result.seconds,
+        **_nested(result.metrics),
+    }
+    write_json(folders.write("reports", "training.json"), summary)
+    model_id = served_model.log(mlflow, abstraction_dir, tasks, config.runtime.register)
+    mlflow.log_metrics({name: summary[name] for name in ("parameters", "maps", "best_epoch", "seconds")})
+    for name, value in result.metrics.items():
+        # The selection set is one set of several splits.
+        of = name.partition("/")[2]
+        data = datasets.get(config.trainer.val_splits[0] if of == "val" else of)
+        mlflow.log_metric(f"best/{name}", value, model_id=model_id, dataset=data)
+    for file in (history, curves):
+        mlflow.log_artifact(str(file), "training")
+    stored = read_json(abstraction_dir / "config.json")
+    tracking.keep_run(folders, mlflow.active_run().info.run_id, model_id, stored["weights_sha256"])
 
 
 def notes(config: Config, tasks: TaskSet | list[Place]) -> dict[str, Any]:
@@ -117,7 +186,7 @@ def data_notes(config: Config, splits: Sequence[str]) -> dict[str, Any]:
     """Returns the contents of the training maps."""
     known = {**config.labelling.splits, **config.simulation.splits}
     return {
-        "splits": {name: plain(known[name]) for name in splits},
+        "splits": {name: plain(known[name]) if name in known else {"folder": name} for name in splits},
         "sensing": plain(config.labelling.sensing),
         "terrain": plain(config.terrain),
     }

@@ -11,8 +11,10 @@ has to pass the modules as entries.
 """
 
 import hashlib
+import re
 from collections.abc import Callable
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 EXEMPT = {
     "hdsp.base.definitions": "decides which results are still valid, not their values",
     "hdsp.base.downloads": "fetches files by their checksums",
+    "hdsp.base.extensions": "finds code of other packages, which has a fingerprint of its own",
     "hdsp.base.errors": "classes of errors, which end a computation",
     "hdsp.base.files": "reads and writes whole files",
     "hdsp.base.kernel_cache": "decides when a kernel is compiled, not its code",
@@ -49,8 +52,12 @@ EXEMPT = {
     "pipeline.config": "composes settings; their values are parameters of each stage",
     "pipeline.config_types": "checks settings; their values are parameters of each stage",
     "pipeline.label_places": "names labels by their hash, on which later stages depend",
+    "pipeline.command_line": "reads words of a command; settings are parameters of each stage",
     "pipeline.html_report": "shows results on a page",
+    "pipeline.folders": "names places of files",
+    "pipeline.search": "runs a stage several times",
     "pipeline.served_model": "records results in MLflow",
+    "pipeline.sweeps": "runs a stage several times",
     "pipeline.tracking": "records results in MLflow",
 }
 
@@ -98,7 +105,7 @@ class _Reach:
     """
 
     def __init__(self, root: Path, names: tuple[str, ...]):
-        self._root, self._packages = root, {PACKAGE, *(name.partition(".")[0] for name in names)}
+        self._root, self._packages = root, {PACKAGE, *(re.split("[.:]", name)[0] for name in names)}
         self._modules: dict[str, Module | None] = {}
         self._run: set[str] = set()
         self._mentioned: set[str] = set()
@@ -243,7 +250,7 @@ class _Reach:
     def _read(self, name: str) -> Module | None:
         if name.partition(".")[0] not in self._packages or is_exempt(name):
             return None
-        place = self._root.joinpath(*name.split("."))
+        place = _folder(self._root, name.partition(".")[0]).joinpath(*name.split("."))
         for path in (place / "__init__.py", place.with_suffix(".py")):
             if path.is_file():
                 return Module.parse(name, path.read_text(encoding="utf-8"), path.stem == "__init__")
@@ -253,7 +260,19 @@ class _Reach:
 @cache
 def is_exempt(module: str) -> bool:
     """Whether a module or one of its parent packages is under `EXEMPT`."""
+    module = module.removeprefix("hdsp_")  # an installed pipeline is hdsp_pipeline
     return any(module == name or module.startswith(f"{name}.") for name in EXEMPT)
+
+
+def _folder(root: Path, package: str) -> Path:
+    """Folder that holds a package: the root, or for another project's package its own place."""
+    if root.joinpath(package).is_dir():
+        return root
+    spec = find_spec(package)
+    if spec is None or (spec.origin is None and not spec.submodule_search_locations):
+        return root
+    place = Path(next(iter(spec.submodule_search_locations or ()), spec.origin or ""))
+    return place.parent
 
 
 def _digest(reach: _Reach) -> str:

@@ -96,6 +96,30 @@ def chosen_by(key: str, kinds: Mapping[str, type]) -> PlainValidator:
     return PlainValidator(chosen)
 
 
+def or_target(kind: type) -> PlainValidator:
+    """Annotation for settings of class ``kind``, or a mapping with ``_target_``, the place of a function or class."""
+
+    def chosen(values: Any) -> Any:
+        if isinstance(values, Mapping) and TARGET in values:
+            return _target(values)
+        return values if isinstance(values, kind) else _adapter(kind).validate_python(values)
+
+    return PlainValidator(chosen)
+
+
+def _target(values: Any) -> dict[str, Any]:
+    place = values.get(TARGET) if isinstance(values, Mapping) else None
+    if not isinstance(place, str) or "." not in place:
+        raise fault("", values, f"a mapping with {TARGET}: package.module.name")
+    return dict(values)
+
+
+#: Key of the place of a function or class.
+TARGET = "_target_"
+#: A function or class with its arguments: its place under ``_target_``, package.module.name, and keyword arguments.
+Target = Annotated[dict[str, Any], PlainValidator(_target)]
+
+
 def fault(key: str, value: Any, need: str) -> PydanticCustomError:
     """Returns the error for a validator to raise about a key in its class.
 

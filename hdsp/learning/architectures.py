@@ -1,13 +1,16 @@
 """Network architectures by name. The first use of an architecture imports its module.
 
-A new architecture needs a file in ``hdsp/learning/networks`` with a ``TaskNetwork`` and its options dataclass, one line
-in ``ARCHITECTURES``, and ``conf/model/NAME.yaml``.
+A new architecture needs a ``TaskNetwork`` with its options class, and ``conf/model/NAME.yaml``. In this package, a line
+in ``ARCHITECTURES`` gives it a name; in another package, an entry point ``hdsp.networks`` does. Without one, its name
+is ``module:class``.
 """
 
 from pkgutil import resolve_name
 from typing import Any
 
 from hdsp.base.errors import InputError
+from hdsp.base.extensions import NETWORKS, extension_place, extensions, load_extension
+from hdsp.base.settings import fault
 
 #: name -> ``module:class`` of the network
 ARCHITECTURES = {
@@ -27,15 +30,33 @@ def architecture_place(name: str) -> str:
     Raises:
         InputError: the architecture is unknown.
     """
-    if name not in ARCHITECTURES:
-        raise InputError(f"model.architecture: {name!r} is not one of {', '.join(ARCHITECTURES)}")
-    return ARCHITECTURES[name]
+    place = ARCHITECTURES.get(name) or extension_place(NETWORKS, name)
+    if place is None:
+        raise InputError(f"model.architecture: {name!r} is not one of {', '.join(architectures())}")
+    return place
+
+
+def architectures() -> tuple[str, ...]:
+    """Returns the names of all architectures, also those of other packages."""
+    return (*ARCHITECTURES, *sorted(extensions(NETWORKS).keys() - ARCHITECTURES.keys()))
+
+
+def known_architecture(name: str) -> str:
+    """Validator for settings: a name in ``architectures``, or ``module:class``."""
+    if name not in ARCHITECTURES and extension_place(NETWORKS, name) is None:
+        raise fault("", name, f"one of {', '.join(architectures())}, or module:class")
+    return name
 
 
 def network_class(name: str) -> type[Any]:
     """Returns an architecture's network class, a ``TaskNetwork``, made from an encoding and options.
 
     Raises:
-        InputError: the architecture is unknown.
+        InputError: the architecture is unknown, or no class with options.
     """
-    return resolve_name(architecture_place(name))
+    if name in ARCHITECTURES:
+        return resolve_name(architecture_place(name))
+    found = load_extension(NETWORKS, name)
+    if not (isinstance(found, type) and isinstance(getattr(found, "Options", None), type)):
+        raise InputError(f"model.architecture: {name!r} is {found!r}; need a TaskNetwork with its class Options")
+    return found

@@ -1,11 +1,11 @@
-"""Callbacks: loss weight rules (the paper's and the published script's), position in an epoch, weight averaging.
+"""Callbacks: loss weight rules (the paper's and the published script's), records of steps, weight averaging.
 
 Both rules compare unweighted epoch losses. Loss weights are part of the module's state and a rule's history is part of
 its callback's state, so both survive a resume from a checkpoint.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
 import lightning.pytorch as pl
@@ -130,6 +130,31 @@ class EpochPosition(pl.Callback):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.batches.load_state_dict(state)
+
+
+class StepRecord(pl.Callback):
+    """Passes losses, learning rate and gradient norm (before clipping) of every nth step to loggers and a function."""
+
+    def __init__(self, every: int, on_step: Callable[[int, dict[str, float]], None] | None = None):
+        self.every, self.on_step = every, on_step
+
+    def on_before_optimizer_step(
+        self, trainer: pl.Trainer, module: pl.LightningModule, optimizer: torch.optim.Optimizer
+    ) -> None:
+        step = trainer.global_step
+        if step % self.every or not trainer.is_global_zero:
+            return
+        norms = [p.grad.detach().norm() for p in module.parameters() if p.grad is not None]
+        losses: Any = module.step_losses
+        values = {f"step/{name}": float(loss) for name, loss in zip(LOSSES, losses, strict=True)}
+        values |= {
+            "step/learning_rate": float(optimizer.param_groups[0]["lr"]),
+            "step/gradient_norm": float(torch.stack(norms).norm()) if norms else 0.0,
+        }
+        for logger in trainer.loggers:
+            logger.log_metrics(values, step=step)
+        if self.on_step is not None:
+            self.on_step(step, values)
 
 
 class AveragedWeights(WeightAveraging):

@@ -59,10 +59,16 @@ def cone_sum(values: Tensor, radius: int) -> Tensor:
 
     Cells beyond the rim count as zero.
     """
-    along = torch.arange(1 - radius, radius, dtype=torch.float32, device=values.device)
-    weights = (1 - torch.hypot(along[:, None], along) / radius).clamp_min(0)
+    weights = _cone(radius, values.device)
     with torch.autocast(values.device.type, enabled=False):  # costs need the digits
         return functional.conv2d(values.float(), weights[None, None], padding=radius - 1)
+
+
+@torch.compiler.disable  # a compiler would take whole numbers, for which it has no hypot, and other roundings
+def _cone(radius: int, device: torch.device) -> Tensor:
+    """Weights 1 - distance / radius, [2 radius - 1, 2 radius - 1]."""
+    along = torch.arange(1 - radius, radius, dtype=torch.float32, device=device)
+    return (1 - torch.hypot(along[:, None], along) / radius).clamp_min(0)
 
 
 def highest_nearby(heights: Tensor, reach: int) -> Tensor:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +10,9 @@ from typing import Any
 
 import lightning.pytorch as pl
 
+from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
+from hdsp.learning.callbacks import LOSSES
 from hdsp.learning.module import AbstractionModule
 
 OnEpoch = Callable[[int, dict[str, float]], None]
@@ -41,9 +44,12 @@ class EpochHistory(pl.Callback):
         metrics["learning_rate"] = float(trainer.optimizers[0].param_groups[0]["lr"])
         metrics["seconds"] = time.perf_counter() - self.started
         epoch = trainer.current_epoch
+        _check_losses(epoch, metrics)
         self.rows.append({"epoch": epoch, **metrics})
         self.epochs_seen += 1
         module.log("score", metrics["score"], logger=False)
+        if not trainer.is_global_zero:
+            return
         for logger in trainer.loggers:
             logger.log_metrics(metrics, step=epoch)
         write_history(self.folder, self.rows)
@@ -57,6 +63,14 @@ class EpochHistory(pl.Callback):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.rows = list(state["rows"])
+
+
+def _check_losses(epoch: int, metrics: dict[str, float]) -> None:
+    if not all(math.isfinite(metrics[f"loss/{name}"]) for name in LOSSES):
+        raise InputError(
+            f"training diverged: in epoch {epoch + 1} its loss is no number, try a smaller trainer.optimizer.lr than "
+            f"{metrics['learning_rate']:g}"
+        )
 
 
 def epoch_line(epoch: int, epochs: int | None, metrics: dict[str, float]) -> str:

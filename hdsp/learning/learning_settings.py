@@ -4,11 +4,23 @@ from collections.abc import Mapping
 from dataclasses import asdict, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from hdsp.base.errors import InputError
-from hdsp.base.settings import Count, Name, Natural, NotNegative, Positive, checked, fault, load_settings, one_of
-from hdsp.learning.architectures import ARCHITECTURES, network_class
+from hdsp.base.settings import (
+    Count,
+    Name,
+    Natural,
+    NotNegative,
+    Positive,
+    Target,
+    checked,
+    fault,
+    load_settings,
+    one_of,
+    or_target,
+)
+from hdsp.learning.architectures import known_architecture, network_class
 from hdsp.robot.lattice import PATCH_CELLS, Residue
 
 if TYPE_CHECKING:
@@ -79,13 +91,13 @@ class ModelSettings:
     """Model settings, as in ``conf/model/*.yaml``.
 
     Attributes:
-        architecture: key in ``ARCHITECTURES``.
+        architecture: name of an architecture, or ``module:class`` (`hdsp.learning.architectures`).
         initialisation: ``he``, or ``default`` for PyTorch's.
         encoding: height encoding.
         options: architecture options; missing keys keep their defaults.
     """
 
-    architecture: Annotated[str, one_of(tuple(ARCHITECTURES))] = "klamt2019"
+    architecture: Annotated[str, AfterValidator(known_architecture)] = "klamt2019"
     initialisation: Literal["he", "default"] = "he"
     encoding: HeightEncoding = field(default_factory=HeightEncoding)
     options: dict[str, Any] = field(default_factory=dict)
@@ -191,11 +203,37 @@ class SelectionSettings:
 
 
 @checked
+class LimitSettings:
+    """Smaller trainings, to look for faults.
+
+    Attributes:
+        train, val: largest number of batches in an epoch, and in each validation set; None = all.
+        overfit: ``pipeline.train`` passes this number of maps for training, and the same maps for selection; None =
+            the splits as they are.
+    """
+
+    train: Count | None = None
+    val: Count | None = None
+    overfit: Count | None = None
+
+
+#: Settings that a checkpoint's fingerprint holds only where they differ from these values.
+LATER: dict[str, Any] = {
+    "ema": None, "early_stopping": None, "initial": None, "accumulate": 1, "limits": LimitSettings(), "loss": None,
+    "callbacks": {},
+}  # fmt: skip
+
+
+@checked
 class TrainerSettings:
     """Trainer settings, as in ``conf/trainer/*.yaml``: all training inputs besides model and data.
 
     Attributes:
-        epochs, seed, batch, optimizer, schedule, losses, selection: see their classes.
+        epochs, seed, batch, optimizer, schedule, losses, selection, limits: see their classes. Optimiser and schedule
+            may also be a ``_target_`` with its arguments: a function of parameter groups, of an optimiser and the
+            number of steps (``hdsp.learning.training_parts``).
+        accumulate: batches for one step of the optimiser.
+        loss, callbacks, metrics: a ``_target_`` each, for ``TrainingParts``; a callback that is None is left out.
         mirror: random mirroring of maps on the robot's x axis. It is the only symmetry in the costs: backward driving
             differs from forward driving, and a quarter turn moves the feet.
         gradient_clip: largest gradient norm per step; None = no limit.
@@ -215,13 +253,22 @@ class TrainerSettings:
     seed: Natural = 0
     batch: BatchSettings = field(default_factory=BatchSettings)
     mirror: bool = False
-    optimizer: OptimizerSettings = field(default_factory=OptimizerSettings)
-    schedule: ScheduleSettings = field(default_factory=ScheduleSettings)
+    optimizer: Annotated[OptimizerSettings | dict[str, Any], or_target(OptimizerSettings)] = field(
+        default_factory=OptimizerSettings
+    )
+    schedule: Annotated[ScheduleSettings | dict[str, Any], or_target(ScheduleSettings)] = field(
+        default_factory=ScheduleSettings
+    )
     losses: LossSettings = field(default_factory=LossSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     gradient_clip: Positive | None = None
     # Left out of the checkpoint fingerprint (`_fingerprint` of `hdsp.learning.training`), which holds the tasks
-    # themselves, and ema, early_stopping and initial if they are set.
+    # themselves, and the first of these if they are set (`LATER`).
+    accumulate: Count = field(default=1, repr=False)
+    limits: LimitSettings = field(default_factory=LimitSettings, repr=False)
+    loss: Target | None = field(default=None, repr=False)
+    callbacks: dict[str, Target | None] = field(default_factory=dict, repr=False)
+    metrics: dict[str, Target] = field(default_factory=dict, repr=False)
     ema: Annotated[float, Field(gt=0, lt=1)] | None = field(default=None, repr=False)
     early_stopping: Count | None = field(default=None, repr=False)
     checkpoint_minutes: Positive = field(default=10.0, repr=False)
@@ -280,9 +327,34 @@ class HardwareSettings:
 
 
 @checked
+class LightningSettings:
+    """How Lightning runs a training; results depend on it by rounding only.
+
+    Attributes:
+        devices, nodes: processes on each machine, and machines; together they share the maps of a batch.
+        strategy: a name of Lightning's (``ddp``), or a ``_target_``.
+        precision: a name of Lightning's (``16-mixed``); None = as ``HardwareSettings.precision`` says.
+        compile: whether torch compiles the network, or arguments for ``torch.compile``.
+        profiler: ``simple``, ``advanced`` or a ``_target_``; None = none.
+        log_every: steps between logged losses, learning rate and gradient norm; None = only epochs.
+        loggers: a ``_target_`` each.
+    """
+
+    devices: Count = 1
+    nodes: Count = 1
+    strategy: Name | Target = "auto"
+    precision: Name | None = None
+    compile: bool | dict[str, Any] = False
+    profiler: Name | Target | None = None
+    log_every: Count | None = None
+    loggers: dict[str, Target | None] = field(default_factory=dict)
+
+
+@checked
 class TrainingConfig:
-    """Configuration for ``train``: model, trainer, and hardware, which has no influence on results."""
+    """Configuration for ``train``: model, trainer, and two parts without influence on results."""
 
     model: ModelSettings = field(default_factory=ModelSettings)
     trainer: TrainerSettings = field(default_factory=TrainerSettings)
     hardware: HardwareSettings = field(default_factory=HardwareSettings)
+    lightning: LightningSettings = field(default_factory=LightningSettings)

@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 
 from hdsp.learning.calibration import MINIMUM_COST as MINIMUM_COST
+from hdsp.learning.processes import summed
 
 
 class TaskMetrics:
@@ -56,15 +57,18 @@ class TaskMetrics:
         ``both_feasible``; and ``planning_cost_error``, the same mean as ``cost_error`` for costs for planning, if the
         tasks have them.
         """
-        compared = self.both_feasible or float("nan")
-        planning = {} if self.planning_error is None else {"planning_cost_error": self.planning_error / compared}
+        own = [self.tasks, self.correct, self.both_feasible, self.detailed_cost, self.abstract_cost, self.error]
+        sums = summed(torch.tensor([*own, self.planning_error or 0.0], dtype=torch.float64)).tolist()
+        tasks, correct, both_feasible, detailed_cost, abstract_cost, error, planning_error = sums
+        compared = both_feasible or float("nan")
+        planning = {} if self.planning_error is None else {"planning_cost_error": planning_error / compared}
         return {
-            "feasibility_accuracy": self.correct / self.tasks if self.tasks else float("nan"),
-            "cost_error": self.error / compared,
-            "detailed_cost": self.detailed_cost / compared,
-            "abstract_cost": self.abstract_cost / compared,
-            "tasks": float(self.tasks),
-            "both_feasible": float(self.both_feasible),
+            "feasibility_accuracy": correct / tasks if tasks else float("nan"),
+            "cost_error": error / compared,
+            "detailed_cost": detailed_cost / compared,
+            "abstract_cost": abstract_cost / compared,
+            "tasks": tasks,
+            "both_feasible": both_feasible,
             **planning,
         }
 

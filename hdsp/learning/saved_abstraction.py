@@ -8,6 +8,7 @@ import json
 import os
 import secrets
 import shutil
+import sys
 from collections.abc import Mapping
 from dataclasses import field
 from pathlib import Path
@@ -20,6 +21,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
 from hdsp.base.settings import Share, checked, load_settings, read_json, shown
 from hdsp.base.short_repr import short_repr
+from hdsp.learning.architectures import architectures
 from hdsp.learning.calibration import Calibration
 from hdsp.learning.learning_settings import ModelSettings
 from hdsp.robot import lattice
@@ -153,6 +155,7 @@ def read_saved(folder: Path, robot: Robot | None = None) -> tuple[SavedAbstracti
     saved = load_settings(SavedAbstraction, config, source=str(config_path))
     for key, value in lattice_contract().items():
         _check_agreement(config_path, f"lattice.{key}", saved.lattice.get(key), value)
+    _check_network_code(config_path, saved.model.architecture)
     provenance = saved.provenance
     if provenance.cost_model_version not in EARLIER_COST_MODELS:
         _check_agreement(config_path, "cost_model_version", provenance.cost_model_version, COST_MODEL_VERSION)
@@ -181,6 +184,16 @@ def lattice_contract() -> dict[str, Any]:
         "abstract_headings": lattice.ABSTRACT_HEADINGS,
         "abstract_actions": lattice.ABSTRACT_ACTIONS.tolist(),
     }
+
+
+def _check_network_code(path: Path, architecture: str) -> None:
+    """Refuses code that a file alone names: nothing is imported that this process or an installed package does not."""
+    module = architecture.partition(":")[0]
+    if architecture not in architectures() and module not in sys.modules:
+        raise InputError(
+            f"{path}: its network {architecture} is code that no installed package announces as a network; import "
+            f"{module} first, if you trust it"
+        )
 
 
 def _check_agreement(path: Path, what: str, found: Any, expected: Any) -> None:

@@ -11,6 +11,7 @@ from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from hdsp.base.errors import InputError
 from hdsp.learning.learning_settings import BatchSettings
+from hdsp.learning.processes import own_parts
 from hdsp.learning.task_data import (
     Batch,
     BatchIndex,
@@ -242,7 +243,7 @@ class ResumableBatches:
     def __iter__(self) -> Iterator[Batch | PlanningBatch]:
         self.given, self.start = self.start, 0
         self.sampler.skip = self.given
-        for batch in self.batches:
+        for batch in own_parts(self.batches, full=True):
             self.given += 1
             yield batch
 

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, fields
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import is_zipfile
 
 import lightning.pytorch as pl
 import torch
@@ -23,17 +24,25 @@ from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.base.short_repr import short_repr
 from hdsp.learning.abstraction import LearnedAbstraction
-from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, LOSSES, AveragedWeights, EpochPosition
+from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, AveragedWeights, EpochPosition, StepRecord
 from hdsp.learning.checkpoints import read_checkpoint
 from hdsp.learning.hardware import channels_last
 from hdsp.learning.history import EpochHistory, OnEpoch
-from hdsp.learning.learning_settings import BatchSettings, ModelSettings, TrainerSettings, TrainingConfig
+from hdsp.learning.learning_settings import (
+    LATER,
+    BatchSettings,
+    ModelSettings,
+    TrainerSettings,
+    TrainingConfig,
+)
 from hdsp.learning.module import AbstractionModule
 from hdsp.learning.networks import build_network
 from hdsp.learning.networks.base import TaskNetwork
+from hdsp.learning.processes import SharedBatches, is_first_process
 from hdsp.learning.saved_abstraction import Provenance
 from hdsp.learning.task_data import Targets, task_loader
 from hdsp.learning.task_stream import ResumableBatches, TaskStream
+from hdsp.learning.training_parts import TrainingParts
 
 if TYPE_CHECKING:
     from hdsp.base.storage import Place
@@ -79,14 +88,20 @@ def train(
     on_epoch: OnEpoch | None = None,
     provenance: Provenance | None = None,
     quiet: bool = False,
+    *,
+    parts: TrainingParts | None = None,
+    on_step: OnEpoch | None = None,
+    progress: bool = False,
 ) -> TrainResult:
     """Trains a network and saves the state with the best validation score.
 
     If ``out_dir/checkpoints`` holds the last state of the same training (same model, trainer settings and tasks),
-    training continues from there, within an epoch at the next batch. A state from another training is replaced.
+    training continues from there, within an epoch at the next batch. A state from another training is replaced. If the
+    last state is damaged, the best one takes its place. With several devices, each process runs this call; only the
+    first one writes.
 
     Args:
-        config: keys ``model``, ``trainer``, ``hardware``, see ``TrainingConfig``.
+        config: keys ``model``, ``trainer``, ``hardware``, ``lightning``, see ``TrainingConfig``.
         train_tasks: labelled maps; or folders or URLs with shards, which are read a few at a time.
         val_sets: labelled maps by name; all are evaluated after every epoch, ``trainer.selection.set`` decides.
         out_dir: receives ``model/``, ``history.csv``, ``history.json``, ``checkpoints/``.
@@ -95,11 +110,13 @@ def train(
         on_epoch: called with (epoch, flat metrics) after every epoch.
         provenance: robot, cost model and data behind the labels, saved with the model.
         quiet: whether to omit the printed line per epoch.
+        parts: own optimiser, schedule, loss, metrics, callbacks and loggers.
+        on_step: called with (step, values) every ``lightning.log_every`` steps.
+        progress: whether to show a progress bar within the epoch.
 
     Raises:
         InputError: a configuration key is unknown or a value wrong, a task set is empty or lacks the costs for planning
-            that the network predicts, the selection set is missing, or no epoch gave a network that finds feasible
-            tasks.
+            that the network predicts, the selection set is missing, or a loss is no number.
     """
     config = load_settings(TrainingConfig, config)
     trainer_settings, out_dir = config.trainer, Path(out_dir)
@@ -109,14 +126,17 @@ def train(
         raise InputError(f"trainer.selection.set: {chosen!r} is not one of the validation sets {names}")
     started = time.perf_counter()
     config.hardware.apply_threads()
-    module = _module(config, tuple(val_sets))
+    parts, lightning = parts or TrainingParts(), config.lightning
+    module = _module(config, tuple(val_sets), parts)
     if trainer_settings.initial is not None:
         _begin_with(module.network, trainer_settings.initial, config.model)
     predicted: Targets = ("cost", "planning_cost") if module.network.predicts_planning_cost else ("cost",)
     source, maps = _training_batches(trainer_settings, train_tasks, predicted, config.hardware.readers)
     batches = ResumableBatches(source)
     val_loaders = [
-        task_loader(tasks, VALIDATION_BATCH, targets=predicted if tasks.planning_cost is not None else ("cost",))
+        SharedBatches(
+            task_loader(tasks, VALIDATION_BATCH, targets=predicted if tasks.planning_cost is not None else ("cost",))
+        )
         for tasks in val_sets.values()
     ]
 
@@ -136,55 +156,70 @@ def train(
     if trainer_settings.losses.rule != "constant":
         rule = LOSS_WEIGHT_RULES[trainer_settings.losses.rule]
         own_callbacks.append(rule(trainer_settings.losses.factor, trainer_settings.losses.patience))
+    if lightning.log_every is not None:
+        own_callbacks.append(StepRecord(lightning.log_every, on_step))
+    if lightning.compile:
+        module.network.compile(**(lightning.compile if isinstance(lightning.compile, dict) else {}))
     # Loaders and dropout layers draw from the global generator; the fork leaves the caller's state unchanged.
     with _without_lightning_chatter(), torch.random.fork_rng():
         torch.manual_seed(trainer_settings.seed)
         trainer = pl.Trainer(
             accelerator=config.hardware.device().type,
-            devices=1,
-            precision="bf16-mixed" if config.hardware.precision == "bf16" else "32-true",
+            devices=lightning.devices,
+            num_nodes=lightning.nodes,
+            strategy=parts.strategy or lightning.strategy,  # type: ignore[arg-type]  # a mapping has its part
+            precision=_precision(config),  # type: ignore[arg-type]  # Lightning checks the name
+            profiler=parts.profiler or lightning.profiler,  # type: ignore[arg-type]
             max_epochs=trainer_settings.epochs,
+            accumulate_grad_batches=trainer_settings.accumulate,
+            limit_train_batches=trainer_settings.limits.train,
+            limit_val_batches=trainer_settings.limits.val,
             gradient_clip_val=trainer_settings.gradient_clip,
-            callbacks=[*own_callbacks, *callbacks],
-            logger=_loggers(logger),
-            enable_progress_bar=False,
+            sync_batchnorm=config.hardware.device().type == "cuda",
+            use_distributed_sampler=False,
+            callbacks=[*own_callbacks, *parts.callbacks, *callbacks],
+            logger=_loggers([*parts.loggers, *_as_list(logger)]),
+            enable_progress_bar=progress,
             enable_model_summary=False,
             num_sanity_val_steps=0,
             log_every_n_steps=1_000_000,
         )
         trainer.fit(module, batches, val_loaders, ckpt_path=last, weights_only=True if last else None)
 
-    if not math.isfinite(min(row["score"] for row in history.rows)):
-        raise InputError(_without_score(history.rows, trainer_settings))
     best_path = checkpoints / "best.ckpt"
+    if not math.isfinite(min(row["score"] for row in history.rows)):
+        best_path = checkpoints / "last.ckpt"
+        print(_without_score(history.rows, trainer_settings), flush=True)
     state = read_checkpoint(best_path)
     module.load_state_dict(state["state_dict"])
-    best_epoch = int(state["epoch"])
+    best_epoch = min(int(state["epoch"]), len(history.rows) - 1)
     metrics = {key: value for key, value in history.rows[best_epoch].items() if key != "epoch"}
     abstraction = LearnedAbstraction(module.network, config.model, provenance or Provenance(), metrics)
     abstraction = abstraction.calibrated(val_sets[trainer_settings.selection.set])
-    abstraction.save_pretrained(out_dir / "model", picture=False)
+    if trainer.is_global_zero:
+        abstraction.save_pretrained(out_dir / "model", picture=False)
     seconds, resumed_from = time.perf_counter() - started, len(history.rows) - history.epochs_seen
     return TrainResult(out_dir / "model", best_epoch, metrics, history.rows, seconds, resumed_from, maps)
 
 
 def _without_score(rows: Sequence[Mapping[str, float]], settings: TrainerSettings) -> str:
-    """Returns the reason why no epoch has a finite score."""
-    rate, chosen = settings.optimizer.lr, settings.selection.set
-    if not all(math.isfinite(rows[-1][f"loss/{name}"]) for name in LOSSES):
-        return f"training diverged: its loss is no number, try a smaller trainer.optimizer.lr than {rate}"
+    """Words for a training in which no epoch has a finite score."""
     return (
-        f"the network judges no feasible task of {chosen!r} feasible after {len(rows)} epochs: try more of "
-        f"trainer.epochs, more maps, or another trainer.optimizer.lr than {rate}"
+        f"the network judges no feasible task of {settings.selection.set!r} feasible after {len(rows)} epochs; the "
+        "last epoch is kept. More of trainer.epochs, more maps or another learning rate may help"
     )
 
 
-def _module(config: TrainingConfig, val_sets: tuple[str, ...]) -> AbstractionModule:
+def _precision(config: TrainingConfig) -> str:
+    return config.lightning.precision or ("bf16-mixed" if config.hardware.precision == "bf16" else "32-true")
+
+
+def _module(config: TrainingConfig, val_sets: tuple[str, ...], parts: TrainingParts) -> AbstractionModule:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.trainer.seed)
         network = channels_last(build_network(config.model))
     trainer = config.trainer
-    return AbstractionModule(network, trainer.optimizer, trainer.schedule, trainer.losses, val_sets)
+    return AbstractionModule(network, trainer.optimizer, trainer.schedule, trainer.losses, val_sets, parts)
 
 
 def _begin_with(network: TaskNetwork, folder: str | Path, model: ModelSettings) -> None:
@@ -198,10 +233,12 @@ def _begin_with(network: TaskNetwork, folder: str | Path, model: ModelSettings) 
     network.load_state_dict(saved.network.state_dict())
 
 
-def _loggers(logger: Logger | Iterable[Logger] | None) -> list[Logger] | bool:
-    if logger is None:
-        return False
-    return [logger] if isinstance(logger, Logger) else list(logger)
+def _as_list(logger: Logger | Iterable[Logger] | None) -> list[Logger]:
+    return [logger] if isinstance(logger, Logger) else list(logger or ())
+
+
+def _loggers(loggers: list[Logger]) -> list[Logger] | bool:
+    return loggers or False
 
 
 def _training_batches(
@@ -225,8 +262,8 @@ def _fingerprint(config: TrainingConfig, batches: Any) -> str:
     values = asdict(trainer)
     decisive = {entry.name: values[entry.name] for entry in fields(trainer) if entry.repr}
     parts: list[Any] = [config.model.to_dict(), decisive]
-    later = {name: getattr(trainer, name) for name in ("ema", "early_stopping", "initial")}
-    parts += [f"{name} {value}" for name, value in later.items() if value is not None]
+    later = {name: (getattr(trainer, name), default) for name, default in LATER.items()}
+    parts += [f"{name} {value}" for name, (value, default) in later.items() if value != default]
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode())
     if isinstance(batches, TaskStream):  # the path of a shard holds its label hash
         order = [batches.shards_in_memory, *map(str, batches.paths), *batches.maps]
@@ -241,14 +278,28 @@ def _fingerprint(config: TrainingConfig, batches: Any) -> str:
 
 def _checkpoint_to_resume(folder: Path, fingerprint: str) -> Path | None:
     """Returns the last checkpoint from the same training; removes checkpoints from another training."""
-    mark, last = folder / "fingerprint.txt", folder / "last.ckpt"
-    if mark.is_file() and mark.read_text() == fingerprint and last.is_file():
-        read_checkpoint(last)  # damage, or an object in place of numbers, is named before the training goes on
-        return last
+    mark = folder / "fingerprint.txt"
+    if mark.is_file() and mark.read_text() == fingerprint:
+        for path in (folder / "last.ckpt", folder / "best.ckpt"):
+            if path.is_file() and _is_whole(path):
+                return path
+    if not is_first_process():
+        return None
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True, exist_ok=True)
     mark.write_text(fingerprint)
     return None
+
+
+def _is_whole(checkpoint: Path) -> bool:
+    try:
+        read_checkpoint(checkpoint)
+    except InputError as error:
+        if is_zipfile(checkpoint) and "holds objects" in str(error):  # no accident
+            raise
+        print(f"{checkpoint} is damaged; an earlier state, or none, takes its place", flush=True)
+        return False
+    return True
 
 
 @contextmanager

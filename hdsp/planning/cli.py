@@ -14,6 +14,7 @@ from hdsp.planning.commands.completion_command import add_completion
 from hdsp.planning.commands.console import BAD_INPUT, INTERRUPTED, NO_PLAN, Console, close_broken_pipe
 from hdsp.planning.commands.drive_command import add_drive
 from hdsp.planning.commands.info_command import add_info
+from hdsp.planning.commands.lab_command import add_lab
 from hdsp.planning.commands.map_commands import add_map
 from hdsp.planning.commands.plan_command import add_plan
 from hdsp.planning.commands.view_command import add_demo, add_view
@@ -64,7 +65,7 @@ def command_parser() -> CommandParser:
     parser = CommandParser(prog="hdsp", description="Hybrid driving-stepping planning.", epilog=_EXAMPLES)
     parser.add_argument("--version", action="version", version=f"hdsp {version()}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for add in (add_map, add_plan, add_drive, add_view, add_demo, add_info, add_warmup):
+    for add in (add_map, add_plan, add_drive, add_view, add_demo, add_info, add_lab, add_warmup):
         add(commands)
     add_completion(commands, parser)
     for command in commands.choices.values():

@@ -13,6 +13,7 @@ import numpy as np
 from hdsp.abstract.abstract_costs import AbstractCosts, Region
 from hdsp.abstract.manual import ManualCosts
 from hdsp.base.errors import InputError
+from hdsp.base.extensions import HEURISTICS, extension_place, extensions, load_extension
 from hdsp.base.gradual import Gradual, Steps, now
 from hdsp.base.settings import shown
 from hdsp.detailed.actions.successors import Rules
@@ -74,8 +75,9 @@ class Planner:
             path of a map file.
         robot: a ``Robot``, a preset's name, or the path to a YAML file.
         heuristic: ``"geometric"``, ``"grid"``, ``"manual"``, ``"learned"`` (the shipped abstraction for this robot),
-            ``"learned:FOLDER"`` (a trained abstraction), any ``AbstractCosts``, or a ``Heuristic`` for the same terrain
-            and robot.
+            ``"learned:FOLDER"`` (a trained abstraction), a name from another package (entry point
+            ``hdsp.heuristics``, or ``"module:function"``: a function ``make(world, terrain)``), any ``AbstractCosts``,
+            or a ``Heuristic`` for the same terrain and robot.
         margin: distance between body and obstacles, m; see ``with_margin``.
         resolution: cell size of an array, or of a file without one, m.
         conditioning: True: the terrain is conditioned with default settings (`HeightMap.conditioned`), which leaves an
@@ -144,9 +146,12 @@ class Planner:
 
             costs = LearnedCosts(abstraction, robot=self.robot)
             return self._guided_by(costs, "learned")
+        if name and extension_place(HEURISTICS, name) is not None:
+            return self._make_heuristic(_made_elsewhere(name, self.world, self.terrain))
+        others = "".join(f"'{other}', " for other in sorted(extensions(HEURISTICS)))
         raise InputError(
-            f"heuristic {shown(heuristic)}: need 'geometric', 'grid', 'manual', 'learned', 'learned:FOLDER', an "
-            "AbstractCosts or a Heuristic"
+            f"heuristic {shown(heuristic)}: need 'geometric', 'grid', 'manual', 'learned', 'learned:FOLDER', {others}"
+            "an AbstractCosts or a Heuristic"
         )
 
     def _guided_by(self, costs: AbstractCosts, name: str) -> AbstractHeuristic:
@@ -560,3 +565,11 @@ def _on_ground(world: World, estimate: Estimate, ends: Arrival) -> Steps[Estimat
         return estimate
     regions = yield from foothold_region_steps(world, Rules(), least_foot_cost(world))
     return with_step_efforts(estimate, regions.region, efforts_to(regions, world, ends.states))
+
+
+def _made_elsewhere(name: str, world: World, terrain: HeightMap) -> Heuristic | AbstractCosts:
+    """Heuristic of another package for a terrain."""
+    made = load_extension(HEURISTICS, name)(world, terrain)
+    if not isinstance(made, Heuristic | AbstractCosts):
+        raise InputError(f"heuristic {name!r}: {type(made).__name__} is neither a Heuristic nor an AbstractCosts")
+    return made

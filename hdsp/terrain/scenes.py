@@ -5,12 +5,14 @@ A map is a function of (seed, category, index) alone, so every map can be made a
 Convention: a scene has the frame of the robot that starts in it: x forward, y left, the robot's base at (0, 0).
 """
 
+import hashlib
 import math
 from collections.abc import Callable
 
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.extensions import TERRAIN, extension_place, extensions, load_extension
 from hdsp.base.settings import CountRange, Positive, Range, checked
 from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS
@@ -119,18 +121,41 @@ class TerrainSettings:
 def random_scene(seed: int, category: str, index: int, settings: TerrainSettings | None = None) -> Scene:
     """Draws scene number ``index`` in a category.
 
+    A category of another package (entry point ``hdsp.terrain``, or ``module:function``) is a function
+    ``draw(random, settings)`` that returns obstacles (`hdsp.terrain.obstacles`) and at most one ``TiltedGround``.
+
     Raises:
         InputError: if the category is unknown, or the seed or index is negative.
     """
-    if category not in _CONTENTS:
-        raise InputError(f"terrain category {category!r}; need one of {', '.join(ALL_CATEGORIES)}")
+    if not is_category(category):
+        raise InputError(f"terrain category {category!r}; need one of {', '.join(categories())}")
     if seed < 0 or index < 0:
         raise InputError(f"terrain seed {seed}, index {index}; need numbers of at least 0")
     settings = settings or TerrainSettings()
-    random = np.random.default_rng(np.random.SeedSequence([seed, ALL_CATEGORIES.index(category), index]))
-    drawn = [_DRAW[kind](random, settings) for kind in _CONTENTS[category]]
+    random = np.random.default_rng(np.random.SeedSequence([seed, category_number(category), index]))
+    if category in _CONTENTS:
+        drawn = [_DRAW[kind](random, settings) for kind in _CONTENTS[category]]
+    else:
+        drawn = list(load_extension(TERRAIN, category)(random, settings))
     ground = next((part for part in drawn if isinstance(part, TiltedGround)), None)
     return Scene(tuple(part for part in drawn if not isinstance(part, TiltedGround)), ground)
+
+
+def categories() -> tuple[str, ...]:
+    """Returns the names of all categories, also those of other packages."""
+    return (*ALL_CATEGORIES, *sorted(extensions(TERRAIN).keys() - _CONTENTS.keys()))
+
+
+def is_category(name: str) -> bool:
+    """Whether a category has this name, or the name is ``module:function``."""
+    return name in _CONTENTS or extension_place(TERRAIN, name) is not None
+
+
+def category_number(category: str) -> int:
+    """Returns a category's part in the seed for its maps; a hash of the name for another package's category."""
+    if category in _CONTENTS:
+        return ALL_CATEGORIES.index(category)
+    return int.from_bytes(hashlib.sha256(category.encode()).digest()[:8], "little")
 
 
 def random_map(

@@ -232,14 +232,26 @@ def test_training_ends_early_where_nothing_gets_better(tasks, val, tmp_path):
 
 def test_a_diverged_training_is_named(tasks, val, tmp_path):
     config = tiny_config(epochs=2, optimizer={"name": "sgd", "lr": 1e6}, schedule={"name": "constant"})
-    with pytest.raises(InputError, match=r"diverged.*trainer\.optimizer\.lr than 1000000"):
+    with pytest.raises(InputError, match=r"diverged: in epoch \d .*trainer\.optimizer\.lr than 1e\+06"):
         train(config, tasks, {"val": val}, tmp_path, quiet=True)
 
 
-def test_a_network_that_finds_nothing_feasible_has_not_diverged(tasks, val, tmp_path):
+def test_a_network_that_finds_nothing_feasible_goes_on(tasks, val, tmp_path, capsys):
     never = replace(val, feasible=np.zeros_like(val.feasible))
-    with pytest.raises(InputError, match="judges no feasible task of 'val' feasible after 1 epochs"):
-        train(tiny_config(epochs=1), tasks, {"val": never}, tmp_path, quiet=True)
+    result = train(tiny_config(epochs=2), tasks, {"val": never}, tmp_path, quiet=True)
+    assert "judges no feasible task of 'val' feasible after 2 epochs; the last epoch is kept" in capsys.readouterr().out
+    assert result.best_epoch == 1 and len(result.history) == 2
+    assert LearnedAbstraction.from_pretrained(result.model_dir).metrics["loss/cost"] == result.history[1]["loss/cost"]
+
+
+def test_a_damaged_last_state_gives_way_to_the_best_one(tasks, val, tmp_path, capsys):
+    config = tiny_config(epochs=4)
+    with pytest.raises((KeyboardInterrupt, SystemExit)):
+        train(config, tasks, {"val": val}, tmp_path, callbacks=[StopAfter(2)], quiet=True)
+    (tmp_path / "checkpoints/last.ckpt").write_bytes(b"cut off")
+    resumed = train(config, tasks, {"val": val}, tmp_path, quiet=True)
+    assert "last.ckpt is damaged" in capsys.readouterr().out
+    assert resumed.resumed_from > 0 and len(resumed.history) == 4
 
 
 def test_training_may_begin_with_the_weights_of_a_saved_model(tasks, val, tmp_path):

@@ -59,7 +59,7 @@ def test_sets_may_be_added_without_a_plus_and_sections_of_others_not():
     ("override", "says"),
     [
         ("modle=compact", "unknown key 'modle'; did you mean 'model'? allowed are abstraction, arena, "),
-        ("trainer.epoch=3", "trainer: unknown key 'epoch'; did you mean 'epochs'? allowed are batch, "),
+        ("trainer.epoch=3", "trainer: unknown key 'epoch'; did you mean 'epochs'? allowed are accumulate, batch, "),
         ("trainer.optimizer.lr.x=3", "trainer.optimizer.lr is 0.002, a value without keys; 'x' is unknown"),
         ("model=nonsense", "Available options in 'model': compact dilated"),
         ("experiment=klamt2091", "Available options in 'experiment': finish klamt2019"),
@@ -94,7 +94,7 @@ def test_wrong_overrides_are_named_in_one_line(override, says):
         ("trainer.epochs='3'", "trainer.epochs is '3'; need a whole number"),
         (
             "trainer.splits=[nix]",
-            "trainer.splits[0] is 'nix'; need one of labelling.splits, simulation.splits: ",
+            "trainer.splits[0] is 'nix'; need one of labelling.splits, simulation.splits, or a folder (with a /): ",
         ),
         ("model.architecture=compat", "model.architecture is 'compat'; need one of klamt2019, compact, "),
         ("model.encoding.clip=[1,0]", "model.encoding.clip is [1.0, 0.0]; need the smaller number first"),

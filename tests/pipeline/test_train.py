@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+import yaml
 
 from tests.pipeline.conftest import run_python, tiny
 
@@ -32,18 +33,41 @@ def test_a_training_is_tracked_with_everything(chain, mlflow):
     parameters = run.data.params
     assert parameters["model.architecture"] == "compact"
     assert parameters["trainer.epochs"] == "2"
-    assert parameters["robot.drive.unevenness_cost"] == "0.0309234"
-    assert parameters["labelling.splits.train.maps_per_category"] == "2"
+    assert parameters["model.options.hidden"] == "16"
+    assert len(parameters) < 60 and not any(value in ("None", "{}", "[]") for value in parameters.values())
+    assert run.info.run_name.startswith("compact profile=tiny model.options.widths=[4, 4]")
     assert len(run.data.tags["data.train"]) == 64
     assert {"git.commit", "git.dirty", "data.val", "data.random"} <= set(run.data.tags)
+    assert {"parameters", "maps", "best_epoch", "seconds"} <= set(run.data.metrics)
 
     client = mlflow.MlflowClient()
+    whole = yaml.safe_load(mlflow.artifacts.load_text(f"{run.info.artifact_uri}/config.yaml"))
+    assert whole["robot"]["drive"]["unevenness_cost"] == 0.0309234
+    assert whole["labelling"]["splits"]["train"]["maps_per_category"] == 2
+    assert "profile=tiny" in mlflow.artifacts.load_text(f"{run.info.artifact_uri}/overrides.txt").splitlines()
     names = ["feasibility_accuracy/val", "feasibility_accuracy/random", "loss/feasibility", "loss/cost"]
     for name in [*names, "loss_weight/feasibility", "loss_weight/cost"]:
         history = client.get_metric_history(run.info.run_id, name)
         assert [metric.step for metric in history] == [0, 1], name
         assert all(math.isfinite(metric.value) for metric in history), name
     assert {"cost_error/val", "cost_error/random"} <= set(run.data.metrics)
+
+
+def test_data_model_and_later_stages_belong_to_the_run(chain, mlflow):
+    (run,) = runs(mlflow, lambda run: "sweep" not in run.data.tags and "mlflow.parentRunId" not in run.data.tags)
+    used = {(i.dataset.name, i.tags[0].value): i.dataset.digest for i in run.inputs.dataset_inputs}
+    assert used["train", "training"] == run.data.tags["data.train"][:32]
+    assert {("val", "validation"), ("random", "test")} <= set(used)
+    (model,) = mlflow.search_logged_models(experiment_ids=[run.info.experiment_id], output_format="list")
+    linked = {(metric.key, metric.dataset_name) for metric in model.metrics}
+    assert {("best/feasibility_accuracy/val", "val"), ("best/feasibility_accuracy/random", "random")} <= linked
+    requirements = mlflow.artifacts.load_text(f"{model.artifact_location}/requirements.txt").split()
+    assert any(line.partition("=")[0] == "hdsp" for line in requirements)
+    quality = json.loads((chain / "reports/abstraction_quality.json").read_text())["sets"]["random"]
+    accuracy = quality["methods"]["trained"]["feasibility_accuracy"]
+    assert run.data.metrics["table 1/random/trained/feasibility_accuracy"] == pytest.approx(accuracy)
+    assert run.data.metrics["calibration/random/trained/ece"] == pytest.approx(quality["calibration"]["trained"]["ece"])
+    assert "table 2/manual/W1.0/seconds_mean" in run.data.metrics
 
 
 def test_the_tracked_model_has_a_signature_and_predicts_as_the_saved_one(chain, mlflow):

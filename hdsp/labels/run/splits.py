@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
+from hdsp.base.extensions import TERRAIN, extension_place
 from hdsp.base.provenance import ROOT, code_fingerprint
-from hdsp.base.settings import Count, Natural, checked, one_of
+from hdsp.base.settings import Count, Natural, checked, fault
 from hdsp.labels.shard_index import ShardPlan, planned_shards
 from hdsp.labels.shards import SCHEMA_VERSION
 from hdsp.labels.tasks import TaskSet, columns_of
@@ -24,7 +25,15 @@ from hdsp.robot.lattice import HEADINGS_PER_ABSTRACT, PATCH_CELLS, AbstractHeadi
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.patches import ROTATED_MAP_CELLS
-from hdsp.terrain.scenes import ALL_CATEGORIES, CATEGORIES, TerrainSettings, random_map
+from hdsp.terrain.scenes import (
+    ALL_CATEGORIES,
+    CATEGORIES,
+    TerrainSettings,
+    categories,
+    category_number,
+    is_category,
+    random_map,
+)
 from hdsp.terrain.sensor_model import SensingSettings, sensed
 
 if TYPE_CHECKING:
@@ -33,7 +42,14 @@ if TYPE_CHECKING:
 #: (map, robot, settings, start heading) -> labels, or None for a map that the split leaves out.
 LabelMap = Callable[[HeightMap, Robot, "LabelSettings", int], "MapTasks | None"]
 
-Category = Annotated[str, one_of(ALL_CATEGORIES)]
+
+def _known_category(name: str) -> str:
+    if not is_category(name):
+        raise fault("", name, f"one of {', '.join(categories())}, or module:function")
+    return name
+
+
+Category = Annotated[str, AfterValidator(_known_category)]
 
 
 @checked
@@ -91,6 +107,7 @@ class LabelRun:
             "terrain": asdict(self.terrain),
             "settings": asdict(self.settings),
             **({"sensing": asdict(self.sensing)} if self.split.sensing else {}),
+            **({"category_code": own} if (own := category_code(self.split.categories)) else {}),
         }
 
     @cached_property
@@ -121,7 +138,7 @@ class LabelRun:
         if not self.split.sensing:
             return terrain
         # A separate random stream: a map has the same scene with and without sensing.
-        numbers = [self.split.seed, ALL_CATEGORIES.index(category), index, 1]
+        numbers = [self.split.seed, category_number(category), index, 1]
         return sensed(terrain, self.sensing, np.random.default_rng(np.random.SeedSequence(numbers)))
 
     def tasks_of(self, number: int, label: "LabelMap | None" = None) -> "MapTasks | None":
@@ -160,6 +177,12 @@ class LabelRun:
     def describe(self, number: int) -> str:
         """Describes map ``number`` so that a reader can make it again."""
         return "the map with seed {}, category {}, index {}, heading {}".format(self.split.seed, *self.map_of(number))
+
+
+def category_code(names: Sequence[str]) -> dict[str, str]:
+    """Returns fingerprints of the code behind the categories of other packages, by category."""
+    places = {name: extension_place(TERRAIN, name) for name in names}
+    return {name: code_fingerprint(place) for name, place in places.items() if place and name not in ALL_CATEGORIES}
 
 
 def labels_code(root: Path = ROOT) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.learning.architectures import ARCHITECTURES, network_class
 from hdsp.learning.learning_settings import ModelSettings
@@ -17,6 +18,9 @@ def build_network(config: Mapping[str, Any] | ModelSettings) -> TaskNetwork:
     """
     settings = load_settings(ModelSettings, config, "model")
     options = settings.checked_options()
+    architecture: type[Any] = network_class(settings.architecture)
+    if not issubclass(architecture, TaskNetwork):
+        raise InputError(f"model.architecture: {settings.architecture!r} is {architecture!r}, no TaskNetwork")
     network: TaskNetwork = network_class(settings.architecture)(settings.encoding, options)
     if settings.initialisation == "he":
         initialise_he(network)

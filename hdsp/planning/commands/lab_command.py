@@ -1,0 +1,66 @@
+"""The command `hdsp lab`: a package for own networks, terrain, heuristics, losses, metrics and callbacks."""
+
+from __future__ import annotations
+
+import argparse
+from importlib import resources
+from pathlib import Path
+from string import Template
+
+from hdsp.base.errors import InputError
+
+#: Files of the package, by template.
+FILES = {
+    "pyproject.toml.tmpl": "pyproject.toml",
+    "network.py.tmpl": "{name}/network.py",
+    "parts.py.tmpl": "{name}/parts.py",
+    "test.py.tmpl": "tests/test_{name}.py",
+    "config.yaml.tmpl": "conf/{name}.yaml",
+    "model.yaml.tmpl": "conf/model/{name}.yaml",
+    "dvc.yaml.tmpl": "dvc.yaml",
+    "dvc_config.tmpl": ".dvc/config",
+    "gitignore.tmpl": ".gitignore",
+    "Makefile.tmpl": "Makefile",
+    "README.md.tmpl": "README.md",
+}
+#: Names that would hide a package.
+_TAKEN = ("hdsp", "hdsp_pipeline", "pipeline", "torch", "numpy", "conf", "tests", "data", "models")
+
+
+def add_lab(commands) -> None:
+    """Adds the command `lab`."""
+    parser = commands.add_parser("lab", help="write a package for own networks and terrain", description=_lab.__doc__)
+    parser.add_argument("name", help="name of the package, a Python identifier in small letters")
+    parser.add_argument("--folder", help="new folder for the package (default: the name)")
+    parser.set_defaults(run=_lab)
+
+
+def _lab(chosen: argparse.Namespace) -> None:
+    """Writes a package outside this one: a network, terrain, a heuristic, a loss, a metric, a test, make repro."""
+    folder = write_lab(chosen.name, Path(chosen.folder or chosen.name))
+    print(f"{folder}: pip install -e {folder}; then make test, make repro there")
+
+
+def write_lab(name: str, folder: Path) -> Path:
+    """Writes the package; returns its folder.
+
+    Args:
+        name: its name.
+        folder: a folder that is new or empty.
+
+    Raises:
+        InputError: a wrong name, or a folder with files in it.
+    """
+    if not name.isidentifier() or name != name.lower() or name in _TAKEN:
+        raise InputError(f"name {name!r}: need a Python identifier in small letters, none of {', '.join(_TAKEN)}")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: it exists and is not empty")
+    kind = "".join(part.capitalize() for part in name.split("_"))
+    templates = resources.files(__package__).joinpath("lab_template")
+    for template, place in FILES.items():
+        path = folder / place.format(name=name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        text = Template(templates.joinpath(template).read_text(encoding="utf-8"))
+        path.write_text(text.substitute(name=name, kind=kind), encoding="utf-8")
+    folder.joinpath(name, "__init__.py").write_text("", encoding="utf-8")
+    return folder

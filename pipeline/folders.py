@@ -1,0 +1,87 @@
+"""Folders of a stage, and its reports as JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hdsp.base.files import replacing
+from hdsp.base.settings import read_json as read_json_file
+
+#: Settings without influence on results.
+_ELSEWHERE = ("runtime.", "hydra.", "hydra/")
+
+
+@dataclass(frozen=True)
+class Folders:
+    """Input folder with results from earlier stages, and output folder; each holds data/, models/ and reports/.
+
+    Attributes:
+        overrides: Hydra overrides of the command behind these outputs.
+        varied: those of them that differ among the runs of a sweep; empty outside a sweep.
+    """
+
+    inputs: Path
+    outputs: Path
+    overrides: tuple[str, ...] = ()
+    varied: tuple[str, ...] = ()
+
+    def read(self, *parts: str) -> Path:
+        return self.inputs.joinpath(*parts)
+
+    def write(self, *parts: str) -> Path:
+        """Returns a path to write to; its folder exists."""
+        path = self.outputs.joinpath(*parts)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    @property
+    def title(self) -> str:
+        """What tells a run apart: its part of a sweep, or its overrides without those of places and workers."""
+        own = self.varied or tuple(line for line in self.overrides if not line.lstrip("+~").startswith(_ELSEWHERE))
+        return " ".join(own)
+
+
+def project_root() -> Path:
+    """Returns the folder with the tracking database: the checkout, or the working folder of an installed package.
+
+    `dvc exp run --temp` runs stages in a copy; the database then is in the original folder.
+    """
+    checkout = Path(__file__).resolve().parent.parent
+    here = checkout if (checkout / "pyproject.toml").is_file() and _is_within(checkout) else Path.cwd()
+    return Path(os.environ.get("DVC_ROOT") or here)
+
+
+def _is_within(checkout: Path) -> bool:
+    """Whether the working folder lies in the checkout, or is no project of its own."""
+    here = Path.cwd().resolve()
+    return here.is_relative_to(checkout) or not (here / "pyproject.toml").is_file()
+
+
+def write_json(path: Path, values: Any) -> None:
+    """Writes a JSON file, whole or absent; non-finite numbers become null, which every JSON reader accepts."""
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(_finite(values), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def read_json(path: Path) -> Any:
+    """Returns the contents of an earlier stage's report.
+
+    Raises:
+        InputError: the file does not exist, or is not JSON.
+    """
+    return read_json_file(path, "report")
+
+
+def _finite(values: Any) -> Any:
+    if isinstance(values, dict):
+        return {str(key): _finite(value) for key, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [_finite(value) for value in values]
+    if hasattr(values, "item"):  # numpy scalars
+        values = values.item()
+    return None if isinstance(values, float) and not math.isfinite(values) else values

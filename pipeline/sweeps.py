@@ -1,0 +1,89 @@
+"""Sweeps by Hydra's multirun, with any launcher: each run leaves a record, and a failed run makes the sweep fail."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+
+from hdsp.base.errors import InputError
+
+from .command_line import CommandLine, run_hydra
+from .config import configure, configured_choices, expand_choices, parse_overrides, typed
+from .folders import Folders, read_json, write_json
+
+#: Environment variable with the folder for records; runs in other processes inherit it.
+RECORDS = "HDSP_SWEEP_RECORDS"
+
+
+def sweep(stage: Callable[..., Any], name: str, line: CommandLine) -> None:
+    """Runs a stage for every combination of choices.
+
+    All values are checked before the first run. A run that fails does not end the others.
+
+    Raises:
+        InputError: a value is wrong; or runs failed, all of which are named.
+    """
+    words = [*configured_choices(line.overrides, line.source), *line.overrides]
+    for variant in expand_choices(words):
+        configure(variant, line.source)
+    varied = {override.get_key_element() for override in parse_overrides(words) if override.is_sweep_override()}
+    with tempfile.TemporaryDirectory(prefix="hdsp-sweep-") as folder:
+        before, os.environ[RECORDS] = os.environ.get(RECORDS), folder
+        try:
+            run_hydra(SweptRun(stage, line.arguments, folder, varied), name, line, ["-m", "hydra.output_subdir=.hydra"])
+        except SystemExit as error:  # Hydra has printed why
+            raise InputError("; ".join(failures(Path(folder))) or f"{name}: the sweep ended early") from error
+        finally:
+            if before is None:
+                del os.environ[RECORDS]
+            else:
+                os.environ[RECORDS] = before
+        if failed := failures(Path(folder)):
+            total = len(list(Path(folder).glob("*.json")))
+            raise InputError(f"{len(failed)} of {total} runs failed: {'; '.join(failed)}")
+
+
+class SweptRun:
+    """A run of a sweep; a plain object, so that launchers can send it to other processes."""
+
+    def __init__(self, stage: Callable[..., Any], arguments: Sequence[str], records: str, varied: Collection[str]):
+        self.stage, self.arguments, self.records, self.varied = stage, tuple(arguments), records, varied
+        self.__name__ = self.__qualname__ = getattr(stage, "__name__", "stage")
+
+    def __call__(self, config: DictConfig) -> float:
+        """Runs the stage; returns its value, NaN after a failure."""
+        from hydra.core.hydra_config import HydraConfig
+
+        here = HydraConfig.get()
+        overrides = tuple(here.overrides.task)
+        varied = tuple(word for word in overrides if word.partition("=")[0] in self.varied)
+        words = f"run {here.job.num} ({' '.join(varied)})"
+        record = Path(self.records, f"{here.job.num}.json")
+        write_json(record, {"run": words, "fault": "its process ended before the run did"})
+        print(words, file=sys.stderr, flush=True)
+        fault, value = None, float("nan")
+        try:
+            checked = typed(config)
+            folders = Folders(Path(checked.runtime.inputs), Path(here.runtime.output_dir), overrides, varied)
+            found = self.stage(checked, folders, *self.arguments)
+            value = value if found is None else float(found)
+        except InputError as error:
+            fault = str(error)
+        except Exception as error:
+            traceback.print_exc()
+            fault = f"{type(error).__name__}: {error}"
+        write_json(record, {"run": words, "fault": fault})
+        return value
+
+
+def failures(folder: Path) -> list[str]:
+    """Returns a line for each failed run, from the records in a folder."""
+    records = [read_json(path) for path in sorted(folder.glob("*.json"), key=lambda path: int(path.stem))]
+    return [f"{record['run']}: {record['fault']}" for record in records if record["fault"] is not None]
