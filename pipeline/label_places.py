@@ -90,4 +90,5 @@ def not_there(place: Place) -> str:
     if not index:
         return f"{place} is not there yet"
     where, split = index["where"], index["split"]
-    return f"{where} holds no finished labels of this configuration and code; `python -m pipeline.label {split}`"
+    makers = " or, for courses, ".join(f"`python -m pipeline.{maker} {split}`" for maker in ("label", "scan_courses"))
+    return f"{where} holds no finished labels of this configuration and code; {makers} makes them"
