@@ -1,6 +1,7 @@
 """Atomic file replacement: a file is whole or absent."""
 
 import os
+import re
 import secrets
 import tempfile
 from collections.abc import Collection, Iterator
@@ -14,7 +15,8 @@ from hdsp.base.errors import InputError
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """Yields a temporary path beside ``path``, which replaces ``path`` after a successful block.
 
-    A missing folder is created. If the process dies in between, ``path`` stays unchanged. Contents and name are on the
+    A missing folder is created. If the process dies in between, ``path`` stays unchanged, and the next write of the
+    file removes the temporary one. Contents and name are on the
     disk at the end of the block, also after a loss of power.
 
     Raises:
@@ -29,12 +31,33 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
         _sync(temporary)
         temporary.replace(path)
         _sync(path.parent)
+        _remove_leftovers(path)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}".splitlines()[0]) from error
     finally:
         # Leftover after a failure; after a success it no longer exists.
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _remove_leftovers(path: Path) -> None:
+    """Removes temporary files of a path from processes of this machine that died."""
+    pattern = re.compile(rf"\.{re.escape(path.stem)}\.(\d+)-[0-9a-f]{{8}}\.tmp{re.escape(path.suffix)}")
+    with os.scandir(path.parent) as entries:
+        found = [(entry.path, int(match[1])) for entry in entries if (match := pattern.fullmatch(entry.name))]
+    for leftover, process in found:
+        if not _is_alive(process):
+            Path(leftover).unlink(missing_ok=True)
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # of another user
+        return True
+    return True
 
 
 def _sync(path: Path) -> None:

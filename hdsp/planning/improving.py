@@ -56,9 +56,10 @@ def improving_plans(
             if bound <= weights[-1]:
                 ended = Status.SOLVED
             how = None if ended is None else str(ended)
+            seconds = searched + plan.stats.proof_seconds + prepared + polished["polish_seconds"]
             if last is not None and not better and bound >= shown:
                 if how is not None:
-                    last.stats.end(how)
+                    last.stats.end(how, seconds)
                     return
                 continue
             stats = {
@@ -69,7 +70,7 @@ def improving_plans(
                 "lower_bound": lower,
                 "ended": how,
                 "heuristic_seconds": prepared,
-                "seconds": searched + plan.stats.proof_seconds + prepared + polished["polish_seconds"],
+                "seconds": seconds,
             }
             shown, last = bound, (best or plan).renewed(stats, bound=bound, refused=tuple(refused.words))
             yield last

@@ -1,5 +1,7 @@
 import errno
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -65,3 +67,15 @@ def test_h6_a_write_survives_a_run_that_removes_its_temporary_file(tmp_path, mon
     with pytest.raises(InputError, match="No such file"):
         folder.write("shard.h5", b"others")
     assert folder.read("shard.h5") == b"labels"
+
+
+def test_the_next_write_removes_what_a_killed_process_left_and_nothing_of_others(tmp_path):
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    dead, alive = tmp_path / f".a.{ended.pid}-0123abcd.tmp.txt", tmp_path / f".a.{os.getppid()}-0123abcd.tmp.txt"
+    other = tmp_path / f".b.{ended.pid}-0123abcd.tmp.txt"
+    for leftover in (dead, alive, other):
+        leftover.touch()
+    with replacing(tmp_path / "a.txt") as temporary:
+        temporary.write_text("whole")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["a.txt", alive.name, other.name])

@@ -15,7 +15,7 @@ from tests.faults.injection import KINDS, Writes, contents, run_apart
 STAGES: dict[str, tuple[str, ...]] = {
     "label": ("val",),
     "published": (),
-    "random_tasks": (),
+    "label_report": (),
     "train": ("trainer.epochs=2", "evaluation.watched=[]"),
     "evaluate": (),
     "plan": (),

@@ -378,3 +378,12 @@ def test_many_goals_have_the_same_abstract_states_in_parts(long_task, monkeypatc
     rows = goals[np.random.default_rng(0).integers(len(goals), size=2000)]
     np.testing.assert_array_equal(distinct_rows(rows), np.unique(rows, axis=0, return_index=True)[1])
     np.testing.assert_array_equal(distinct_rows(rows << 20), np.unique(rows << 20, axis=0, return_index=True)[1])
+
+
+def test_statistics_of_an_improved_plan_cover_the_search_after_it(long_task):
+    planner, start, goal = long_task
+    ends = planner.grid.to_world(start), planner.grid.to_world(goal)
+    began = time.perf_counter()
+    *_, last = planner.improve(*ends, (3.0, 1.0), time=1.0, polish=0.0)
+    spent = time.perf_counter() - began
+    assert last.stats.ended == "time_limit" and 0.9 < last.stats.seconds <= spent < last.stats.seconds + LATE

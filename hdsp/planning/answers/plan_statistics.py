@@ -69,9 +69,11 @@ class PlanStatistics(Mapping[str, Any]):
         """Returns all values except None, for files."""
         return {name: value for name, value in self.items() if value is not None}
 
-    def end(self, status: str) -> None:
-        """Enters the end of an anytime search, known only after its last plan was yielded."""
+    def end(self, status: str, seconds: float | None = None) -> None:
+        """Enters the end of an anytime search, and its time, known only after its last plan was yielded."""
         object.__setattr__(self, "ended", status)
+        if seconds is not None:
+            object.__setattr__(self, "seconds", seconds)
 
 
 _NAMES = tuple(field.name for field in fields(PlanStatistics))

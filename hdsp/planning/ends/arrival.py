@@ -27,6 +27,7 @@ Tolerance = float | tuple[float, float]
 #: Bytes for a state at a goal, with the work on it.
 STATE_BYTES = 400
 _ROUNDING = 1e-9  # m
+_FEET_AT_ONCE = 30_000  # foot configurations between two looks at the clock
 _AT_ONCE = 256  # poses between two looks at the clock, on ground where T_a->d takes long
 
 
@@ -91,7 +92,7 @@ def arrival_steps(
         elif wrong or len(pose_values(pose, name, robot)) == 7 or not state[3:].any():
             states = state[None][: 0 if wrong else 1]
         else:
-            states = _on_any_feet(world, state, memory)
+            states = yield from _on_any_feet(world, state, memory)
             exact = exact and len(states) == 1
         if len(states) == 0:
             faults.append(wrong)
@@ -154,14 +155,19 @@ def _check_memory(states: int, memory: float) -> None:
         raise InputError(f"{states} states at the goal need {needed} bytes at least; {max(int(memory), 0)} are left")
 
 
-def _on_any_feet(world: World, state: np.ndarray, memory: float) -> np.ndarray:
-    """Valid states, int64 [n, 7], at the pose of a state, the state first."""
+def _on_any_feet(world: World, state: np.ndarray, memory: float) -> Steps[np.ndarray]:
+    """Finds the valid states, int64 [n, 7], at the pose of a state, the state first."""
     t = world.tables
     _check_memory(t.n_offsets**4, memory)
     feet = _all_feet(t.lowest, t.n_offsets, 2 * world.constants.neutral_x - world.constants.min_separation)
-    states = np.column_stack([np.broadcast_to(state[:3], (len(feet), 3)), feet])
-    states = states[np.isfinite(state_costs(world, pack_states(states, t.lowest)))]
-    return np.concatenate([state[None], states[(states != state).any(axis=1)]])
+    found = [state[None]]
+    for part in np.array_split(feet, range(_FEET_AT_ONCE, len(feet), _FEET_AT_ONCE)):
+        if len(found) > 1:
+            yield
+        states = np.column_stack([np.broadcast_to(state[:3], (len(part), 3)), part])
+        states = states[np.isfinite(state_costs(world, pack_states(states, t.lowest)))]
+        found.append(states[(states != state).any(axis=1)])
+    return np.concatenate(found)
 
 
 @lru_cache(maxsize=4)
