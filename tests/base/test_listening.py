@@ -52,7 +52,7 @@ LOCAL = {"0100007F"}
 def test_local_workers_their_dashboard_and_the_viewer_listen_on_this_machine_alone():
     from hdsp.viz.viewer import open_server
 
-    with connected(ClusterSettings(2, dashboard="127.0.0.1:0"), jobs=2):
+    with connected(ClusterSettings(1, dashboard="127.0.0.1:0"), jobs=1):
         assert listening(os.getpid()) == LOCAL
         server = open_server()
         try:

@@ -15,10 +15,9 @@ def write_page(page: Path, result: dict) -> None:
     rows = []
     for name, group in result["groups"].items():
         faults = len(group["faults"])
-        rows.append(
-            [_NAMES[name], f"{group['cases']:,}", f"{group['seconds']:.0f} s", f"{group['slowest_s']:.1f} s", faults]
-        )
-    parts.append(table(["cases", "number", "time", "slowest (CPU)", "faults"], rows))
+        times = f"{group['seconds']:,.0f} s", f"{group['cpu_s']:,.0f} s", f"{group['slowest_s']:.1f} s"
+        rows.append([_NAMES[name], f"{group['cases']:,}", *times, faults])
+    parts.append(table(["cases", "number", "time", "CPU time", "slowest (CPU)", "faults"], rows))
     for name, group in result["groups"].items():
         total: Counter = Counter()
         for counts in group["kinds"].values():

@@ -75,7 +75,7 @@ class Supervisor:
         self.seed = seed
         self.counts: dict[str, Counter] = defaultdict(Counter)
         self.faults: list[dict[str, Any]] = []
-        self.slowest = 0.0
+        self.slowest = self.computed = 0.0
 
     def run(self, seconds: float) -> dict[str, Any]:
         """Runs for some seconds, started work included; returns counts by kind and outcome, and all faults."""
@@ -144,6 +144,7 @@ class Supervisor:
             word, outcome = "hang", f"hang {seconds:.0f} s"
         self.counts[kind][word] += 1
         self.slowest = max(self.slowest, seconds)
+        self.computed += seconds
         if word not in FINE:
             self.faults.append({"kind": kind, "seed": seed, "outcome": outcome})
 
@@ -152,6 +153,7 @@ class Supervisor:
         return {
             "cases": cases,
             "seconds": round(seconds, 1),
+            "cpu_s": round(self.computed, 1),
             "slowest_s": round(self.slowest, 2),
             "kinds": {kind: dict(sorted(count.items())) for kind, count in sorted(self.counts.items())},
             "faults": self.faults,

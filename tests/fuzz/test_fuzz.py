@@ -18,9 +18,9 @@ SLOW = {"laz", "motion npz", "motion json", "params", "config.json", "config.jso
 @pytest.mark.parametrize("kind", sorted(set(kinds_of("files")) - SLOW))
 def test_damaged_files_end_well(kind):
     cases = cases_of("files", kind)
-    outcomes = Counter(cases.outcome(seed) for seed in range(60))
+    outcomes = Counter(cases.outcome(seed) for seed in range(40))
     assert set(outcomes) <= set(FINE), outcomes
-    assert outcomes["refused"] >= 10
+    assert outcomes["refused"] >= 8
 
 
 @pytest.mark.parametrize("kind", sorted({"laz", "config.json", "weights"}))
@@ -29,14 +29,14 @@ def test_damaged_files_with_slow_readers_end_well(kind):
     assert {cases.outcome(seed) for seed in range(4)} <= set(FINE)
 
 
-@pytest.mark.parametrize(("kind", "seeds"), [("search", range(6)), ("optimal", range(3)), ("query", range(2))])
+@pytest.mark.parametrize(("kind", "seeds"), [("search", range(5)), ("optimal", range(2)), ("query", range(1))])
 def test_plans_are_those_of_the_textbook(kind, seeds):
     cases = cases_of("plans", kind)
     outcomes = [cases.outcome(seed) for seed in seeds]
     assert set(outcomes) <= set(FINE), outcomes
 
 
-@pytest.mark.parametrize("heuristic", ["geometric", "manual"])
+@pytest.mark.parametrize("heuristic", ["manual"])
 def test_updated_planners_answer_as_new_ones(heuristic):
     cases = cases_of("updates", heuristic)
     assert cases.outcome(0) == "equal"

@@ -33,7 +33,9 @@ def read_octree(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndar
     lows, sizes = _occupied(nodes.tobytes())
     if not len(lows):
         return np.zeros((0, 3))
-    limits.check_points(sum(_surface_size(int(size)) * int(count) for size, count in _numbers_of(sizes)))
+    limits.check_rows(
+        sum(_surface_size(int(size)) * int(count) for size, count in _numbers_of(sizes)), "occupied cells"
+    )
     cells = np.concatenate([_cells(lows[sizes == size], int(size)) for size in np.unique(sizes)])
     return (cells - 2 ** (_LEVELS - 1) + 0.5) * resolution
 

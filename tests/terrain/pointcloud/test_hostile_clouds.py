@@ -60,7 +60,7 @@ def test_h1_a_damaged_laz_file_under_a_limit_of_memory_leaves_the_process_alive(
     paths = [tmp_path / "whole.laz"]
     paths[0].write_bytes(content)
     header = struct.unpack_from("<I", content, 96)[0]
-    for k in range(3):  # the table of chunks lies at the end, its place at the start of the points
+    for k in range(2):  # the table of chunks lies at the end, its place at the start of the points
         damaged = bytearray(content)
         for at in (header + k, header + 8 + 40 * k, len(content) - 1 - k):
             damaged[at] ^= int(random.integers(1, 256))
@@ -71,7 +71,7 @@ def test_h1_a_damaged_laz_file_under_a_limit_of_memory_leaves_the_process_alive(
     )
     lines = done.stdout.splitlines()
     assert done.returncode == 0, done.stderr[-500:]
-    assert len(lines) == 4 and lines[0] == "3000"
+    assert len(lines) == 3 and lines[0] == "3000"
     assert all(line == "3000" or line.startswith("point cloud ") for line in lines[1:])
 
 
@@ -120,7 +120,7 @@ def test_h7_an_octree_of_thousands_of_large_leaves_is_counted_first(tmp_path):
     head = octree_bytes([])[: octree_bytes([]).index(b"data\n") + 5]
     (tmp_path / "wide.bt").write_bytes(head + bytes(nodes))
     assert len(nodes) < 1300
-    assert "97,550,336 points; at most 50,000,000" in refused(tmp_path / "wide.bt", "max_points")
+    assert "97,550,336 occupied cells; at most 10,000,000" in refused(tmp_path / "wide.bt", "max_points")
 
 
 @pytest.mark.parametrize("name", ["bomb.xyz.gz", "bomb.pcd.gz", "bomb.xyz.bz2"])
