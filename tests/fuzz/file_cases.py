@@ -32,7 +32,10 @@ class FileCases:
         return damaged(self.whole, random)
 
     def outcome(self, seed: int) -> str:
-        """``read``, ``refused``, or a fault: ``wrong``, ``lines``, ``memory``, ``traceback`` with words behind it."""
+        """``read``, ``refused``, ``said`` (a note on a change), or a fault.
+
+        Faults are ``wrong``, ``lines``, ``memory`` and ``traceback``, with words behind them.
+        """
         self.path.write_bytes(self.content(seed))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -45,6 +48,8 @@ class FileCases:
 
     def _judged(self, contents: Any) -> str:
         if self.kind.exact and contents != self.contents:
+            if "differs from its checksum" in repr(contents):
+                return "said"
             return "wrong: other contents than the whole file's, and no word"
         return "read"
 

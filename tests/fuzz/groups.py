@@ -42,5 +42,5 @@ def cases_of(group: str, kind: str) -> Cases:
 
 
 #: Outcomes that are as they should be; all others are faults.
-FINE = ("read", "refused", "equal", "solved", "no way", "compared", "limit")
+FINE = ("read", "refused", "said", "equal", "solved", "no way", "compared", "limit")
 GROUPS = ("files", "plans", "updates")

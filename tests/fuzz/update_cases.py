@@ -8,8 +8,10 @@ from hdsp.terrain.height_map import HeightMap
 
 #: Heuristics with their shares.
 HEURISTICS = {"geometric": 1.0, "grid": 1.0, "manual": 1.0, "learned": 1.0}
-CELLS = 96, 80
-_CHANGES = 3
+#: Cells and changes of a sequence; networks take more time than all else.
+_SIZES = {"learned": ((80, 64), 2)}
+_SIZE = (96, 80), 3
+_BORDER = 0.65  # m, around starts and goals
 
 
 class UpdateCases:
@@ -17,6 +19,7 @@ class UpdateCases:
 
     def __init__(self, heuristic: str):
         self.heuristic, self.number = heuristic, sorted(HEURISTICS).index(heuristic)
+        self.cells, self.changes = _SIZES.get(heuristic, _SIZE)
 
     def outcome(self, seed: int) -> str:
         """``equal``, ``refused`` (invalid start), or a fault with words behind it."""
@@ -29,17 +32,17 @@ class UpdateCases:
             return f"traceback {type(error).__name__}: {' '.join(str(error).split())[:200]}"
 
     def _sequence(self, random: np.random.Generator) -> str:
-        heights = _ground(random)
-        start, goal = _poses(random)
+        heights = _ground(self.cells, random)
+        start, goal = _poses(self.cells, random)
         weight = float(random.choice([1.25, 2.0, 3.0]))
         planner, outcomes = self._planner(heights), set()
         if random.random() < 0.8:  # else the first plan is on a changed map
             outcomes.add(_plan(planner, start, goal, weight)[0])
-        for _ in range(_CHANGES):
+        for _ in range(self.changes):
             heights, region = _changed(heights, random)
             planner.update(HeightMap(heights), region if random.random() < 0.5 else None)
             if random.random() < 0.4:
-                start, goal = _poses(random)
+                start, goal = _poses(self.cells, random)
             found = _plan(planner, start, goal, weight)
             expected = _plan(self._planner(heights), start, goal, weight)
             assert found[0] == expected[0], (found[0], expected[0])
@@ -62,15 +65,14 @@ def _plan(planner: Planner, start, goal, weight: float):
     return str(plan.status), plan if plan.solved else None
 
 
-def _poses(random: np.random.Generator):
-    x, y = (0.025 * cells for cells in CELLS)
-    low, high = (0.7, 0.7), (x - 0.7, y - 0.7)
+def _poses(cells: tuple[int, int], random: np.random.Generator):
+    low, high = (_BORDER, _BORDER), tuple(0.025 * side - _BORDER for side in cells)
     ends = [(*random.uniform(low, high), float(random.choice([0, 0.3, np.pi / 2, -2.0]))) for _ in range(2)]
     return [tuple(map(float, end)) for end in ends]
 
 
-def _ground(random: np.random.Generator) -> np.ndarray:
-    heights = np.zeros(CELLS, np.float32)
+def _ground(cells: tuple[int, int], random: np.random.Generator) -> np.ndarray:
+    heights = np.zeros(cells, np.float32)
     for _ in range(int(random.integers(0, 4))):
         _place(heights, random)
     return heights

@@ -197,3 +197,25 @@ def test_a_raster_with_parts_in_another_folder_is_refused(tmp_path, monkeypatch)
     files = property(lambda raster: [str(path), str(tmp_path / "elsewhere.ige")])
     monkeypatch.setattr(rasterio.io.DatasetReader, "files", files, raising=False)
     refused(path, "refers to .*elsewhere.ige, outside its folder")
+
+
+def test_a_geotiff_whose_heights_another_program_changed_says_so(tmp_path):
+    import rasterio
+
+    path = MAP.save(tmp_path / "map.tif")
+    with rasterio.open(path) as raster:
+        profile, tags = raster.profile, raster.tags()
+    with rasterio.open(path, "w", **profile) as raster:
+        raster.write(HEIGHTS.T[::-1] + 1, 1)
+        raster.update_tags(**tags)
+    terrain = HeightMap.load(path)
+    np.testing.assert_allclose(terrain.heights, HEIGHTS + 1, rtol=1e-6)
+    assert any("differs from its checksum" in note for note in terrain.frame.notes)
+
+
+@pytest.mark.parametrize("unknown", [False, True])
+def test_a_geotiff_as_it_was_written_has_no_note(tmp_path, unknown):
+    heights = np.where((np.arange(80).reshape(10, 8) == 7) & unknown, np.nan, HEIGHTS)
+    path = HeightMap(heights, (412345.678, 5654321.123), 0.025).save(tmp_path / "map.tif")
+    path.write_bytes(path.read_bytes()[:-78])  # without its last line
+    assert HeightMap.load(path).frame.notes == ()

@@ -1,7 +1,7 @@
 """Checksum over all bytes of a file, in a line behind the end of its format.
 
 Readers of GeoTIFF ignore bytes behind the last part. Another program that rewrites or extends a file drops the line or
-hides it, and the file is then read as one without checksum; a checksum among the tags would survive and no longer fit.
+hides it, and the file is then read as one without checksum.
 """
 
 from __future__ import annotations
@@ -39,4 +39,6 @@ def check_file(path: Path) -> None:
             state.update(piece)
             rest -= len(piece)
     if line[len(_MARK) : -1] != state.hexdigest().encode():
-        raise InputError("it is damaged: its checksum differs")
+        raise InputError(
+            "its checksum differs: damaged, or changed in place by a program (gdal_translate IN OUT writes it anew)"
+        )

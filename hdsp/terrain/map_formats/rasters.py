@@ -6,6 +6,7 @@ raster keeps its axes, and the frame has the rotation. Masks, no-data values, an
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 import sys
@@ -50,6 +51,9 @@ _METRES = {
 
 #: Tag with the frame of a map that this package wrote.
 _TAG = "HDSP_FRAME"
+#: Tag with a checksum over heights and transform, for files whose last line (`file_checksum`) is lost.
+_DIGEST = "HDSP_SHA256"
+_CHANGED = "it differs from its checksum: changed by another program, or damaged"
 
 _REPROJECT = "reproject it to metres, e.g. gdalwarp -t_srs EPSG:25832 IN OUT"
 
@@ -71,10 +75,12 @@ def read_raster(path: Path, options: ReadOptions) -> MapFields:
         _check_crs(raster.crs)
         rows = _ascii_heights(path, raster) if raster.driver in _TEXTS else raster.read(band, masked=True)
         scale, offset, notes = _units(raster, band)
+        written = raster.tags().get(_TAG, "")
+        changed = raster.tags().get(_DIGEST, "") not in ("", _digest(rows, raster.transform, written))
+        notes += [_CHANGED] if changed else []
         if raster.count > 1:
             notes.append(f"band {band} of {raster.count}")
         crs = raster.crs.to_string() if raster.crs else ""
-        written = raster.tags().get(_TAG, "")
         if raster.transform.is_identity:
             resolution = options.cell_size("it has no transform, so no cell size")
             frame = MapFrame(crs=crs, notes=tuple(notes))
@@ -84,7 +90,8 @@ def read_raster(path: Path, options: ReadOptions) -> MapFields:
     if not written:
         return fields
     frame = frame_of_text(written)  # another program may have changed the CRS, but left the tag
-    return fields._replace(frame=replace(frame, crs=crs or frame.crs))
+    more = (_CHANGED,) if changed or (crs and frame.crs and crs != frame.crs) else ()
+    return fields._replace(frame=replace(frame, crs=crs or frame.crs, notes=(*frame.notes, *more)))
 
 
 def raster_contents(path: Path) -> str:
@@ -107,6 +114,7 @@ def geotiff_bytes(fields: MapFields) -> bytes:
     from rasterio.io import MemoryFile
 
     heights = np.asarray(fields.heights, np.float32)
+    rows = heights.T[::-1]
     (nx, ny), (x, y) = heights.shape, fields.origin
     transform = Affine(fields.resolution, 0.0, x, 0.0, -fields.resolution, y + ny * fields.resolution)
     with MemoryFile(ext=".tif") as memory:
@@ -114,11 +122,21 @@ def geotiff_bytes(fields: MapFields) -> bytes:
             driver="GTiff", width=nx, height=ny, count=1, dtype="float32", nodata=math.nan, transform=transform,
             crs=_known_crs(fields.frame), compress="deflate",
         ) as raster:  # fmt: skip
-            raster.write(heights.T[::-1], 1)
+            raster.write(rows, 1)
+            text = frame_text(fields.frame)
+            raster.update_tags(**{_DIGEST: _digest(rows, transform, text), **({_TAG: text} if text else {})})
             raster.set_band_description(1, "elevation")
-            if text := frame_text(fields.frame):
-                raster.update_tags(**{_TAG: text})
         return with_checksum(memory.read())
+
+
+def _digest(rows: Any, transform: Any, frame: str) -> str:
+    """Checksum over heights float32 [rows, columns], masked or NaN = unknown, their transform, and a frame as text."""
+    heights = np.ma.filled(np.ma.asarray(rows).astype(np.float32), np.nan)
+    heights = np.where(np.isnan(heights), np.float32("nan"), heights)
+    place = np.array(tuple(transform)[:6], float)
+    return hashlib.sha256(
+        f"{heights.shape}".encode() + heights.tobytes() + place.tobytes() + frame.encode()
+    ).hexdigest()
 
 
 @contextmanager

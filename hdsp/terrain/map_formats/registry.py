@@ -103,6 +103,8 @@ _WRITABLE = tuple(suffix for suffix, form in _FORMATS.items() if form.write)
 
 #: Cell sizes that a map in metres may have, m.
 _SMALLEST, _LARGEST = 1e-4, 1e4
+#: Largest coordinate of an origin, m; projected coordinates stay far below.
+_FARTHEST = 1e9
 
 #: First characters of a text of points.
 _BEGINS = tuple(bytes([character]) for character in b"+-.#/0123456789")
@@ -280,6 +282,8 @@ def _in_metres(fields: MapFields, options: ReadOptions) -> MapFields:
     options.check_cells(*np.shape(fields.heights))
     if not _SMALLEST <= float(fields.resolution) <= _LARGEST:
         raise InputError(f"its cells of {float(fields.resolution):g} m are none; need {_SMALLEST:g} to {_LARGEST:g} m")
+    if not (np.abs(np.asarray(fields.origin, float)) <= _FARTHEST).all():
+        raise InputError(f"its origin {tuple(fields.origin)} is no place on Earth in metres")
     values = np.ma.getdata(fields.heights)
     heights = np.array(values, dtype=np.float32 if values.dtype.itemsize < 4 else None)
     heights = heights.astype(float) if heights.dtype.kind != "f" else heights
