@@ -1,7 +1,8 @@
 """Writes constraints-hashes.txt: every pin of constraints.txt with the SHA-256 of the file that pip would install.
 
-``python tools/hashes.py`` (`make hashes`) asks pip for a report without installing. The file holds for one platform,
-which its first lines name; `pip install --require-hashes --no-deps -r constraints-hashes.txt` uses it.
+``python tools/hashes.py`` (`make hashes`) asks pip for a report on pins without a hash so far, and installs nothing.
+The file holds for one platform, which its first line names; `pip install --require-hashes --no-deps -r
+constraints-hashes.txt` uses it.
 """
 
 import json
@@ -22,7 +23,16 @@ _HEAD = """\
 """
 
 
-def lock(report: dict) -> str:
+def pins(text: str) -> dict[tuple[str, str], str]:
+    """Lines of a file with pins, by normalised name and version without a local part."""
+    found = {}
+    for line in text.splitlines():
+        if match := re.match(r"([\w.-]+)==([\w.]+)", line):
+            found[re.sub(r"[-_.]+", "-", match[1]).lower(), match[2]] = line
+    return found
+
+
+def lines_of(report: dict) -> list[str]:
     """Returns the lines for pip's installation report.
 
     Raises:
@@ -39,18 +49,28 @@ def lock(report: dict) -> str:
         lines.append(f"{name}=={version} --hash=sha256:{digest}{where}")
     if without:
         raise SystemExit(f"no hash for {', '.join(without[:10])}; {HASHES.name} is not written")
-    system = f"{platform.system()} {platform.machine()}"
-    python = ".".join(platform.python_version_tuple()[:2])
-    return _HEAD.format(system=system, python=python) + "\n".join(sorted(lines, key=str.lower)) + "\n"
+    return lines
+
+
+def asked(wanted: list[str]) -> dict:
+    """Returns pip's report on an installation of these pins."""
+    with tempfile.TemporaryDirectory() as folder:
+        report, pinned = Path(folder) / "report.json", Path(folder) / "pins.txt"
+        pinned.write_text("\n".join(wanted))
+        options = ["--dry-run", "--ignore-installed", "--no-deps", "--quiet", "--report", str(report)]
+        subprocess.run([sys.executable, "-m", "pip", "install", *options, "-r", str(pinned)], check=True)
+        return json.loads(report.read_text())
 
 
 def main() -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        report = Path(folder) / "report.json"
-        options = ["--dry-run", "--ignore-installed", "--no-deps", "--quiet", "--report", str(report)]
-        subprocess.run([sys.executable, "-m", "pip", "install", *options, "-r", str(CONSTRAINTS)], check=True)
-        HASHES.write_text(lock(json.loads(report.read_text())))
-    print(f"{HASHES.name}: {sum('--hash' in line for line in HASHES.read_text().splitlines())} packages")
+    wanted = pins(CONSTRAINTS.read_text())
+    known = {pin: line for pin, line in pins(HASHES.read_text() if HASHES.is_file() else "").items() if pin in wanted}
+    missing = [line for pin, line in wanted.items() if pin not in known]
+    lines = [*known.values(), *(lines_of(asked(missing)) if missing else [])]
+    system = f"{platform.system()} {platform.machine()}"
+    head = _HEAD.format(system=system, python=".".join(platform.python_version_tuple()[:2]))
+    HASHES.write_text(head + "\n".join(sorted(lines, key=str.lower)) + "\n")
+    print(f"{HASHES.name}: {len(lines)} packages, {len(missing)} of them new")
 
 
 if __name__ == "__main__":
