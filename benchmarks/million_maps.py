@@ -27,6 +27,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -34,6 +35,7 @@ from typing import Any
 
 import numpy as np
 
+from hdsp.base.files import replacing
 from hdsp.base.workers import peak_memory
 from hdsp.labels.run.split_run import ClusterSettings, label_split
 from hdsp.labels.run.splits import LabelRun
@@ -166,12 +168,15 @@ def in_process(arguments: argparse.Namespace, part: str) -> dict[str, Any]:
 def killed_in_process(arguments: argparse.Namespace, part: str, reached) -> None:
     """Starts a part, and kills its process and those below it once a condition holds."""
     process = subprocess.Popen(command(arguments, part), stdout=subprocess.DEVNULL, start_new_session=True)
-    while not reached():
-        if process.poll() is not None:
-            raise SystemExit(f"error: {part} ended before it could be killed; try more --maps")
-        time.sleep(0.2)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    try:
+        while not reached():
+            if process.poll() is not None:
+                raise SystemExit(f"error: {part} ended before it could be killed; try more --maps")
+            time.sleep(0.2)
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
 
 
 def written_shards(folder: Path) -> int:
@@ -260,7 +265,8 @@ def train(arguments: argparse.Namespace) -> dict[str, Any]:
             self.seconds = time.perf_counter() - self.began
             if time.perf_counter() > self.seen + 1:
                 self.seen = time.perf_counter()
-                (arguments.folder / "progress.json").write_text(json.dumps({"batches": index}))
+                with replacing(arguments.folder / "progress.json") as temporary:
+                    temporary.write_text(json.dumps({"batches": index}))
 
     watch = Watch()
     run = stand_in(arguments)
