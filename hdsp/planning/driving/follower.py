@@ -23,8 +23,9 @@ _TURNED = 0.08, 0.3  # rad; the same for heading and steering
 _SPEED_UP, _SLOW_DOWN = 2.0, 4.0  # 1/s; change of the motion's speed, as a share of its own
 _TOUCH = 0.04  # of the weight; a foot with this force has touched the ground
 _FEEL = 0.05  # m/s, of a foot that feels for the ground below the planned one
+_RELAX = 2.0  # 1/s
 _FORGET = 0.1  # m, of rolling, in which a foot's deviation from its planned place is corrected
-_SOFT = 0.15  # stiffness of a carrying leg along its length, as a share
+_SOFT = 0.03  # stiffness of a carrying leg along its length, as a share
 _HOLD = 3.0  # 1/s, gain of position errors of rolling wheels
 _AIM = 3.0  # 1/s, lateral error of a wheel by steering
 _TURN = 3.0  # 1/s, heading error by the wheels
@@ -34,7 +35,11 @@ _BEND, _BEND_RATE = 0.25, 0.4  # rad, rad/s; largest deviation from the planned 
 _MOST_ASIDE = 0.15  # m, of a foot beside its planned foothold
 _STRAIGHTEN = 0.5  # m before the end of a drive, in which the deviation shrinks
 _BALANCE = 4.0  # 1/s, gain of deviations of the centre of mass
-_MOST_SHIFT = 0.06  # m
+_SLOWLY = 0.5  # 1/s, the same on three feet: a quick push of the base would first tip the robot the other way
+_RESERVE = 0.02  # m, beyond the robot's own margin, before a foot leaves the ground
+_MOST_SHIFT = 0.08  # m
+_UNSAFE = 0.01  # m; a foot leaves the ground when no more of the margin is lacking,
+_PATIENCE = 4.0  # s, or after so long
 _SLOWEST = 0.03  # m/s; slower wheels do not correct lateral errors by steering
 
 
@@ -65,6 +70,7 @@ class Follower:
         self._rolled = np.zeros(4)  # m, since the wheel stands
         self._steer = self.wanted.steering.copy()
         self._scrub = 0.0  # integrated heading error, for wheels that skid
+        self._lacking, self._waited = 0.0, 0.0  # m, of the margin; s, before a foot leaves or comes to carry
         self._shift = np.zeros(2)  # of the base, for the balance, m
         self._turned = 0.0  # heading beside the planned one, by which wheels that do not steer go sideways
 
@@ -104,12 +110,12 @@ class Follower:
         aim, rate = self._leg_targets(wanted, pose, goal)
         stiffness = self._stiffness()
         push = stiffness * (aim - slides) + sim.size.damping * (rate - slide_speeds)
-        ground = self._ground_forces(wanted, pose, feet, push)
-        forward = (np.array([0.0, 0.0, sim.size.leg_mass * GRAVITY]) - ground) @ pose.rotation
-        forward[:, :2] *= (self.load == 0)[:, None]  # the slides of a wheel that carries push by themselves
+        springs = self._spring_forces(pose, push)
+        carried = self._ground_forces(wanted, pose, feet, springs)
+        forward = (np.array([0.0, 0.0, sim.size.leg_mass * GRAVITY]) - carried) @ pose.rotation
         sim.model.actuator_biasprm[sim.slide_motors, 1] = -stiffness
         sim.data.ctrl[sim.slide_motors] = forward + stiffness * aim + sim.size.damping * rate
-        self._drive_wheels(wanted, pose, goal - feet, ground, elapsed)
+        self._drive_wheels(wanted, pose, goal - feet, carried + springs, elapsed)
 
     def _bend(self, pose: BasePose, elapsed: float) -> None:
         """Turns the heading beside the planned one, so that wheels that do not steer return to the planned path."""
@@ -145,10 +151,16 @@ class Follower:
         off = (planned - goal[carrying].mean(axis=0)) - (
             self._sim.center_of_mass() - self._sim.feet()[carrying].mean(axis=0)
         )
+        change, _, carries = self._next_change(wanted)
+        remain = wanted.carries & carries if change else wanted.carries
+        inward = _inward(self._sim.feet()[remain, :2], self._sim.center_of_mass()[:2], stance.margin + _RESERVE)
+        self._lacking = float(np.linalg.norm(inward))
         if wanted.moves.any():
             self._shift *= 1 - min(1.0, 2.0 * self._rate * elapsed)
         else:
-            self._shift = np.clip(self._shift + _BALANCE * elapsed * off[:2], -_MOST_SHIFT, _MOST_SHIFT)
+            nearer = off[:2] if self._lacking == 0 else inward
+            gain = _BALANCE if (self.load > 0).all() else _SLOWLY
+            self._shift = np.clip(self._shift + gain * elapsed * nearer, -_MOST_SHIFT, _MOST_SHIFT)
 
     def _pose(self, slides: np.ndarray, speeds: np.ndarray, elapsed: float) -> BasePose:
         sim = self._sim
@@ -184,12 +196,17 @@ class Follower:
         sim = self._sim
         stands = (self.load > 0) & ~(wanted.moves & wanted.carries)
         begins = stands & ~self._standing
-        if begins.any():
-            planned = (wanted.feet - wanted.base[:3]) @ _rotation(wanted.base)
-            actual = (feet - pose.place) @ pose.rotation
-            deviation = (actual - planned) @ _rotation(wanted.base).T @ _about_z(wanted.base[5])
-            self._offset[begins] = deviation[begins]
-            self._rolled[begins] = 0.0
+        planned = (wanted.feet - wanted.base[:3] - np.array([*self._shift, 0.0])) @ _rotation(wanted.base)
+        actual = (feet - pose.place) @ pose.rotation
+        deviation = (actual - planned) @ _rotation(wanted.base).T @ _about_z(wanted.base[5])
+        self._offset[begins] = deviation[begins]
+        self._rolled[begins] = 0.0
+        if stands.any():  # feet that pull against each other relax
+            strain = deviation[stands] - self._offset[stands]
+            self._offset[stands] += min(1.0, _RELAX * elapsed) * (strain - strain.mean(axis=0))
+        lifts = self._standing & (self.load == 0)
+        away = (feet - wanted.feet) @ _about_z(wanted.base[5])
+        self._offset[lifts] = away[lifts]
         self._standing = stands
         pitch_rate = pose.turn_rate @ pose.rotation[:, 1]
         self._rolled += sim.size.radius * (sim.spin_speeds() + pitch_rate) * elapsed
@@ -209,16 +226,15 @@ class Follower:
     def _advance(self, wanted: Wanted, pose: BasePose, feet, goal, forces: np.ndarray, elapsed: float) -> None:
         """Moves loads and the motion's time on."""
         reference, sim = self._reference, self._sim
-        following = reference.changes[reference.changes > self.time + 1e-9]
-        limit = float(following[0]) if len(following) else reference.duration
-        before = limit - 1.01 * STEP if len(following) else limit  # the last moment with the feet of now
-        at_change = len(following) > 0 and self.time >= before - 1e-9
-        carries = reference.at(limit).carries if at_change else wanted.carries
+        at_change, limit, carries = self._next_change(wanted)
+        before = limit - 1.01 * STEP if limit in reference.changes else limit
         landing = carries & ~wanted.carries
-        target = (wanted.carries & carries).astype(float)
+        self._waited = self._waited + elapsed if at_change else 0.0
+        unsafe = self._lacking > _UNSAFE and self._waited < _PATIENCE and not landing.any() and (self.load == 1).all()
+        target = (wanted.carries & (carries | unsafe)).astype(float)
         step = elapsed / _SHIFT_LOAD
         self.load += np.clip(target - self.load, -step, step)
-        ready = bool((self.load == target).all())
+        ready = bool((self.load == target).all()) and not unsafe
         if landing.any():
             feel = landing & ~(forces[:, 2] > _TOUCH * sim.size.weight)
             self._offset[feel, 2] -= _FEEL * elapsed
@@ -229,6 +245,19 @@ class Follower:
         elif ready:
             self.time = min(self.time + elapsed * self._rate, max(before, self.time))
         self.wanted = reference.at(self.time)
+
+    def _next_change(self, wanted: Wanted) -> tuple[bool, float, np.ndarray]:
+        """Whether feet are about to leave or to carry, when, and the feet that carry then; else the end of the motion.
+
+        The last moment with the present feet is a sample before the change.
+        """
+        reference = self._reference
+        following = reference.changes[reference.changes > self.time + 1e-9]
+        if not len(following):
+            return False, reference.duration, wanted.carries
+        limit = float(following[0])
+        near = self.time >= limit - 1.01 * STEP - 1e-9
+        return near, limit, reference.at(limit).carries if near else wanted.carries
 
     def _new_rate(self, wanted: Wanted, pose: BasePose, feet, goal, elapsed: float) -> float:
         ahead = self._ahead(pose.rotation)
@@ -243,11 +272,17 @@ class Follower:
             share = min(share, _share(off, 0.15, 0.4))
         return float(np.clip(share, self._rate - _SLOW_DOWN * elapsed, self._rate + _SPEED_UP * elapsed))
 
-    def _ground_forces(self, wanted: Wanted, pose: BasePose, feet: np.ndarray, push: np.ndarray) -> np.ndarray:
-        """Forces that carry the weight, hold height and lean, and answer the push of the slides along the ground."""
+    def _spring_forces(self, pose: BasePose, push: np.ndarray) -> np.ndarray:
+        """Ground forces that answer the push of the slides along and across the base, float64 [4, 3], N."""
+        along = push * (self.load > 0)[:, None] * np.array([1.0, 1.0, 0.0])
+        most = 0.2 * self._sim.size.weight
+        return -np.clip(along, -most, most) @ pose.rotation.T
+
+    def _ground_forces(self, wanted: Wanted, pose: BasePose, feet: np.ndarray, springs: np.ndarray) -> np.ndarray:
+        """Ground forces beside those of the springs: they carry the weight, and hold height and lean."""
         sim = self._sim
-        along = -(push * (self.load > 0)[:, None]) @ pose.rotation.T
-        along = np.clip(along.sum(axis=0), -0.3 * sim.size.weight, 0.3 * sim.size.weight)
+        center = sim.center_of_mass()
+        tipping = np.cross(feet - center, springs).sum(axis=0)
         stiff, damp = self._height_gain
         up = stiff * (wanted.base[2] - pose.place[2]) + damp * (self._rate * wanted.base_velocity[2] - pose.velocity[2])
         up = np.clip(up, -0.3 * sim.size.weight, 0.3 * sim.size.weight)
@@ -257,8 +292,9 @@ class Follower:
         lean = 0.5 * np.array([off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], 0.0])
         stiff, damp = self._lean_gain
         torque = stiff * lean - damp * pose.turn_rate * np.array([1, 1, 0])
-        wrench = np.array([along[0], along[1], sim.size.weight + up, *torque])
-        return self._forces(feet, sim.center_of_mass(), wrench, self.load)
+        lift = sim.size.weight + up - springs[:, 2].sum()
+        wrench = np.array([0.0, 0.0, lift, *(torque - tipping * np.array([1, 1, 0]))])
+        return self._forces(feet, center, wrench, self.load)
 
     def _leg_targets(self, wanted: Wanted, pose: BasePose, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Wanted positions and speeds of the leg joints, float64 [4, 3] each."""
@@ -300,6 +336,14 @@ class Follower:
         if size.steers:
             gain = -sim.model.actuator_biasprm[sim.steering_motors, 1]
             sim.data.ctrl[sim.steering_motors] = gain * self._steer
+
+
+def _inward(feet: np.ndarray, point: np.ndarray, margin: float) -> np.ndarray:
+    """Way, float64 [2], m, on which a point gets a margin to the edges of a polygon [n, 2], counter-clockwise."""
+    edges = np.roll(feet, -1, axis=0) - feet
+    left = np.stack([-edges[:, 1], edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1)[:, None]
+    lacking = np.maximum(margin - ((point - feet) * left).sum(axis=1), 0.0)
+    return lacking @ left
 
 
 def _share(value: float, begin: float, end: float) -> float:
