@@ -116,7 +116,11 @@ def run_trials(
             study.tell(trial, state=TrialState.FAIL)
             last = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
             return f"{title}: {last.removeprefix('error: ')}"
-        value = metric_of(read_json(place / "reports" / "training.json"), config.search.metric)
+        try:
+            value = metric_of(read_json(place / "reports" / "training.json"), config.search.metric)
+        except InputError as error:
+            study.tell(trial, state=TrialState.FAIL)
+            return f"{title}: {error}"
         study.tell(trial, value)
         print(f"trial {trial.number}: {config.search.metric} {value:.6g}", flush=True)
         return None

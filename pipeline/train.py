@@ -142,6 +142,7 @@ def write_results(
         "epochs": len(result.history),
         "best_epoch": result.best_epoch,
         "seconds": result.seconds,
+        "score": result.metrics["score"],
         **_nested(result.metrics),
     }
     write_json(folders.write("reports", "training.json"), summary)

@@ -9,6 +9,7 @@ from pathlib import Path
 import yaml
 
 from hdsp import Motion, Plan, Planner
+from hdsp.base.extensions import HEURISTICS, NETWORKS, TERRAIN
 from hdsp.robot.schema import keys, robot_schema
 from tests import ROOT
 
@@ -62,6 +63,8 @@ def exists(path: str) -> bool:
 
 
 def resolves(name: str) -> bool:
+    if name in (HEURISTICS, NETWORKS, TERRAIN):  # groups of entry points
+        return True
     try:
         pkgutil.resolve_name(name)
     except (ImportError, AttributeError):
@@ -70,10 +73,12 @@ def resolves(name: str) -> bool:
 
 
 def settings(group: str) -> set[str]:
-    """Dotted keys from all files in a conf group."""
+    """Dotted keys from all files in a conf group, and in the groups within it."""
     keys: set[str] = set()
-    for path in (ROOT / "conf" / group).glob("*.yaml"):
-        keys |= _keys(yaml.safe_load(path.read_text()), "")
+    folder = ROOT / "conf" / group
+    for path in folder.rglob("*.yaml"):
+        inner = "".join(f"{part}." for part in path.parent.relative_to(folder).parts)
+        keys |= {inner.rstrip("."), *_keys(yaml.safe_load(path.read_text()), inner)}
     return keys
 
 
