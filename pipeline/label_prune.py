@@ -6,32 +6,41 @@ several configurations in one place are kept by `--keep`: `--keep 3fa9c2d41b7e`.
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hdsp.base.errors import InputError
 from hdsp.base.storage import Place
 
+from .config import configure, plain, read_params
 from .config_types import Config
 from .label_places import course_run, label_run, split_place
-from .stage import Folders, run_stage
+from .stage import Folders
 
 if TYPE_CHECKING:
     from hdsp.labels.run.set_listing import StoredSet
 
-YES, KEEP, PRUNE = "--yes", "--keep", "--prune"
 #: Names of differing settings in a line of the list.
 _SHOWN = 3
 
 
-def main() -> None:
-    """Runs the command with `sys.argv`."""
+def main(argv: Sequence[str] | None = None) -> None:
+    """Runs the command; overrides are those of the stage."""
+    parser = argparse.ArgumentParser(prog="python -m pipeline.label", description=__doc__.splitlines()[0])
+    parser.add_argument("--prune", action="store_true", required=True)
+    parser.add_argument("--yes", action="store_true", help="remove without a question")
+    parser.add_argument("--keep", action="append", default=[], metavar="SET", help="name of a label set that stays")
+    parser.add_argument("overrides", nargs="*", metavar="key=value")
+    arguments = parser.parse_args(argv)
     try:
-        confirmed, kept = _flags()
+        config = configure(arguments.overrides) if arguments.overrides else read_params()
+        folders = Folders(Path(config.runtime.inputs), Path(config.runtime.outputs or "."))
+        prune(config, folders, arguments.yes, arguments.keep)
     except InputError as error:
         sys.exit(f"error: {error}")
-    run_stage(lambda config, folders: prune(config, folders, confirmed, kept), "label")
 
 
 def prune(config: Config, folders: Folders, confirmed: bool = False, kept: Sequence[str] = ()) -> None:
@@ -75,35 +84,14 @@ def _used(config: Config, split: str) -> tuple[str, Mapping[str, Any]]:
 
 def _line(place: Place, name: str, stored: StoredSet, inputs: Mapping[str, Any]) -> str:
     maps = f"{max(stored.maps):,} maps" if stored.maps else "unfinished"
-    differing = stored.differs_in(_plain(inputs))
+    differing = stored.differs_in(plain(inputs))
     more = f" and {len(differing) - _SHOWN} more" if len(differing) > _SHOWN else ""
     other = f"; other {', '.join(differing[:_SHOWN])}{more}" if differing else ""
     return f"{place}/{name}: {maps}, {stored.shards:,} shards, {stored.size / 1e6:,.1f} MB{other}"
 
 
-def _plain(values: Any) -> Any:
-    import json
-
-    return json.loads(json.dumps(values))
-
-
 def _agreed(size: int) -> bool:
     if not sys.stdin.isatty():
-        print(f"nothing is removed yet: add {YES} to remove {size / 1e6:,.1f} MB")
+        print(f"nothing is removed yet: add --yes to remove {size / 1e6:,.1f} MB")
         return False
     return input(f"remove {size / 1e6:,.1f} MB? [y/N] ").strip().lower() in ("y", "yes")
-
-
-def _flags() -> tuple[bool, list[str]]:
-    """Takes the own flags out of `sys.argv`."""
-    sys.argv.remove(PRUNE)
-    confirmed, kept = YES in sys.argv, []
-    if confirmed:
-        sys.argv.remove(YES)
-    while KEEP in sys.argv:
-        at = sys.argv.index(KEEP)
-        if at + 1 == len(sys.argv):
-            raise InputError(f"{KEEP} needs the name of a label set")
-        kept.append(sys.argv[at + 1])
-        del sys.argv[at : at + 2]
-    return confirmed, kept
