@@ -184,6 +184,11 @@ def test_pictures_that_claim_gigabytes_are_refused(tmp_path):
         refused(tmp_path / name, "claims|exceeds limit", resolution=0.05, scale=0.01)
 
 
+def test_a_picture_of_few_bytes_with_many_pixels_is_refused_before_they_take_memory(tmp_path):
+    (tmp_path / "map.pgm").write_bytes(b"P5\n9000 9000\n255\n" + bytes(900))
+    refused(tmp_path / "map.pgm", "9000 x 9000 pixels in so short a file", resolution=0.05, scale=0.01)
+
+
 def test_a_raster_that_claims_gigabytes_is_refused(tmp_path):
     (tmp_path / "map.asc").write_text("ncols 60000\nnrows 60000\nxllcorner 0\nyllcorner 0\ncellsize 1\n1 2 3\n")
     refused(tmp_path / "map.asc", "claims 60000 x 60000 cells")

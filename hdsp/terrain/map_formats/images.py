@@ -15,6 +15,8 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.terrain.map_formats.fields import MapFields, MissingOption, ReadOptions
 
+#: Deflate unpacks a byte to at most 1032, of eight pixels each.
+_PIXELS_IN_A_BYTE = 8 * 1032
 _FORMATS = {".png": ["PNG"], ".pgm": ["PPM"]}
 
 
@@ -43,6 +45,8 @@ def _opened(path: Path, options: ReadOptions) -> Iterator[Any]:
 
     with Image.open(path, formats=_FORMATS[path.suffix.lower()]) as image:
         options.check_cells(image.width, image.height)
+        if image.width * image.height > _PIXELS_IN_A_BYTE * path.stat().st_size:
+            raise InputError(f"it is cut off or damaged: {image.width} x {image.height} pixels in so short a file")
         yield image
 
 
