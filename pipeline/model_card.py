@@ -262,7 +262,8 @@ def _limits(abstraction: LearnedAbstraction, figures: Mapping[str, Mapping[str, 
         if scanned
         else "- The figures for `simulated` and `real` show the accuracy on scans.",
         f"- The network holds for this robot with these constants and cost model version {COST_MODEL_VERSION}; loading "
-        "it for another robot is an error. The labels come from the planner; no robot has driven them.",
+        "it for another robot is an error. The labels come from the planner; no real robot has driven them, but a "
+        "simulated one drives along plans (docs/driving.md).",
         "- A wrong heuristic leaves plans valid: the detailed planner checks every action of a plan.",
     ]
     return "## Limits\n\n" + markdown(header, rows) + "\n\n" + "\n".join(lines)
