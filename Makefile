@@ -24,7 +24,7 @@ KERNEL_TESTS := tests/detailed tests/abstract/test_prepared_graph.py tests/label
 # Half of the test maps: they run all kernels.
 KERNEL_MAPS := not (cuboid_2 or cuboid_3 or wall_2 or staircase_wall or staircase_focused)
 
-.PHONY: help install repro demo tables docs docs-links test test-checked warm-checked fuzz audit sbom hashes lint format params clean
+.PHONY: help install repro demo tables docs docs-links test test-checked warm-checked nightly mutants fuzz audit sbom hashes lint format params clean
 
 help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
@@ -62,6 +62,17 @@ test-checked: $(STAMP)  ## the tests of the kernels, with every index checked
 
 warm-checked: $(STAMP)  # one process compiles for both of the tests
 	hdsp warmup
+
+nightly: export OMP_NUM_THREADS := 1
+nightly: $(STAMP)  ## for a night: all tests with every index checked, small kernels not compiled, fuzzing, faults
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/numba-checked \
+		python -m pytest --numprocesses 2 --dist loadgroup $(TEST_ARGS)
+	NUMBA_DISABLE_JIT=1 python -m pytest tests/detailed/test_store.py tests/detailed/test_geometry.py
+	$(MAKE) fuzz
+	python -m tests.faults --most 4
+
+mutants: $(STAMP)  ## mutation testing of the kernels of both searches
+	python tools/mutants.py
 
 fuzz: $(STAMP)  ## damaged files, random plans and updates for FUZZ_SECONDS (600), from case FUZZ_SEED (0) on
 	python -m tests.fuzz --seconds $(FUZZ_SECONDS) --seed $(FUZZ_SEED) $(FUZZ_ARGS)

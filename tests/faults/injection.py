@@ -107,7 +107,8 @@ def contents(folder: Path) -> dict[str, object]:
     """Contents of all files in a folder by name, JSON without values that differ from run to run."""
     found: dict[str, object] = {}
     for path in sorted(folder.rglob("*")):
-        if path.is_file() and path.suffix != ".jsonl" and "seconds" not in path.parts:
+        # Records of a run: its times, and the folders in its command line.
+        if path.is_file() and path.suffix != ".jsonl" and not {"seconds", ".hydra"} & set(path.parts):
             name = str(path.relative_to(folder))
             found[name] = _lasting(json.loads(path.read_text())) if path.suffix == ".json" else path.read_bytes()
     return found
