@@ -25,7 +25,7 @@ def main(argv: list[str] | None = None) -> dict:
         inputs = Path(place) / "inputs"
         inputs.mkdir()
         for name in STAGES:
-            if name == "label_report":  # it and later stages read these
+            if name == "train":
                 for split in SPLITS:
                     run_apart(stage_in("label", inputs, (split,)), Writes(), Path(place) / "heard.txt")
             if arguments.stages and name not in arguments.stages:

@@ -15,11 +15,7 @@ from tests.faults.injection import KINDS, Writes, contents, run_apart
 STAGES: dict[str, tuple[str, ...]] = {
     "label": ("val",),
     "published": (),
-    "label_report": (),
     "train": ("trainer.epochs=2", "evaluation.watched=[]"),
-    "evaluate": (),
-    "plan": (),
-    "report": (),
 }
 #: Splits that later stages read.
 SPLITS = ("train", "val")
