@@ -13,7 +13,7 @@ from hdsp.base.files import replacing
 from hdsp.base.settings import read_json as read_json_file
 
 #: Settings without influence on results.
-_ELSEWHERE = ("runtime.", "hydra.", "hydra/")
+_ELSEWHERE = ("runtime.", "hydra.", "hydra/", "search=", "search.")
 
 
 @dataclass(frozen=True)

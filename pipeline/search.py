@@ -88,10 +88,11 @@ def open_study(config: Config) -> Study:
     study = optuna.create_study(
         storage=storage,
         study_name=settings.name,
-        sampler=optuna.samplers.TPESampler(seed=settings.seed),
         direction=settings.direction,
         load_if_exists=True,
     )
+    # A continued search draws other values than the first call.
+    study.sampler = optuna.samplers.TPESampler(seed=settings.seed + len(study.get_trials(deepcopy=False)))
     for trial in study.get_trials(states=(optuna.trial.TrialState.RUNNING,)):
         if not _is_alive(trial.user_attrs.get(PROCESS, "")):
             study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
@@ -110,7 +111,7 @@ def run_trials(
         chosen, place = words_of(trial.params), folder / str(trial.number)
         title = f"trial {trial.number} ({' '.join(chosen)})"
         print(title, flush=True)
-        command = [sys.executable, "-m", f"{PACKAGE}.train", *words, *chosen, f"runtime.outputs={place}"]
+        command = [sys.executable, "-m", f"{PACKAGE}.train", *chosen, *words, f"runtime.outputs={place}"]
         done = subprocess.run(command, stderr=subprocess.PIPE, text=True)
         if done.returncode:
             study.tell(trial, state=TrialState.FAIL)
