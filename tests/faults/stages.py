@@ -15,10 +15,7 @@ from tests.faults.injection import KINDS, Writes, contents, run_apart
 STAGES: dict[str, tuple[str, ...]] = {
     "label": ("val",),
     "published": (),
-    "train": ("trainer.epochs=2", "evaluation.watched=[]"),
 }
-#: Splits that later stages read.
-SPLITS = ("train", "val")
 
 
 def stage_in(name: str, folder: Path, arguments: tuple[str, ...]) -> Callable[[], object]:
