@@ -53,6 +53,7 @@ class PoseRequirements(nn.Module):
         turned = rotated(points, turn_angles()).round()
         self.register_buffer("turned_cells", torch.from_numpy(turned), persistent=False)
 
+    @torch.compiler.disable  # a compiler has no hypot of whole numbers, which the disc needs
     def barred(self, edges: Tensor) -> Tensor:
         """Returns the greatest height difference within foot clearance, as a share of the wheels' limit.
 
