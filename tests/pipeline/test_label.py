@@ -1,6 +1,7 @@
 """Labels written by the stage."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -41,6 +42,18 @@ def test_a_second_run_changes_no_shard(labelled):
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*.h5")}
     run_python("pipeline.label", "val", *tiny(labelled))
     assert before and {path: path.stat().st_mtime_ns for path in folder.rglob("*.h5")} == before
+
+
+def test_h6_two_runs_in_one_folder_at_once_end_with_the_labels_of_one(labelled, tmp_path):
+    with ThreadPoolExecutor(2) as pool:
+        for run in [pool.submit(run_python, "pipeline.label", "random", *tiny(tmp_path)) for _ in range(2)]:
+            run.result()
+    contents = [
+        {str(path.relative_to(place)): path.read_bytes() for path in place.rglob("*.h5")}
+        for place in (tmp_path / "data/labels/random", labelled / "data/labels/random")
+    ]
+    assert contents[0] and contents[0] == contents[1]
+    assert not [path for path in (tmp_path / "data/labels").rglob("*") if path.is_file() and "tmp" in path.name]
 
 
 def test_an_unknown_split_is_named(tmp_path):
