@@ -24,7 +24,7 @@ KERNEL_TESTS := tests/detailed tests/abstract/test_prepared_graph.py tests/label
 # Half of the test maps: they run all kernels.
 KERNEL_MAPS := not (cuboid_2 or cuboid_3 or wall_2 or staircase_wall or staircase_focused)
 
-.PHONY: help install repro demo tables docs docs-links test test-checked warm-checked nightly mutants fuzz audit sbom hashes lint format params clean
+.PHONY: help install repro demo tables publish docs docs-links test test-checked warm-checked nightly mutants fuzz audit sbom hashes lint format params clean
 
 help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
@@ -42,6 +42,9 @@ demo: $(STAMP)  ## a robot climbs stairs in the browser
 
 tables: $(STAMP)  ## print the tables of the last run
 	@cat reports/tables.md
+
+publish: $(STAMP)  ## write the tables of the last run into README.md and docs/results.md
+	python -m pipeline.publish_pages
 
 docs: $(STAMP)  ## the documentation as a site in build/docs: notebooks run, each warning is an error
 	sphinx-build -q -E -W --keep-going -b html docs build/docs

@@ -24,7 +24,7 @@ from hdsp.robot.lattice import ABSTRACT_HEADINGS, abstract_shape
 
 from .config import CONF, compose, flatten, plain
 from .config_types import Config
-from .report import put_between_markers
+from .publish_pages import put_between_markers
 from .stage import Folders, read_json, run_stage, write_json
 from .tables import EMPTY, markdown, percent
 

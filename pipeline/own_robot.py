@@ -21,7 +21,7 @@ from .config_types import Config
 from .evaluate import evaluate
 from .label import label
 from .plan import plan
-from .report import put_between_markers
+from .publish_pages import put_between_markers
 from .scan_courses import scan_courses
 from .stage import Folders, read_json, run_stage
 from .tables import markdown, percent

@@ -18,7 +18,7 @@ from hdsp.base.errors import InputError
 from .compare import PAGE, markers
 from .config import compose
 from .config_types import Config
-from .report import put_between_markers
+from .publish_pages import put_between_markers
 from .stage import Folders, read_json, run_stage, write_json
 from .tables import markdown, percent
 

@@ -26,7 +26,7 @@ from .config import plain
 from .config_types import Config
 from .label_places import shards_place
 from .model_card import effort, model_card
-from .report import put_between_markers
+from .publish_pages import put_between_markers
 from .stage import Folders, read_json, run_stage
 from .tables import markdown, percent
 from .task_sets import read_evaluation_set, read_set

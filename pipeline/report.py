@@ -1,24 +1,18 @@
-"""Stage `report`: both paper tables beside ours, in reports/tables.md and docs/results.md; headlines in README.md.
+"""Stage `report`: both paper tables beside ours, in reports/tables.md.
 
 `reports/index.html` has them with pictures, paths in three dimensions, data and their hashes, in one file.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 
 from .config_types import Config
-from .headline import headline_table
 from .html_report import write_html_report
 from .stage import Folders, read_json, run_stage, write_json
 from .tables import abstraction_quality_table, heuristic_table, random_task_table
-
-BEGIN, END = "<!-- tables: written by `python -m pipeline.report` -->", "<!-- end of tables -->"
-HEADLINE = "<!-- headline: written by `python -m pipeline.report` -->", "<!-- end of headline -->"
 
 
 def report(config: Config, folders: Folders) -> None:
@@ -29,12 +23,6 @@ def report(config: Config, folders: Folders) -> None:
     with replacing(folders.write("reports", "tables.md")) as path:
         path.write_text(tables, encoding="utf-8")
     write_json(folders.write("reports", "summary.json"), summary(quality, planning))
-    for page, text, markers in (
-        ("docs/results.md", tables, (BEGIN, END)),
-        ("README.md", headline_table(quality, planning) + "\n", HEADLINE),
-    ):
-        if (folders.outputs / page).is_file():
-            put_between_markers(folders.outputs / page, text, *markers)
     reports = {"abstraction_quality": quality, "planning": planning, "training": training}
     print(write_html_report(config, folders, reports))
 
@@ -61,22 +49,6 @@ def summary(quality: dict[str, Any], planning: dict[str, Any]) -> dict[str, Any]
         if heuristic != "geometric"
     }
     return {"feasibility_accuracy": accuracy, "cost_error": error, "speedup": speedup}
-
-
-def put_between_markers(page: Path, tables: str, begin: str = BEGIN, end: str = END) -> None:
-    """Replaces the text between two markers on a page.
-
-    Raises:
-        InputError: the page lacks a marker.
-    """
-    text = page.read_text(encoding="utf-8")
-    if begin not in text or end not in text:
-        raise InputError(f"{page} lacks the markers {begin} and {end}, between which the tables go")
-    before, rest = text.split(begin, 1)
-    new = f"{before}{begin}\n\n{tables}\n{end}{rest.split(end, 1)[1]}"
-    if new != text:
-        with replacing(page) as path:
-            path.write_text(new, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -12,6 +12,8 @@ import psutil
 import pytest
 import yaml
 
+from hdsp.base.errors import InputError
+from pipeline.publish_pages import publish_pages
 from tests.pipeline.conftest import ROOT, clone_project, dvc_environment, git, run_dvc, run_python
 
 pytestmark = [pytest.mark.pipeline, pytest.mark.xdist_group("dvc")]
@@ -26,11 +28,26 @@ def reproduced(tmp_path_factory):
 
 
 def test_repro_runs_the_chain_once(reproduced):
-    assert (reproduced / "reports/tables.md").read_text() in (reproduced / "docs/results.md").read_text()
+    changed = git("diff", "--name-only", cwd=reproduced).split()
+    assert not [name for name in changed if name.endswith(".md") and not name.startswith("reports/")]
     assert "up to date" in run_dvc("status", cwd=reproduced)
     again = run_dvc("repro", cwd=reproduced)
     assert "Running stage" not in again
     assert "up to date" in again
+
+
+def test_results_go_to_the_pages_on_request_only(reproduced, tmp_path):
+    for name in ("README.md", "docs/results.md", "reports/tables.md"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text((reproduced / name).read_text())
+    for name in ("abstraction_quality", "planning"):
+        (tmp_path / f"reports/{name}.json").write_text((reproduced / f"reports/{name}.json").read_text())
+    publish_pages(tmp_path)
+    assert (tmp_path / "reports/tables.md").read_text() in (tmp_path / "docs/results.md").read_text()
+    assert (tmp_path / "README.md").read_text() != (reproduced / "README.md").read_text()
+    (tmp_path / "reports/tables.md").unlink()
+    with pytest.raises(InputError, match="make repro"):
+        publish_pages(tmp_path)
 
 
 def test_each_stage_has_its_seconds(reproduced):

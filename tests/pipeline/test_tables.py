@@ -7,8 +7,9 @@ import pytest
 from hdsp.base.errors import InputError
 from pipeline.config import configure
 from pipeline.headline import headline_table
+from pipeline.publish_pages import HEADLINE, TABLES, put_between_markers
 from pipeline.random_tasks import summarise_random
-from pipeline.report import BEGIN, END, HEADLINE, all_tables, put_between_markers, summary
+from pipeline.report import all_tables, summary
 from pipeline.tables import abstraction_quality_table, heuristic_table, random_task_table
 from tests import ROOT
 
@@ -100,17 +101,18 @@ def test_the_summary_holds_the_headlines():
 
 def test_tables_go_between_the_markers_and_nowhere_else(tmp_path):
     readme = tmp_path / "README.md"
-    readme.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
-    put_between_markers(readme, "| new |\n")
-    assert readme.read_text() == f"before\n{BEGIN}\n\n| new |\n\n{END}\nafter\n"
+    begin, end = TABLES
+    readme.write_text(f"before\n{begin}\nold\n{end}\nafter\n")
+    put_between_markers(readme, "| new |\n", *TABLES)
+    assert readme.read_text() == f"before\n{begin}\n\n| new |\n\n{end}\nafter\n"
     readme.write_text("no markers")
     with pytest.raises(InputError, match="lacks the markers"):
-        put_between_markers(readme, "| new |\n")
+        put_between_markers(readme, "| new |\n", *TABLES)
 
 
 def test_the_page_of_results_shows_the_tables_of_the_reports():
     tables = (ROOT / "reports/tables.md").read_text()
-    assert f"{BEGIN}\n\n{tables}\n{END}" in (ROOT / "docs/results.md").read_text()
+    assert f"{TABLES[0]}\n\n{tables}\n{TABLES[1]}" in (ROOT / "docs/results.md").read_text()
 
 
 def test_the_readme_shows_the_headline_numbers_of_the_reports():
