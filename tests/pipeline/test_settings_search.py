@@ -1,4 +1,4 @@
-"""Searches for settings with Optuna; the trainings are stand-ins that write a score or fail."""
+"""Searches for settings of a training with Optuna; the trainings are stand-ins that write a score or fail."""
 
 import contextlib
 import json
