@@ -76,7 +76,7 @@ def one_of(names: Sequence[str]) -> AfterValidator:
 
     def known(value: str) -> str:
         if value not in names:
-            raise fault("", value, f"one of {', '.join(names)}{_meant(value, names)}")
+            raise fault("", value, f"one of {', '.join(names)}{did_you_mean(value, names)}")
         return value
 
     return AfterValidator(known)
@@ -311,7 +311,7 @@ def unknown_key(key: Any, allowed: Iterable[str]) -> str:
     names = sorted(allowed)
     if not isinstance(key, str):
         return f"key {shown(key)} is no text; allowed are {', '.join(names)}"
-    meant = _meant(key, names)
+    meant = did_you_mean(key, names)
     return f"unknown key {shown(key)}{meant or ';'} allowed are {', '.join(names) or 'none'}"
 
 
@@ -435,7 +435,7 @@ def _need(found: ErrorDetails) -> str:
         return "a positive number"
     if kind == "literal_error":
         allowed = context["expected"]
-        return allowed + _meant(found["input"], re.findall("'([^']*)'", allowed))
+        return allowed + did_you_mean(found["input"], re.findall("'([^']*)'", allowed))
     return _NEEDS[kind].format_map(context) if kind in _NEEDS else found["msg"].removeprefix("Input should be ")
 
 
@@ -458,7 +458,8 @@ _NEEDS = {
 }
 
 
-def _meant(key: Any, names: Iterable[str]) -> str:
+def did_you_mean(key: Any, names: Iterable[str]) -> str:
+    """Returns words that name the closest of ``names``, for the end of a message; empty if none is close."""
     near = difflib.get_close_matches(key.lower(), list(names), 1) if isinstance(key, str) else []
     return f"; did you mean {near[0]!r}?" if near else ""
 

@@ -17,7 +17,7 @@ from pydantic import AfterValidator, Field
 
 from hdsp.base.extensions import TERRAIN, extension_place
 from hdsp.base.provenance import ROOT, code_fingerprint
-from hdsp.base.settings import Count, Natural, checked, fault
+from hdsp.base.settings import Count, Natural, checked, did_you_mean, fault
 from hdsp.labels.shard_index import ShardPlan, planned_shards
 from hdsp.labels.shards import SCHEMA_VERSION
 from hdsp.labels.tasks import TaskSet, columns_of
@@ -45,7 +45,8 @@ LabelMap = Callable[[HeightMap, Robot, "LabelSettings", int], "MapTasks | None"]
 
 def _known_category(name: str) -> str:
     if not is_category(name):
-        raise fault("", name, f"one of {', '.join(categories())}, or module:function")
+        known = categories()
+        raise fault("", name, f"one of {', '.join(known)}, or module:function{did_you_mean(name, known)}")
     return name
 
 
