@@ -27,7 +27,8 @@ _EXAMPLES = """examples:
   hdsp plan room.npz --start 1 2 0 --goal 4 3 90 --picture plan.png
   hdsp info room.npz
 
-exit status: 0 done, 1 bad input, 2 wrong usage, 3 no plan, 130 interrupted, 143 terminated"""
+exit status: 0 done, 1 bad input, 2 wrong usage, 3 no plan, 4 drive failed,
+130 interrupted, 143 terminated"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
