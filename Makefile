@@ -53,8 +53,8 @@ docs: $(STAMP)  ## the documentation as a site in build/docs: notebooks run, eac
 docs-links: $(STAMP)  ## the addresses of other sites in the documentation, each fetched once (needs a network)
 	sphinx-build -q -b linkcheck -D nb_execution_mode=off docs build/links
 
-test: $(STAMP)  ## all tests
-	python -m pytest --numprocesses 2 --dist loadgroup $(TEST_ARGS)
+test: $(STAMP)  ## all tests but the long ones, which `make nightly` runs too
+	python -m pytest --numprocesses 2 --dist loadgroup -m "not nightly" $(TEST_ARGS)
 
 # Compiled for itself: with checks of every index, which a kernel otherwise goes without.
 test-checked warm-checked: export NUMBA_BOUNDSCHECK := 1

@@ -64,10 +64,11 @@ def _run(
     if line.flags:
         show(name, positional, line)
     elif line.sweep:
-        from .sweeps import sweep
+        from .sweeps import checked_choices, sweep
 
+        varied = checked_choices(line)  # before the sweep leaves a trace
         with (sweep_context or _no_context)(line.overrides):
-            sweep(stage, name, line)
+            sweep(stage, name, line, varied)
     elif line.is_plain:
         config = read_params()
         with timed(name, line.arguments):

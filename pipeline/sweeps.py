@@ -22,18 +22,30 @@ from .folders import Folders, read_json, write_json
 RECORDS = "HDSP_SWEEP_RECORDS"
 
 
-def sweep(stage: Callable[..., Any], name: str, line: CommandLine) -> None:
-    """Runs a stage for every combination of choices.
-
-    All values are checked before the first run. A run that fails does not end the others.
+def checked_choices(line: CommandLine) -> set[str]:
+    """Checks all values of a sweep; returns the keys that vary.
 
     Raises:
-        InputError: a value is wrong; or runs failed, all of which are named.
+        InputError: a value is wrong.
     """
     words = [*configured_choices(line.overrides, line.source), *line.overrides]
     for variant in expand_choices(words):
         configure(variant, line.source)
-    varied = {override.get_key_element() for override in parse_overrides(words) if override.is_sweep_override()}
+    return {override.get_key_element() for override in parse_overrides(words) if override.is_sweep_override()}
+
+
+def sweep(stage: Callable[..., Any], name: str, line: CommandLine, varied: Collection[str]) -> None:
+    """Runs a stage for every combination of choices. A run that fails does not end the others.
+
+    Args:
+        stage: the function that Hydra runs.
+        name: stage.
+        line: command line.
+        varied: keys from `checked_choices`.
+
+    Raises:
+        InputError: runs failed, all of which are named.
+    """
     with tempfile.TemporaryDirectory(prefix="hdsp-sweep-") as folder:
         before, os.environ[RECORDS] = os.environ.get(RECORDS), folder
         try:

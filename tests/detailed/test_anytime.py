@@ -1,6 +1,7 @@
 """Anytime repair: plans that improve, valid bounds, and the end of a search."""
 
 import math
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -227,8 +228,11 @@ def test_each_limit_ends_with_its_status(planner):
     some = list(planner.improve(START, GOAL, expansions=enough))
     assert_each_is_news(some)
     assert some[-1].solved and some[-1].stats["ended"] == "expansion_limit" and some[-1].bound > 1
+    with pytest.raises(InputError, match=r"memory is 1000; a query on this map needs \d+ bytes at least") as refused:
+        next(planner.improve(START, GOAL, memory=1000))
+    least = int(re.search(r"needs (\d+) bytes", str(refused.value))[1])
     for limit, status in (
-        ({"expansions": 3}, Status.EXPANSION_LIMIT), ({"memory": 1000}, Status.MEMORY_LIMIT),
+        ({"expansions": 3}, Status.EXPANSION_LIMIT), ({"memory": least}, Status.MEMORY_LIMIT),
         ({"cost": 0.1}, Status.COST_LIMIT),
     ):  # fmt: skip
         (plan,) = planner.improve(START, GOAL, **limit)

@@ -1,5 +1,6 @@
 """Multi-heuristic A*: its bound holds for arbitrary guides, and searches end with the right status."""
 
+import re
 from collections import Counter
 from functools import cache
 
@@ -345,8 +346,11 @@ def test_an_admissible_heuristic_needs_no_anchor(rough):
 
 def test_limits_of_a_plan_with_an_anchor(rough):
     planner = Planner(rough, heuristic=Changed("momaro"))
+    with pytest.raises(InputError, match=r"memory is 1000; a query on this map needs \d+ bytes at least") as refused:
+        planner.plan(START, GOAL, anchor_weight=1.5, memory=1000)
+    least = int(re.search(r"needs (\d+) bytes", str(refused.value))[1])
     for limit, status in (
-        ({"expansions": 3}, Status.EXPANSION_LIMIT), ({"memory": 1000}, Status.MEMORY_LIMIT),
+        ({"expansions": 3}, Status.EXPANSION_LIMIT), ({"memory": least + 1000}, Status.MEMORY_LIMIT),
         ({"cost": 0.1}, Status.COST_LIMIT),
     ):  # fmt: skip
         plan = planner.plan(START, GOAL, anchor_weight=1.5, **limit)

@@ -140,6 +140,7 @@ def test_patches_of_a_rotated_map(heading):
     assert np.nanmax(abs(moved)) <= 1
 
 
+@pytest.mark.nightly
 def test_the_benchmark_counts_and_compares(capsys):
     from benchmarks import edges
 

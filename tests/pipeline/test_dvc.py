@@ -86,6 +86,7 @@ def test_metrics_plots_and_graph_show_the_results(reproduced, tmp_path):
     assert '"plan" -> "report"' in graph
 
 
+@pytest.mark.nightly
 def test_an_experiment_beside_the_working_tree_is_tracked_in_the_project(reproduced):
     """`--temp` runs in a copy that DVC removes afterwards; the tracking database must not be in it."""
     git("add", "--all", cwd=reproduced)

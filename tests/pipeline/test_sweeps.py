@@ -6,7 +6,7 @@ from hdsp.base.errors import InputError
 from pipeline.command_line import parse
 from pipeline.config import Source
 from pipeline.stage import read_json, write_json
-from pipeline.sweeps import sweep
+from pipeline.sweeps import checked_choices, sweep
 
 
 def stage(config, folders):
@@ -21,7 +21,8 @@ def stage(config, folders):
 
 
 def swept(tmp_path, *words: str) -> None:
-    sweep(stage, "train", parse([*words, "-m", f"hydra.sweep.dir={tmp_path}"], "train"))
+    line = parse([*words, "-m", f"hydra.sweep.dir={tmp_path}"], "train")
+    sweep(stage, "train", line, checked_choices(line))
 
 
 def launchers():
@@ -62,7 +63,7 @@ def test_a_run_that_ends_its_process_is_named(tmp_path):
 
     line = parse(["trainer.seed=5", "-m", f"hydra.sweep.dir={tmp_path}"], "train")
     with pytest.raises(InputError, match=r"run 0 .*: its process ended before the run did"):
-        sweep(end, "train", line)
+        sweep(end, "train", line, checked_choices(line))
 
 
 def test_words_of_a_command_are_told_apart(tmp_path):

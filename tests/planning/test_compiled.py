@@ -189,6 +189,7 @@ def test_f5_warmup_prepares_every_kind_of_query(monkeypatch, capsys):
     assert capsys.readouterr().out.startswith("ready: ")
 
 
+@pytest.mark.nightly
 @pytest.mark.pipeline
 def test_q3_the_first_query_of_a_new_installation_keeps_its_time(tmp_path):
     """Takes a minute: all kernels are compiled."""

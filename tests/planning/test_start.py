@@ -40,7 +40,7 @@ def planner(heights, heuristic="geometric"):
     return Planner(HeightMap(heights), heuristic=heuristic, conditioning=None)
 
 
-@pytest.mark.parametrize("heuristic", ["geometric", "manual"])
+@pytest.mark.parametrize("heuristic", [pytest.param("geometric", marks=pytest.mark.nightly), "manual"])
 @pytest.mark.parametrize("radius", [0.1, 0.25, 0.35])
 @pytest.mark.parametrize("heading", [0.0, 0.7])
 def test_m4_a_hole_under_the_robot_is_ground(heuristic, radius, heading):

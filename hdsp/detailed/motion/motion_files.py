@@ -200,7 +200,10 @@ def read_motion(path: str | os.PathLike, terrain: HeightMap | None, robot: Any) 
 
 
 def _read_npz(path: Path) -> dict[str, Any]:
-    archive = npz_arrays(path, _MOST_BYTES)
+    try:
+        archive = npz_arrays(path, _MOST_BYTES)
+    except InputError as error:
+        raise InputError(f"motion {path}: no motion of hdsp ({error})") from error
     facts = json.loads(str(archive["facts"]))
     _check_format(path, facts)
     terrain = HeightMap(

@@ -129,6 +129,7 @@ def test_no_answer_at_an_address_is_said(tmp_path):
         on("tcp://127.0.0.1:9", tmp_path)
 
 
+@pytest.mark.nightly
 def test_twenty_kills_of_workers_and_of_the_whole_run_lose_nothing(tmp_path):
     label(tmp_path / "undisturbed", LONG)
     folder, chance = tmp_path / "killed", random.Random(0)
@@ -165,6 +166,7 @@ def test_twenty_kills_of_workers_and_of_the_whole_run_lose_nothing(tmp_path):
     assert contents(folder) == contents(tmp_path / "undisturbed")
 
 
+@pytest.mark.nightly
 def test_a_map_that_ends_its_workers_is_named(tmp_path):
     with pytest.raises(InputError, match=r"seed 1, category cuboid_1, index 0, heading 0; .*fewer workers"):
         label(tmp_path, workers=2, function=suicidal_label)
