@@ -67,7 +67,7 @@ def _run(
         from .sweeps import checked_choices, sweep
 
         varied = checked_choices(line)  # before the sweep leaves a trace
-        with (sweep_context or _no_context)(line.overrides):
+        with (sweep_context or contextlib.nullcontext)(line.overrides):
             sweep(stage, name, line, varied)
     elif line.is_plain:
         config = read_params()
@@ -86,10 +86,6 @@ def keep_overrides(folders: Folders, name: str, config: str, overrides: str) -> 
     for file, text in (("config.yaml", config), ("overrides.yaml", overrides)):
         with replacing(folders.write(".hydra", name, file)) as path:
             path.write_text(text, encoding="utf-8")
-
-
-def _no_context(overrides: Sequence[str]) -> contextlib.AbstractContextManager:
-    return contextlib.nullcontext()
 
 
 def _folders(config: Config, name: str, line: CommandLine, place: Callable[[Config], str] | None = None) -> Folders:

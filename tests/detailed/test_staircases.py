@@ -9,7 +9,7 @@ from hdsp import HeightMap, Planner
 from hdsp.robot.lattice import RESOLUTION
 
 PLANS, GROUPS = 200, 8
-BY_DAY = 0, 2, 3  # groups with few hard searches
+BY_DAY = 0, 2, 3  # the shorter groups
 AHEAD = 1.1  # m, to the first riser
 
 
