@@ -16,7 +16,7 @@ from tests.fuzz.report import write_page
 from tests.fuzz.supervisor import Supervisor
 
 #: Share of the time for each group.
-_TIME = {"files": 0.3, "plans": 0.35, "updates": 0.35}
+_TIME = {"files": 0.16, "plans": 0.3, "updates": 0.54}
 
 
 def main(arguments: list[str] | None = None) -> dict:

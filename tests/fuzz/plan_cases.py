@@ -5,6 +5,7 @@ Every plan is replayed: each action is legal from its state, reaches the next on
 
 import math
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from hdsp.base.errors import InputError
 from hdsp.detailed.search.estimate import geometric_estimate
 from hdsp.detailed.search.outcome import Status
 from hdsp.detailed.search.weighted_astar import solve
-from hdsp.detailed.world.world import build_world
+from hdsp.detailed.world.world import World, build_world
 from hdsp.labels.rules import LabelSettings
 from hdsp.planning.planner import Planner
 from hdsp.robot.lattice import Grid
@@ -29,6 +30,7 @@ from tests.naive import Naive, dijkstra
 PLANS = {"search": 1.0, "optimal": 0.4, "query": 0.6, "labels": 0.3}
 _WEIGHTS = (1.0, 1.25, 2.0, 3.0)
 _MOST = 6000  # states that the textbook search settles
+_TRIES = 12  # random poses until one is valid
 
 
 class PlanCases:
@@ -49,12 +51,10 @@ class PlanCases:
 
     def _search(self, random: np.random.Generator) -> str:
         """A plan between states of a small robot keeps all rules; with any weight it costs at most so much more."""
-        robot, heights = random_robot(random), random_heights(random, 16)
-        twin, world = Naive(heights, robot), build_world(HeightMap(heights), robot)
-        ends = _ends(twin, random)
-        if ends is None:
+        case = _toy_case(random, 16)
+        if case is None:
             return "limit"
-        start, goal = ends
+        robot, twin, world, start, goal = case
         estimate = geometric_estimate(world, np.array(goal))
         weight = float(random.choice(_WEIGHTS))
         found = solve(world, np.array(start), np.array(goal), estimate, weight=weight)
@@ -72,12 +72,10 @@ class PlanCases:
 
     def _optimal(self, random: np.random.Generator) -> str:
         """The cheapest plan costs as much as that of the textbook search, and there is none where that finds none."""
-        robot, heights = random_robot(random), random_heights(random, 11)
-        twin, world = Naive(heights, robot), build_world(HeightMap(heights), robot)
-        ends = _ends(twin, random)
-        if ends is None:
+        case = _toy_case(random, 11)
+        if case is None:
             return "limit"
-        start, goal = ends
+        _, twin, world, start, goal = case
         gone = dijkstra(twin, start, (goal,), _MOST)
         found = solve(world, np.array(start), np.array(goal), geometric_estimate(world, np.array(goal)))
         if goal in gone.cost:
@@ -100,7 +98,7 @@ class PlanCases:
         terrain = HeightMap(heights.astype(np.float32), tuple(random.uniform(-5, 5, 2)))
         heuristic = str(random.choice(["geometric", "grid", "manual"]))
         planner = Planner(terrain, robot, heuristic=heuristic, conditioning=None)
-        poses = [_pose(terrain, random) for _ in range(2)]
+        poses = [_pose_to_leave(planner, random) for _ in range(2)]
         weight = float(random.choice(_WEIGHTS))
         try:
             plan = planner.plan(*poses, weight, polish=0, start_free=False, expansions=20_000)
@@ -118,10 +116,11 @@ class PlanCases:
         """Costs of label tasks without rules are those of the textbook search."""
         robot, heights = random_robot(random), blocky(random, cells=14, blocks=2)
         world = build_world(HeightMap(heights), robot)
-        start = feet_at(world, np.array([7, 7, int(random.choice([0, 4, 24]))]))
+        bases = [[*random.integers(4, 10, 2), random.choice([0, 4, 24])] for _ in range(_TRIES)]
+        start = next((state for base in bases if (state := feet_at(world, np.array(base))) is not None), None)
         if start is None:
             return "limit"
-        least = dijkstra(Naive(heights, robot), tuple(start.tolist()), most=400).cost
+        least = dijkstra(Naive(heights, robot), tuple(start.tolist()), most=1500).cost
         goals, costs, _ = task_costs(world, start, LabelSettings(), 2.0, kind=CostKind.PLANNING)
         compared = [
             (cost, least[goal]) for goal, cost in zip(map(tuple, goals.tolist()), costs, strict=True) if goal in least
@@ -178,6 +177,23 @@ def random_heights(random: np.random.Generator, cells: int) -> np.ndarray:
     return np.ascontiguousarray(heights, np.float32)
 
 
+class _ToyCase(NamedTuple):
+    """A small robot on a small map, its textbook twin, and two valid states."""
+
+    robot: Robot
+    twin: Naive
+    world: World
+    start: tuple
+    goal: tuple
+
+
+def _toy_case(random: np.random.Generator, cells: int) -> _ToyCase | None:
+    robot, heights = random_robot(random), random_heights(random, cells)
+    twin = Naive(heights, robot)
+    ends = _ends(twin, random)
+    return ends and _ToyCase(robot, twin, build_world(HeightMap(heights), robot), *ends)
+
+
 def _ends(twin: Naive, random: np.random.Generator):
     states = valid_states(twin, random, 25, neutral=bool(random.random() < 0.5))
     if len(states) < 2:
@@ -185,6 +201,14 @@ def _ends(twin: Naive, random: np.random.Generator):
     start = (near_edges(twin, states) + states)[0]
     others = [state for state in states if state != start]
     return (start, others[random.integers(len(others))]) if others else None
+
+
+def _pose_to_leave(planner: Planner, random: np.random.Generator) -> tuple[float, float, float]:
+    """A random pose; mostly one from which the robot gets away, where some tries find it."""
+    poses = [_pose(planner.terrain, random) for _ in range(_TRIES)]
+    return (
+        next((pose for pose in poses[1:] if planner.can_leave(pose)), poses[0]) if random.random() < 0.8 else poses[0]
+    )
 
 
 def _pose(terrain: HeightMap, random: np.random.Generator) -> tuple[float, float, float]:
