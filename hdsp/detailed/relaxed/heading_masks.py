@@ -62,7 +62,7 @@ class PoseFlood:
         """
         nx, ny = self._world.nx, self._world.ny
         reached = _bits_of(state[None], (nx, ny))
-        wanted = _bits_of(state[:0] if goals is None else goals, (nx, ny))
+        wanted = _bits_of(state[None][:0] if goals is None else goals, (nx, ny))
         x, y = (state if goals is None else goals[0])[:2]
         distance = np.hypot(*np.ogrid[-x : nx - x, -y : ny - y]).astype(np.int32)
         queue, first = new_bucket_queue(1.0, float(distance.max()), nx * ny), distance[state[0], state[1]]
@@ -84,8 +84,8 @@ def holds(reached: np.ndarray, states: np.ndarray) -> bool:
 def _bits_of(states: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Headings of states int64 [n, 7] at each cell, as in `PoseFlood.reached_from`."""
     bits = np.zeros((2, *shape), dtype=np.uint64)
-    for state in states:
-        bits[int(state[3:].any()), state[0], state[1]] |= _ONE << np.uint64(state[2])
+    layers = states[:, 3:].any(axis=1).astype(np.int64)
+    np.bitwise_or.at(bits, (layers, states[:, 0], states[:, 1]), _ONE << states[:, 2].astype(np.uint64))
     return bits
 
 
