@@ -1,6 +1,7 @@
 """A library that may abort or hang on damaged input, in a process of its own with limits of memory and time.
 
-The process gets bytes and hands back one array of numbers in a private temporary folder; nothing is unpickled.
+The process gets bytes or a path, and hands back one array of numbers in a private temporary folder; nothing is
+unpickled.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ def array_from_process(program: Path, content: bytes, memory: int, seconds: int,
     environment = {**os.environ, **dict.fromkeys(_ONE_THREAD, "1"), "PYTHONPATH": os.pathsep.join(sys.path)}
     with TemporaryDirectory(prefix="hdsp-") as folder:
         result = Path(folder) / "result.npy"
+        environment["TMPDIR"] = folder  # a process that is ended leaves its temporary files
         # -P: names beside the program, such as text.py, do not hide modules of libraries.
         command = [sys.executable, "-P", str(program), str(result), str(memory), str(seconds), *options]
         try:

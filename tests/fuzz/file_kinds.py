@@ -24,6 +24,7 @@ from tests import ROOT
 from tests.base.mutations import edited, mutated_file
 from tests.fuzz import mutations
 from tests.terrain import test_damaged_maps as maps
+from tests.terrain.bags import reading_here
 from tests.terrain.pointcloud import test_cloud_files as clouds
 
 Damage = Callable[[bytes, np.random.Generator], bytes]
@@ -53,7 +54,8 @@ def _map(kind: str, inside: Damage | None = None, exact: bool = False, share: fl
 
     def read(path: Path) -> Any:
         place = path.parent if path.name == "metadata.yaml" else path
-        terrain = HeightMap.load(place, **options)
+        with reading_here():
+            terrain = HeightMap.load(place, **options)
         assert terrain.heights.dtype == np.float32 and terrain.heights.ndim == 2 and not np.isinf(terrain.heights).any()
         assert terrain.resolution > 0 and np.isfinite(terrain.origin).all()
         frame, place_of_cells = terrain.frame, (*map(float, terrain.origin), terrain.resolution)
@@ -64,7 +66,11 @@ def _map(kind: str, inside: Damage | None = None, exact: bool = False, share: fl
 
 
 def _contents(kind: str) -> FileKind:
-    return FileKind(maps.KINDS[kind][0], lambda path: map_contents(path), share=0.3)
+    def read(path: Path) -> str:
+        with reading_here():
+            return map_contents(path)
+
+    return FileKind(maps.KINDS[kind][0], read, share=0.3)
 
 
 def _read_cloud(path: Path) -> Any:

@@ -9,7 +9,7 @@ from PIL import Image
 
 from hdsp.base.errors import InputError
 from hdsp.terrain.height_map import HeightMap
-from tests.terrain.bags import message, write_bag
+from tests.terrain.bags import message, reading_here, write_bag
 
 SHAPE = 10, 8
 MUTATIONS = 200
@@ -128,7 +128,8 @@ def test_a_damaged_file_gives_one_line_or_a_map(tmp_path, capfd, kind):
     for damage in [b"", *(mutated(content, random) for _ in range(MUTATIONS))]:
         path.write_bytes(damage)
         try:
-            terrain = HeightMap.load(place, **options)
+            with reading_here():
+                terrain = HeightMap.load(place, **options)
         except InputError as error:
             assert place.name in str(error) and "\n" not in str(error)
             refused += 1

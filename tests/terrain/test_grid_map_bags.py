@@ -7,7 +7,14 @@ from rosbags.rosbag2 import CompressionMode
 
 from hdsp.base.errors import InputError
 from hdsp.terrain.height_map import HeightMap
-from tests.terrain.bags import KINDS, message, types, write_bag
+from tests.terrain.bags import KINDS, message, reading_here, types, write_bag
+
+
+@pytest.fixture(autouse=True)
+def here():
+    """Reads in this process; a process of their own reads bags in tests/terrain/test_hostile_bags.py."""
+    with reading_here():
+        yield
 
 
 def slanted(x, y):

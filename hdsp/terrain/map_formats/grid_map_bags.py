@@ -1,7 +1,7 @@
 """Messages of the type grid_map_msgs/GridMap in ROS bags by rosbags, without ROS.
 
 ROS 1 (.bag) and ROS 2 (a folder with metadata.yaml, or its .db3 or .mcap file). The message definitions are here, as
-many ROS 2 bags have none.
+many ROS 2 bags have none. A process of its own takes the messages out of their file (`bag_program`).
 
 A layer is a matrix with a ring buffer: row and column 0 are at the start indices. Its rows run against x, its columns
 against y, and the pose in the message is the middle of the map. Heights are positions in the frame of the message;
@@ -10,25 +10,28 @@ grid_map itself ignores the pose's z.
 
 from __future__ import annotations
 
+import json
 import math
-from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
-from itertools import islice
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.terrain.map_formats.fields import MapFields, MissingOption, ReadOptions
+from hdsp.base.separate_process import array_from_process
+from hdsp.terrain.map_formats.bag_program import EACH, GRID_MAP, MOST, ONLY, only_file
+from hdsp.terrain.map_formats.fields import MAX_CELLS, MapFields, MissingOption, ReadOptions
 from hdsp.terrain.map_frame import MapFrame
 
-_TYPE = "grid_map_msgs/msg/GridMap"
 _DEFAULT_LAYER = "elevation"
-_FILES = ("*.db3", "*.mcap")
+_PROGRAM = Path(__file__).with_name("bag_program.py")
+#: Bytes of a chunk, a message or a whole file, unpacked: for each cell that a map may have, and beside them.
+_PER_CELL, _LEAST = 20, 1 << 26
+#: Bytes of the separate process for Python, libraries and a bag's index.
+_MEMORY = 1 << 29
+#: CPU seconds of the separate process: for its start, and bytes of the bag in each further second.
+_SECONDS, _BYTES_IN_A_SECOND = 20, 5_000_000
 
 _INFO = """
 float64 resolution
@@ -46,77 +49,65 @@ uint16 inner_start_index
 """
 _HEADER = "std_msgs/Header header\n"
 
-#: Nanoseconds at the end of a bag in which its last message is looked for first.
-_END = 5_000_000_000
-
 
 def is_bag_folder(path: Path) -> bool:
     """Whether a folder is a ROS 2 bag."""
-    return path.is_dir() and ((path / "metadata.yaml").is_file() or _only_file(path) is not None)
+    return path.is_dir() and ((path / "metadata.yaml").is_file() or only_file(path) is not None)
 
 
 def read_grid_map(path: Path, options: ReadOptions) -> MapFields:
     """Reads one layer of one message."""
-    with _opened(path) as reader:
-        topic, connections = _topic(reader, options.topic)
-        index = -1 if options.message is None else options.message
-        raw, place = _message(reader, connections, index)
-    message = _decoded(raw, path)
-    return _fields(message, options, f"topic {topic}, {place}")
+    index = -1 if options.message is None else options.message
+    topics, messages = _taken_out(path, options.topic or ONLY, index, options.max_cells or MAX_CELLS)
+    topic, count = _topic(topics, options.topic)
+    if topic not in messages and index == -1:
+        raise InputError(f"topic {topic} has no message")
+    if topic not in messages:
+        raise InputError(f"option message is {index}; need an index from {-count} to {count - 1}")
+    place = "last message" if index == -1 else f"message {index}"
+    return _fields(_decoded(messages[topic], path), options, f"topic {topic}, {place}")
 
 
 def bag_contents(path: Path) -> str:
     """Topics of a bag; of each topic with grid maps the layers in its last message."""
-    with _opened(path) as reader:
-        parts = []
-        for topic in sorted({connection.topic for connection in reader.connections})[:20]:
-            connections = [connection for connection in reader.connections if connection.topic == topic]
-            count = sum(connection.msgcount for connection in connections)
-            text = f"topic {topic} ({connections[0].msgtype}, {count} messages)"
-            if connections[0].msgtype == _TYPE and count:
-                message = _decoded(_message(reader, connections, -1)[0], path)
-                text += f" with layers {', '.join(message.layers)}"
-            parts.append(text)
+    topics, messages = _taken_out(path, EACH, -1, MAX_CELLS)
+    parts = []
+    for name in sorted({topic.name for topic in topics})[:MOST]:
+        own = [topic for topic in topics if topic.name == name]
+        text = f"topic {name} ({own[0].kind}, {sum(topic.messages for topic in own)} messages)"
+        if name in messages:
+            text += f" with layers {', '.join(_decoded(messages[name], path).layers)}"
+        parts.append(text)
     return "; ".join(parts) or "no topics"
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    if path.suffix.lower() == ".bag" and path.is_file():
-        from rosbags.rosbag1 import Reader as Reader1
-
-        with Reader1(path) as reader:
-            yield reader
-        return
-    from rosbags.rosbag2 import Reader as Reader2
-
-    # The link has a suffix that rosbags knows, and no character with a meaning in SQLite's addresses.
-    with TemporaryDirectory() as folder:
-        source = path.resolve()
-        if path.is_dir() and not (path / "metadata.yaml").is_file():
-            source = _only_file(source) or source
-        link = Path(folder) / f"bag{source.suffix.lower() if source.is_file() else ''}"
-        link.symlink_to(source)
-        try:
-            with Reader2(link) as reader:
-                yield reader
-        except InputError:
-            raise
-        except Exception as error:  # the message names the link
-            raise ValueError(str(error).replace(str(link), path.name)) from error
+class _Topic(NamedTuple):
+    name: str
+    kind: str
+    messages: int
 
 
-def _only_file(folder: Path) -> Path | None:
-    found = [path for pattern in _FILES for path in folder.glob(pattern)] if folder.is_dir() else []
-    return found[0] if len(found) == 1 else None
+def _taken_out(path: Path, topic: str, index: int, cells: int) -> tuple[list[_Topic], dict[str, bytes]]:
+    """All topics of a bag, and the raw message at an index of some topics (`bag_program.taken_out`)."""
+    files = [path] if path.is_file() else [entry for entry in path.iterdir() if entry.is_file()]
+    size = _PER_CELL * cells + _LEAST
+    seconds = _SECONDS + sum(file.stat().st_size for file in files) // _BYTES_IN_A_SECOND
+    options = (str(path.resolve()), topic, str(index), str(size))
+    content = array_from_process(_PROGRAM, b"", _MEMORY + size, seconds, options).tobytes()
+    line, _, rest = content.partition(b"\n")
+    told, messages = json.loads(line), {}
+    for name, length in told["messages"]:
+        messages[name], rest = rest[:length], rest[length:]
+    return [_Topic(*values) for values in told["topics"]], messages
 
 
-def _topic(reader: Any, wanted: str | None) -> tuple[str, list[Any]]:
-    kinds = {connection.topic: connection.msgtype for connection in reader.connections}
-    topics = sorted(topic for topic, kind in kinds.items() if kind == _TYPE)
+def _topic(found: list[_Topic], wanted: str | None) -> tuple[str, int]:
+    """Name of the wanted topic, and the number of its messages."""
+    kinds = {topic.name: topic.kind for topic in found}
+    topics = sorted(topic for topic, kind in kinds.items() if kind == GRID_MAP)
     if not topics:
         others = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(kinds.items())[:12]) or "none"
-        raise InputError(f"no topic has messages of {_TYPE}; its topics: {others}")
+        raise InputError(f"no topic has messages of {GRID_MAP}; its topics: {others}")
     if wanted is None and len(topics) > 1:
         raise MissingOption(
             f"it has {len(topics)} topics with grid maps: {', '.join(topics)}; name one with the option topic"
@@ -125,34 +116,14 @@ def _topic(reader: Any, wanted: str | None) -> tuple[str, list[Any]]:
     if wanted is not None and str(wanted).strip("/") not in names:
         raise InputError(f"option topic is {wanted!r}; need one of {', '.join(topics)}")
     topic = topics[0] if wanted is None else names[str(wanted).strip("/")]
-    return topic, [connection for connection in reader.connections if connection.topic == topic]
-
-
-def _message(reader: Any, connections: list[Any], index: int) -> tuple[bytes, str]:
-    """Raw message at an index, and its place in words."""
-    if index == -1:
-        for start in (reader.end_time - _END, None):
-            last = deque(reader.messages(connections, start=start), maxlen=1)
-            if last:
-                return last[0][2], "last message"
-        raise InputError(f"topic {connections[0].topic} has no message")
-    messages = reader.messages(connections)
-    if index < 0:
-        ending = deque(messages, maxlen=-index)
-        found = ending[0] if len(ending) == -index else None
-    else:
-        found = next(islice(messages, index, None), None)
-    if found is None:
-        count = sum(connection.msgcount for connection in connections)
-        raise InputError(f"option message is {index}; need an index from {-count} to {count - 1}")
-    return found[2], f"message {index}"
+    return topic, sum(one.messages for one in found if one.name == topic)
 
 
 def _decoded(raw: bytes, path: Path) -> Any:
     # Definitions in a bag are text from strangers of which rosbags makes code, so the known definitions are used.
     if path.suffix.lower() == ".bag" and path.is_file():
-        return _types(1).deserialize_ros1(raw, _TYPE)
-    return _types(2).deserialize_cdr(raw, _TYPE)
+        return _types(1).deserialize_ros1(raw, GRID_MAP)
+    return _types(2).deserialize_cdr(raw, GRID_MAP)
 
 
 @cache
@@ -163,7 +134,7 @@ def _types(version: int) -> Any:
     info, whole = (_HEADER + _INFO, _MAP) if version == 1 else (_INFO, _HEADER + _MAP)
     store.register({
         **get_types_from_msg(info, "grid_map_msgs/msg/GridMapInfo"),
-        **get_types_from_msg(whole, _TYPE),
+        **get_types_from_msg(whole, GRID_MAP),
     })  # fmt: skip
     return store
 
