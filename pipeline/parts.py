@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from hydra.utils import get_object, instantiate
@@ -14,7 +14,7 @@ from .config import plain
 
 if TYPE_CHECKING:
     from hdsp.learning.learning_settings import LightningSettings, TrainerSettings
-    from hdsp.learning.training_parts import TrainingParts
+    from hdsp.learning.training_parts import OwnMetric, TrainingParts
 
 #: Value of an argument of a schedule that stands for the number of steps.
 STEPS = "steps"
@@ -56,7 +56,7 @@ def training_parts(trainer: TrainerSettings, lightning: LightningSettings) -> Tr
         if isinstance(schedule, dict)
         else None,
         loss=_made("trainer.loss", trainer.loss),
-        metrics={name: _maker(f"trainer.metrics.{name}", values) for name, values in trainer.metrics.items()},
+        metrics={name: _metric_maker(f"trainer.metrics.{name}", values) for name, values in trainer.metrics.items()},
         callbacks=[_made(f"trainer.callbacks.{n}", values) for n, values in trainer.callbacks.items() if values],
         loggers=[_made(f"runtime.lightning.loggers.{n}", values) for n, values in lightning.loggers.items() if values],
         strategy=_made("runtime.lightning.strategy", lightning.strategy),
@@ -69,9 +69,17 @@ def _scheduled(settings: Mapping[str, Any], steps: int) -> Any:
     return _made("trainer.schedule", values, _partial_=True)
 
 
-def _maker(key: str, values: Mapping[str, Any]) -> Any:
-    _made(key, values)
-    return lambda: _made(key, values)
+def _metric_maker(key: str, values: Mapping[str, Any]) -> Callable[[], OwnMetric]:
+    """Function that makes a metric: the object behind a `_target_`, or the mean of a function's values over tasks."""
+    from hdsp.learning.training_parts import OwnMetric, TaskMean
+
+    def make() -> OwnMetric:
+        made = _made(key, values)
+        return made if isinstance(made, OwnMetric) else TaskMean(made)
+
+    if not (isinstance(made := _made(key, values), OwnMetric) or callable(made)):
+        raise InputError(f"{key}: {values[TARGET]} makes {made!r}; need an object with reset, update and compute")
+    return make
 
 
 def _made(key: str, values: Any, **more: Any) -> Any:

@@ -12,8 +12,6 @@ runs in MLflow. A failed trial makes the search end with exit status 1.
 from __future__ import annotations
 
 import logging
-import os
-import socket
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -30,9 +28,10 @@ from .command_line import PACKAGE, CommandLine, parse
 from .config import configure, expand_choices, parse_overrides
 from .config_types import Config
 from .folders import read_json, write_json
+from .started_by import has_ended, this_process
 
-#: Attribute of a trial: the process that runs it.
-PROCESS = "process"
+#: Attributes of a trial: the process that runs it; the folder of the killed trial whose training it continues.
+PROCESS, PLACE = "process", "place"
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -60,7 +59,7 @@ def search(line: CommandLine) -> dict[str, Any]:
     folder = Path(config.runtime.outputs or "outputs") / "search" / settings.name
     folder.mkdir(parents=True, exist_ok=True)
     best: dict[str, Any] = {}
-    with tracking.sweep(line.overrides):
+    with tracking.sweep(line.overrides, f"{study_place(config)} {settings.name}"):
         failed = run_trials(study, distributions, config, [*own_flags(line), *fixed], folder)
         if study_values(study):
             overrides, trials = words_of(study.best_trial.params), len(study_values(study))
@@ -73,20 +72,19 @@ def search(line: CommandLine) -> dict[str, Any]:
 
 
 def open_study(config: Config) -> Study:
-    """Returns the study in its storage, new or continued. A trial that a killed process left open counts as failed."""
+    """Returns the study in its storage, new or continued.
+
+    A trial that a killed process left open counts as failed, and the next one continues its training.
+    """
     try:
         import optuna
     except ImportError as error:
         raise InputError("a search needs Optuna: pip install 'hdsp[sweeps]'") from error
     optuna.logging.set_verbosity(logging.WARNING)
     settings = config.search
-    storage = settings.storage
-    if storage is None:
-        folder = Path(config.runtime.outputs or "outputs") / "search"
-        folder.mkdir(parents=True, exist_ok=True)
-        storage = f"sqlite:///{folder / 'optuna.db'}"
+    (Path(config.runtime.outputs or "outputs") / "search").mkdir(parents=True, exist_ok=True)
     study = optuna.create_study(
-        storage=storage,
+        storage=study_place(config),
         study_name=settings.name,
         direction=settings.direction,
         load_if_exists=True,
@@ -94,9 +92,16 @@ def open_study(config: Config) -> Study:
     # A continued search draws other values than the first call.
     study.sampler = optuna.samplers.TPESampler(seed=settings.seed + len(study.get_trials(deepcopy=False)))
     for trial in study.get_trials(states=(optuna.trial.TrialState.RUNNING,)):
-        if not _is_alive(trial.user_attrs.get(PROCESS, "")):
+        if has_ended(trial.user_attrs.get(PROCESS, "")):
             study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
+            study.enqueue_trial(trial.params, user_attrs={PLACE: place_of(trial)})
     return study
+
+
+def study_place(config: Config) -> str:
+    """Returns the address of the study's storage."""
+    folder = Path(config.runtime.outputs or "outputs") / "search"
+    return config.search.storage or f"sqlite:///{(folder / 'optuna.db').resolve()}"
 
 
 def run_trials(
@@ -107,8 +112,8 @@ def run_trials(
 
     def run(_: int) -> str | None:
         trial = study.ask(dict(space))
-        trial.set_user_attr(PROCESS, _process())
-        chosen, place = words_of(trial.params), folder / str(trial.number)
+        trial.set_user_attr(PROCESS, this_process())
+        chosen, place = words_of(trial.params), folder / place_of(trial)
         title = f"trial {trial.number} ({' '.join(chosen)})"
         print(title, flush=True)
         command = [sys.executable, "-m", f"{PACKAGE}.train", *chosen, *words, f"runtime.outputs={place}"]
@@ -131,16 +136,9 @@ def run_trials(
         return [fault for fault in pool.map(run, range(missing)) if fault is not None]
 
 
-def _process() -> str:
-    return f"{socket.gethostname()}:{os.getpid()}"
-
-
-def _is_alive(process: str) -> bool:
-    """Whether the process behind an open trial still runs; one on another machine may."""
-    host, _, number = process.partition(":")
-    if host and host != socket.gethostname():
-        return True
-    return number.isdigit() and int(number) != os.getpid() and Path(f"/proc/{number}").exists()
+def place_of(trial: Any) -> str:
+    """Returns the name of a trial's folder."""
+    return trial.user_attrs.get(PLACE, str(trial.number))
 
 
 def study_values(study: Study) -> list[float]:

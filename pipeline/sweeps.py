@@ -1,4 +1,7 @@
-"""Sweeps by Hydra's multirun, with any launcher: each run leaves a record, and a failed run makes the sweep fail."""
+"""Sweeps by Hydra's multirun, with any launcher: each run leaves a record, and a failed run makes the sweep fail.
+
+The same sweep with the same `hydra.sweep.dir` continues after a kill: finished runs stay.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Collection, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +20,8 @@ from hdsp.base.errors import InputError
 
 from .command_line import CommandLine, run_hydra
 from .config import configure, configured_choices, expand_choices, parse_overrides, typed
+from .config_types import Config
+from .finished_runs import once, run_digest
 from .folders import Folders, read_json, write_json
 
 #: Environment variable with the folder for records; runs in other processes inherit it.
@@ -49,7 +55,8 @@ def sweep(stage: Callable[..., Any], name: str, line: CommandLine, varied: Colle
     with tempfile.TemporaryDirectory(prefix="hdsp-sweep-") as folder:
         before, os.environ[RECORDS] = os.environ.get(RECORDS), folder
         try:
-            run_hydra(SweptRun(stage, line.arguments, folder, varied), name, line, ["-m", "hydra.output_subdir=.hydra"])
+            run = SweptRun(stage, name, line.arguments, folder, varied)
+            run_hydra(run, name, line, ["-m", "hydra.output_subdir=.hydra"])
         except SystemExit as error:  # Hydra has printed why
             raise InputError("; ".join(failures(Path(folder))) or f"{name}: the sweep ended early") from error
         finally:
@@ -65,8 +72,11 @@ def sweep(stage: Callable[..., Any], name: str, line: CommandLine, varied: Colle
 class SweptRun:
     """A run of a sweep; a plain object, so that launchers can send it to other processes."""
 
-    def __init__(self, stage: Callable[..., Any], arguments: Sequence[str], records: str, varied: Collection[str]):
-        self.stage, self.arguments, self.records, self.varied = stage, tuple(arguments), records, varied
+    def __init__(
+        self, stage: Callable[..., Any], name: str, arguments: Sequence[str], records: str, varied: Collection[str]
+    ):
+        self.stage, self.name, self.arguments = stage, name, tuple(arguments)
+        self.records, self.varied = records, varied
         self.__name__ = self.__qualname__ = getattr(stage, "__name__", "stage")
 
     def __call__(self, config: DictConfig) -> float:
@@ -84,8 +94,8 @@ class SweptRun:
         try:
             checked = typed(config)
             folders = Folders(Path(checked.runtime.inputs), Path(here.runtime.output_dir), overrides, varied)
-            found = self.stage(checked, folders, *self.arguments)
-            value = value if found is None else float(found)
+            digest = run_digest(checked, self.name, self.arguments)
+            value = once(folders.outputs, digest, partial(self.work, checked, folders))
         except InputError as error:
             fault = str(error)
         except Exception as error:
@@ -93,6 +103,11 @@ class SweptRun:
             fault = f"{type(error).__name__}: {error}"
         write_json(record, {"run": words, "fault": fault})
         return value
+
+    def work(self, config: Config, folders: Folders) -> float:
+        """Runs the stage; returns its value, NaN without one."""
+        found = self.stage(config, folders, *self.arguments)
+        return float("nan") if found is None else float(found)
 
 
 def failures(folder: Path) -> list[str]:

@@ -20,11 +20,14 @@ from typing import Any
 from hdsp.base.files import replacing
 
 from .folders import Folders, project_root
+from .started_by import has_ended, this_process
 
 EXPERIMENT = "hdsp"
 PARENT_VARIABLE = "HDSP_MLFLOW_PARENT_RUN"
 #: File that ties a trained abstraction to its run.
 RUN_FILE = ("models", "training", "mlflow_run.json")
+#: Tag with the process behind a run.
+PROCESS = "process"
 #: Longest name of a run.
 LONGEST = 120
 
@@ -76,7 +79,8 @@ def connect() -> Any:
 def run(record: RunRecord) -> Iterator[Any]:
     """Yields the mlflow module inside a new run; a sweep's parent becomes its parent."""
     mlflow = connect()
-    tags = {**git_tags(), **record.tags}
+    end_abandoned(mlflow)
+    tags = {**git_tags(), PROCESS: this_process(), **record.tags}
     if parent := os.environ.get(PARENT_VARIABLE):
         tags["mlflow.parentRunId"] = parent
     if experiment := os.environ.get("DVC_EXP_NAME"):
@@ -121,14 +125,24 @@ def add_results(folders: Folders, metrics: Mapping[str, float | None], files: Se
 
 
 @contextlib.contextmanager
-def sweep(overrides: Sequence[str]) -> Iterator[None]:
-    """Opens a parent run; runs started inside become its children, also in other processes."""
+def sweep(overrides: Sequence[str], key: str | None = None) -> Iterator[None]:
+    """Opens a parent run; runs started inside become its children, also in other processes.
+
+    Args:
+        overrides: the sweep in words.
+        key: place of a sweep that may be continued; it keeps its parent. None = `hydra.sweep.dir`, if it is given.
+    """
     mlflow = connect()
-    words = " ".join(overrides)
-    with mlflow.start_run(run_name=shortened(f"sweep {words}"), tags={**git_tags(), "sweep": words}) as parent:
+    end_abandoned(mlflow)
+    words, client = " ".join(overrides), mlflow.MlflowClient()
+    key = key or next((word for word in overrides if word.startswith("hydra.sweep.dir=")), "")
+    tags = {**git_tags(), "sweep": words, "sweep.key": key, PROCESS: this_process()}
+    begun = _runs(mlflow, f"tags.`sweep.key` = '{key}'") if key and "'" not in key else []
+    with mlflow.start_run(
+        begun[0].info.run_id if begun else None, run_name=shortened(f"sweep {words}"), tags=tags
+    ) as parent:
         parent_id = parent.info.run_id
     # The parent is closed while its children run, because they are separate runs in this or other processes.
-    client = mlflow.MlflowClient()
     client.update_run(parent_id, status="RUNNING")
     os.environ[PARENT_VARIABLE] = parent_id
     status = "FAILED"
@@ -138,6 +152,17 @@ def sweep(overrides: Sequence[str]) -> Iterator[None]:
     finally:
         os.environ.pop(PARENT_VARIABLE, None)
         client.set_terminated(parent_id, status)
+
+
+def end_abandoned(mlflow: Any) -> None:
+    """Gives the status KILLED to runs whose process on this machine has ended without an end of the run."""
+    for run in _runs(mlflow, "attributes.status = 'RUNNING'"):
+        if has_ended(run.data.tags.get(PROCESS, "")):
+            mlflow.MlflowClient().set_terminated(run.info.run_id, "KILLED")
+
+
+def _runs(mlflow: Any, which: str) -> list[Any]:
+    return mlflow.search_runs(experiment_names=[EXPERIMENT], filter_string=which, output_format="list")
 
 
 def shortened(name: str) -> str:

@@ -21,6 +21,7 @@ from hdsp.base.storage import Place, is_url, open_folder
 from . import served_model, tracking
 from .config import flatten, plain
 from .config_types import Config
+from .finished_runs import alone
 from .label_places import shards_place
 from .parts import training_parts
 from .stage import Folders, read_json, run_stage, write_json
@@ -38,6 +39,8 @@ def train(config: Config, folders: Folders) -> float:
     from hdsp.learning import train as train_network
     from hdsp.learning.processes import is_first_process
 
+    from .run_logger import RunLogger
+
     config.model.checked_options()  # before the tasks are read
     trainer, lightning = config.trainer, config.runtime.lightning
     parts = training_parts(trainer, lightning)
@@ -48,19 +51,18 @@ def train(config: Config, folders: Folders) -> float:
     tracked: AbstractContextManager[Any] = nullcontext()
     if first:
         tracked = tracking.run(record_of(config, folders, hashes))
-    with tracked as mlflow:
+    work = folders.write("models", "training")
+    with alone(work / "lock") if first else nullcontext(), tracked as mlflow:
         datasets = log_datasets(mlflow, config, splits, hashes) if mlflow is not None else {}
-        work = folders.write("models", "training")
         result = train_network(
             TrainingConfig(config.model, trainer, config.runtime.hardware, lightning),
             train_tasks,
             sets,
             work,
-            on_epoch=lambda epoch, metrics: mlflow.log_metrics(metrics, step=epoch),
+            RunLogger(mlflow),
             provenance=Provenance.of(config.robot, data_hash, **notes(config, train_tasks)),
             quiet=not config.runtime.progress,
             parts=parts,
-            on_step=lambda step, values: mlflow.log_metrics(values, step=step),
             progress=config.runtime.progress and sys.stderr.isatty(),
         )
         if mlflow is not None:

@@ -55,6 +55,7 @@ EXEMPT = {
     "pipeline.command_line": "reads words of a command; settings are parameters of each stage",
     "pipeline.html_report": "shows results on a page",
     "pipeline.folders": "names places of files",
+    "pipeline.run_logger": "records results in MLflow",
     "pipeline.search": "runs a stage several times",
     "pipeline.served_model": "records results in MLflow",
     "pipeline.sweeps": "runs a stage several times",

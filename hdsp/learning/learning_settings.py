@@ -335,7 +335,7 @@ class LightningSettings:
         strategy: a name of Lightning's (``ddp``), or a ``_target_``.
         precision: a name of Lightning's (``16-mixed``); None = as ``HardwareSettings.precision`` says.
         compile: whether torch compiles the network, or arguments for ``torch.compile``.
-        profiler: ``simple``, ``advanced`` or a ``_target_``; None = none.
+        profiler: ``simple``, ``advanced``, ``pytorch`` or a ``_target_``; its table goes to a file. None = none.
         log_every: steps between logged losses, learning rate and gradient norm; None = only epochs.
         loggers: a ``_target_`` each.
     """
@@ -345,7 +345,7 @@ class LightningSettings:
     strategy: Name | Target = "auto"
     precision: Name | None = None
     compile: bool | dict[str, Any] = False
-    profiler: Name | Target | None = None
+    profiler: Literal["simple", "advanced", "pytorch"] | Target | None = None
     log_every: Count | None = None
     loggers: dict[str, Target | None] = field(default_factory=dict)
 

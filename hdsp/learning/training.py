@@ -42,12 +42,14 @@ from hdsp.learning.processes import SharedBatches, is_first_process
 from hdsp.learning.saved_abstraction import Provenance
 from hdsp.learning.task_data import Targets, task_loader
 from hdsp.learning.task_stream import ResumableBatches, TaskStream
-from hdsp.learning.training_parts import TrainingParts
+from hdsp.learning.training_parts import TrainingParts, named_profiler
 
 if TYPE_CHECKING:
     from hdsp.base.storage import Place
     from hdsp.labels.tasks import TaskSet
 
+#: Steps between values that callbacks log of steps, where nobody asks for them.
+NEVER = 1_000_000
 #: Validation batches; their size has no influence on results.
 VALIDATION_BATCH = BatchSettings(by="map", size=64)
 
@@ -169,7 +171,7 @@ def train(
             num_nodes=lightning.nodes,
             strategy=parts.strategy or lightning.strategy,  # type: ignore[arg-type]  # a mapping has its part
             precision=_precision(config),  # type: ignore[arg-type]  # Lightning checks the name
-            profiler=parts.profiler or lightning.profiler,  # type: ignore[arg-type]
+            profiler=parts.profiler or named_profiler(lightning.profiler, out_dir),
             max_epochs=trainer_settings.epochs,
             accumulate_grad_batches=trainer_settings.accumulate,
             limit_train_batches=trainer_settings.limits.train,
@@ -182,7 +184,7 @@ def train(
             enable_progress_bar=progress,
             enable_model_summary=False,
             num_sanity_val_steps=0,
-            log_every_n_steps=1_000_000,
+            log_every_n_steps=lightning.log_every or NEVER,
         )
         trainer.fit(module, batches, val_loaders, ckpt_path=last, weights_only=True if last else None)
 

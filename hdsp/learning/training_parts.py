@@ -2,10 +2,12 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import lightning.pytorch as pl
 from lightning.pytorch.loggers import Logger
+from lightning.pytorch.profilers import AdvancedProfiler, Profiler, PyTorchProfiler, SimpleProfiler
 from torch import Tensor
 
 #: (predicted costs, feasibility logits, feasible, labelled costs) -> (feasibility loss, cost loss); all arguments have
@@ -13,6 +15,7 @@ from torch import Tensor
 Loss = Callable[[Tensor, Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
+@runtime_checkable
 class OwnMetric(Protocol):
     """A metric over the tasks of a validation set."""
 
@@ -24,6 +27,35 @@ class OwnMetric(Protocol):
 
     def compute(self) -> float:
         """Returns the metric for all tasks since ``reset``."""
+
+
+class TaskMean:
+    """Metric from a function: the mean of its values over all tasks since ``reset``; NaN without tasks.
+
+    Args:
+        function: takes the arguments of ``update``, and returns a value for each task, a number or a bool.
+    """
+
+    def __init__(self, function: Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]):
+        self.function = function
+        self.reset()
+
+    def reset(self) -> None:
+        self._sum, self._tasks = 0.0, 0
+
+    def update(self, cost: Tensor, logits: Tensor, feasible: Tensor, labelled_cost: Tensor) -> None:
+        values = self.function(cost, logits, feasible, labelled_cost)
+        self._sum += float(values.sum())
+        self._tasks += values.numel()
+
+    def compute(self) -> float:
+        return self._sum / self._tasks if self._tasks else float("nan")
+
+
+def named_profiler(name: Any, folder: Path) -> Profiler | None:
+    """Returns Lightning's profiler of this name, which writes its table to a file in a folder; None without a name."""
+    kinds: dict[str, Any] = {"simple": SimpleProfiler, "advanced": AdvancedProfiler, "pytorch": PyTorchProfiler}
+    return kinds[name](folder, "profile") if isinstance(name, str) else None
 
 
 @dataclass(frozen=True)

@@ -68,13 +68,7 @@ def run_dvc(*arguments: str, cwd: Path) -> str:
 
 def clone_project(clone: Path) -> Path:
     """Clones the project's working tree with one commit, set to the tiny profile."""
-    files = git("ls-files", "--cached", "--others", "--exclude-standard", cwd=ROOT).splitlines()
-    for name in files:
-        source, target = ROOT / name, clone / name
-        if not source.is_symlink() and not source.is_file():
-            continue  # removed, but not committed yet
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(source, target, follow_symlinks=False)
+    copy_project(clone)
     for source in (ROOT / "hdsp").rglob("__pycache__/*.nb?"):  # compiled kernels; their keys are their contents
         target = clone / source.relative_to(ROOT)
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -88,6 +82,17 @@ def clone_project(clone: Path) -> Path:
     git("add", "--all", cwd=clone)
     git("-c", "user.name=test", "-c", "user.email=test@example.org", "commit", "--quiet", "-m", "a clone", cwd=clone)
     return clone
+
+
+def copy_project(folder: Path) -> Path:
+    """Copies the files of the project's working tree that are in git, or will be."""
+    for name in git("ls-files", "--cached", "--others", "--exclude-standard", cwd=ROOT).splitlines():
+        source, target = ROOT / name, folder / name
+        if not source.is_symlink() and not source.is_file():
+            continue  # removed, but not committed yet
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(source, target, follow_symlinks=False)
+    return folder
 
 
 def git(*arguments: str, cwd: Path) -> str:

@@ -9,8 +9,9 @@ import pytest
 
 from hdsp.base.errors import InputError
 from pipeline.command_line import parse
-from pipeline.config import parse_overrides
-from pipeline.search import distribution, metric_of, search
+from pipeline.config import configure, parse_overrides
+from pipeline.search import distribution, metric_of, open_study, search
+from pipeline.started_by import this_process
 
 optuna = pytest.importorskip("optuna")
 
@@ -31,7 +32,7 @@ def trainings(monkeypatch):
         return subprocess.CompletedProcess(command, 0, stderr="")
 
     monkeypatch.setattr("pipeline.search.subprocess.run", train)
-    monkeypatch.setattr("pipeline.search.tracking.sweep", lambda overrides: contextlib.nullcontext())
+    monkeypatch.setattr("pipeline.search.tracking.sweep", lambda *_: contextlib.nullcontext())
     return seen
 
 
@@ -62,6 +63,25 @@ def test_each_failed_trial_is_named_and_the_best_of_the_others_is_kept(trainings
     with pytest.raises(InputError, match=r"\d trials failed: trial \d .*trainer.batch.size=16\): no memory"):
         search(command(tmp_path, RATE, "trainer.batch.size=choice(8, 16)", "search.trials=8"))
     assert "trainer.batch.size=8" in json.loads((tmp_path / "search/search/best.json").read_text())["overrides"]
+
+
+def test_a_trial_of_a_killed_search_is_continued_in_its_folder_with_its_values(trainings, tmp_path):
+    study = open_study(configure(["search.name=search", f"runtime.outputs={tmp_path}"]))
+    lost = study.ask({"trainer.optimizer.lr": optuna.distributions.FloatDistribution(1e-4, 1e-2, log=True)})
+    lost.set_user_attr("process", this_process() + "0")  # a process that began at another time, and is gone
+    best = search(command(tmp_path, RATE, "search.trials=2"))
+    first, second = trainings
+    assert float(first["trainer.optimizer.lr"]) == lost.params["trainer.optimizer.lr"] and best["trials"] == 2
+    assert first["runtime.outputs"] == str(tmp_path / "search/search/0")
+    assert second["runtime.outputs"] == str(tmp_path / "search/search/2")
+
+
+def test_a_trial_that_another_process_still_runs_is_left_alone(trainings, tmp_path):
+    study = open_study(configure(["search.name=search", f"runtime.outputs={tmp_path}"]))
+    theirs = study.ask({"trainer.optimizer.lr": optuna.distributions.FloatDistribution(1e-4, 1e-2, log=True)})
+    theirs.set_user_attr("process", this_process())
+    search(command(tmp_path, RATE, "search.trials=1"))
+    assert trainings[0]["runtime.outputs"] == str(tmp_path / "search/search/1")
 
 
 @pytest.mark.parametrize(

@@ -22,9 +22,9 @@ def lab(tmp_path, monkeypatch):
     folder = write_lab("own_lab_2", tmp_path / "lab")
     monkeypatch.syspath_prepend(folder)
     points = [
-        EntryPoint("own_lab_2", "own_lab_2.network:OwnLab2", "hdsp.networks"),
-        EntryPoint("own_lab_2", "own_lab_2.parts:OwnLab2Heuristic", "hdsp.heuristics"),
-        EntryPoint("own_lab_2_posts", "own_lab_2.parts:posts", "hdsp.terrain"),
+        EntryPoint("own_lab_2", "own_lab_2.learning:OwnLab2", "hdsp.networks"),
+        EntryPoint("own_lab_2", "own_lab_2.planning:OwnLab2Heuristic", "hdsp.heuristics"),
+        EntryPoint("own_lab_2_posts", "own_lab_2.planning:posts", "hdsp.terrain"),
     ]
     monkeypatch.setattr(extensions, "entry_points", lambda group: [p for p in points if p.group == group])
     extensions.extensions.cache_clear()
@@ -39,7 +39,7 @@ def test_its_files_are_whole_and_its_entry_points_are_those_announced(lab):
     for path in lab.rglob("*.py"):
         compile(path.read_text(), str(path), "exec")
     announced = (lab / "pyproject.toml").read_text()
-    for place in ("own_lab_2.network:OwnLab2", "own_lab_2.parts:OwnLab2Heuristic", "own_lab_2.parts:posts"):
+    for place in ("own_lab_2.learning:OwnLab2", "own_lab_2.planning:OwnLab2Heuristic", "own_lab_2.planning:posts"):
         assert f'"{place}"' in announced
     stages = yaml.safe_load((lab / "dvc.yaml").read_text())["stages"]
     assert set(stages) == {"code", "label", "train", "evaluate", "plan"}
@@ -54,8 +54,8 @@ def test_its_configuration_composes_and_names_its_own_parts(lab):
 
     parts = training_parts(config.trainer, config.runtime.lightning)
     assert parts.loss is not None and set(parts.metrics) == {"false_feasible"} and len(parts.callbacks) == 1
-    with pytest.raises(InputError, match=r"trainer.loss._target_ is 'own_lab_2.parts.nix'"):
-        place = "trainer.loss._target_=own_lab_2.parts.nix"
+    with pytest.raises(InputError, match=r"trainer.loss._target_ is 'own_lab_2.learning.nix'"):
+        place = "trainer.loss._target_=own_lab_2.learning.nix"
         wrong = configure(["profile=tiny", place], Source(lab / "conf", "own_lab_2"))
         training_parts(wrong.trainer, wrong.runtime.lightning)
 
@@ -79,4 +79,4 @@ def test_the_command_writes_it(tmp_path):
     command = [sys.executable, "-m", "hdsp", "lab", "own", "--folder", str(tmp_path / "x")]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0 and "pip install -e" in done.stdout
-    assert (tmp_path / "x/own/network.py").is_file()
+    assert (tmp_path / "x/own/learning.py").is_file()

@@ -12,13 +12,14 @@ from hdsp.base.errors import InputError
 #: Files of the package, by template.
 FILES = {
     "pyproject.toml.tmpl": "pyproject.toml",
-    "network.py.tmpl": "{name}/network.py",
-    "parts.py.tmpl": "{name}/parts.py",
+    "learning.py.tmpl": "{name}/learning.py",
+    "planning.py.tmpl": "{name}/planning.py",
     "test.py.tmpl": "tests/test_{name}.py",
     "config.yaml.tmpl": "conf/{name}.yaml",
     "model.yaml.tmpl": "conf/model/{name}.yaml",
     "dvc.yaml.tmpl": "dvc.yaml",
     "dvc_config.tmpl": ".dvc/config",
+    "dvcignore.tmpl": ".dvcignore",
     "gitignore.tmpl": ".gitignore",
     "Makefile.tmpl": "Makefile",
     "README.md.tmpl": "README.md",
