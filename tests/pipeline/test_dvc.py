@@ -31,9 +31,17 @@ def test_repro_runs_the_chain_once(reproduced):
     changed = git("diff", "--name-only", cwd=reproduced).split()
     assert not [name for name in changed if name.endswith(".md") and not name.startswith("reports/")]
     assert "up to date" in run_dvc("status", cwd=reproduced)
+    before = tracked_files(reproduced)
     again = run_dvc("repro", cwd=reproduced)
     assert "Running stage" not in again
     assert "up to date" in again
+    assert tracked_files(reproduced) == before, "nothing changed, so no tracked file may"
+
+
+def tracked_files(project) -> dict[str, bytes]:
+    """Contents of all files in git, and of those that will be."""
+    names = git("ls-files", "--cached", "--others", "--exclude-standard", cwd=project).splitlines()
+    return {name: (project / name).read_bytes() for name in names if (project / name).is_file()}
 
 
 def test_results_go_to_the_pages_on_request_only(reproduced, tmp_path):

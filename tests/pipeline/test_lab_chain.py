@@ -20,7 +20,7 @@ import sys, numpy as np, hdsp
 source = "models/published/momaro"
 costs = hdsp.load_abstraction(source)
 assert not any(name.startswith(("hdsp_pipeline", "pipeline", "mlflow", "hydra")) for name in sys.modules)
-plan = hdsp.Planner(hdsp.HeightMap.flat((120, 120)), heuristic=hdsp.LearnedCosts(costs)).plan((1, 1, 0), (1.5, 1.5, 0))
+plan = hdsp.Planner(hdsp.HeightMap.flat((120, 120)), heuristic=f"learned:{source}").plan((1, 1, 0), (1.5, 1.5, 0))
 own = hdsp.Planner(hdsp.HeightMap.flat((120, 120)), heuristic="own_lab").plan((1, 1, 0), (1.5, 1.5, 0))
 assert plan.solved and own.solved and own.cost <= plan.cost
 heights, goals = np.zeros((1, 72, 72), np.float32), np.zeros((1, 22, 3), np.float32)
@@ -53,8 +53,8 @@ class Lab:
         self.python = environment / "bin/python"
         subprocess.run([sys.executable, "-m", "venv", "--without-pip", environment], check=True)
         (packages,) = environment.glob("lib/*/site-packages")
-        others = [path for path in site.getsitepackages() if Path(path).is_dir()]
-        (packages / "others.pth").write_text(f"import site; [site.addsitedir(path) for path in {others}]\n")
+        lines = [f"import site; site.addsitedir({path!r})" for path in site.getsitepackages() if Path(path).is_dir()]
+        (packages / "others.pth").write_text("\n".join(lines))
         self.install(copy_project(place / "hdsp"))
         for kernel in (ROOT / "hdsp").rglob("__pycache__/*.nb?"):
             target = packages / kernel.relative_to(ROOT)
