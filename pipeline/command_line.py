@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from hdsp.base.ending import Ended, ended_by
 from hdsp.base.errors import InputError
 
 from .config import CONFIG_NAME, Source
@@ -22,6 +26,38 @@ _WITH_VALUE = {
 _PLAIN = ("--help", "-h", "--hydra-help", "--info", "-i", "--resolve", "--version")
 #: Optional values of `--info`.
 _INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
+
+
+#: Faults of a disk, which libraries report as they come.
+_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
+
+
+@contextmanager
+def ends_in_one_line() -> Iterator[None]:
+    """Ends the process with one line after bad input, a fault of a disk (status 1) or a signal (130, 143)."""
+    try:
+        with ended_by(signal.SIGINT, signal.SIGTERM):
+            yield
+    except InputError as error:
+        sys.exit(f"error: {error}")
+    except Ended as end:
+        print(end, file=sys.stderr, flush=True)
+        sys.exit(end.told())
+    except Exception as error:
+        if (words := _fault_of_disk(error)) is None:
+            raise
+        sys.exit(f"error: {words}")
+
+
+def _fault_of_disk(error: BaseException | None) -> str | None:
+    """The fault of a disk behind an error, in words; libraries wrap it in errors of their own."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in _DISK:
+            return f"cannot write {error.filename or 'a file'}: {error.strerror}"
+        if "database or disk is full" in str(error):  # SQLite
+            return "cannot write a database: database or disk is full"
+        error = error.__cause__ or error.__context__
+    return None
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import json
 import sys
 from typing import Any
 
+from hdsp.base.files import replacing
 from hdsp.base.storage import Place
 
 from .config_types import Config
@@ -31,8 +32,10 @@ def label(config: Config, folders: Folders, split: str, verify: bool = False) ->
     write_json(folders.write("reports", "labels", f"{split}.json"), result.summary)
     write_used(folders, split, result.place)
     if result.record:  # beside the labels instead of in a report, because it differs in each run
-        with folders.write("data", "label_runs", f"{split}.jsonl").open("a", encoding="utf-8") as file:
-            file.write(json.dumps(result.record) + "\n")
+        records = folders.write("data", "label_runs", f"{split}.jsonl")
+        earlier = records.read_text(encoding="utf-8") if records.is_file() else ""
+        with replacing(records) as path:
+            path.write_text(f"{earlier}{json.dumps(result.record)}\n", encoding="utf-8")
 
 
 def write_used(folders: Folders, split: str, place: Place) -> None:

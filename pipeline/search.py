@@ -12,6 +12,7 @@ runs in MLflow. A failed trial makes the search end with exit status 1.
 from __future__ import annotations
 
 import logging
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -21,10 +22,11 @@ from typing import TYPE_CHECKING, Any
 
 from hydra.core.override_parser.types import ChoiceSweep, IntervalSweep, Override, RangeSweep
 
+from hdsp.base.ending import Ended, end_children
 from hdsp.base.errors import InputError
 
 from . import tracking
-from .command_line import PACKAGE, CommandLine, parse
+from .command_line import PACKAGE, CommandLine, ends_in_one_line, parse
 from .config import configure, expand_choices, parse_overrides
 from .config_types import Config
 from .folders import read_json, write_json
@@ -132,8 +134,14 @@ def run_trials(
         return None
 
     missing = max(config.search.trials - len(study_values(study)), 0)
-    with ThreadPoolExecutor(config.search.jobs) as pool:
+    pool = ThreadPoolExecutor(config.search.jobs)
+    try:
         return [fault for fault in pool.map(run, range(missing)) if fault is not None]
+    except Ended:
+        end_children(signal.SIGTERM)
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def place_of(trial: Any) -> str:
@@ -194,7 +202,5 @@ def distribution(override: Override) -> BaseDistribution:
 
 
 if __name__ == "__main__":
-    try:
+    with ends_in_one_line():
         search(parse(sys.argv[1:], "search"))
-    except InputError as error:
-        sys.exit(f"error: {error}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from datetime import datetime
@@ -12,11 +11,9 @@ from pathlib import Path
 
 from omegaconf import OmegaConf
 
-from hdsp.base.ending import Ended, ended_by
-from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 
-from .command_line import CommandLine, parse, show
+from .command_line import CommandLine, ends_in_one_line, parse, show
 from .config import compose, read_params, typed
 from .config_types import Config
 from .folders import Folders, project_root, read_json, write_json
@@ -43,14 +40,8 @@ def run_stage(
     `sweep_context`. Hydra answers its own flags (`--help`, `--cfg job`, `--info`). Bad input ends the process with one
     line and exit status 1, Ctrl-C with status 130, SIGTERM with status 143.
     """
-    try:
-        with ended_by(signal.SIGINT, signal.SIGTERM):
-            _run(stage, name, positional, sweep_context, place)
-    except InputError as error:
-        sys.exit(f"error: {error}")
-    except Ended as end:
-        print(end, file=sys.stderr, flush=True)
-        sys.exit(end.told())
+    with ends_in_one_line():
+        _run(stage, name, positional, sweep_context, place)
 
 
 def _run(

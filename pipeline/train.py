@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from hdsp.base.errors import InputError
-from hdsp.base.files import replacing
+from hdsp.base.files import replace_folder, replacing
 from hdsp.base.storage import Place, is_url, open_folder
 
 from . import served_model, tracking
@@ -131,8 +131,7 @@ def write_results(
     from hdsp.viz import save_training_curves
 
     abstraction_dir = folders.write("models", "abstraction")
-    shutil.rmtree(abstraction_dir, ignore_errors=True)
-    shutil.copytree(result.model_dir, abstraction_dir)
+    replace_folder(abstraction_dir, {path.name: path.read_bytes() for path in sorted(result.model_dir.iterdir())})
     history = folders.write("reports", "training_history.csv")
     write_history(history, result.history)
     curves = folders.write("reports", "figures", "training_curves.png")

@@ -1,21 +1,25 @@
 """Signals that end a process: an exception in the main thread, so that files and workers are cleared away.
 
 Code of libraries may run for seconds without looking at signals, for example a compiler. A process that is still there
-after ``LATEST`` ends at once, with the same line and exit status.
+after ``LATEST`` ends at once, with the same line and exit status. Python's own end, which takes seconds with large
+libraries, is left out, and processes that the ending one has started end with it.
 """
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 #: Seconds from a signal to the end of the process at the latest.
-LATEST = 1.7
-_LINE_TOLD = threading.Event()
+LATEST = 1.5
+#: The signal after whose line the process ends.
+_TOLD: list[int] = []
 
 
 class Ended(BaseException):
@@ -32,9 +36,8 @@ class Ended(BaseException):
         self.number = number
 
     def told(self) -> int:
-        """Returns the exit status, for a caller that has written the line for people."""
-        _LINE_TOLD.set()
-        return status_of(self.number)
+        """Returns the exit status, for a caller that has written the line for people and now leaves."""
+        return leaving(self.number)
 
 
 def words_of(number: int) -> str:
@@ -45,6 +48,43 @@ def words_of(number: int) -> str:
 def status_of(number: int) -> int:
     """Exit status after a signal by the convention of shells."""
     return 128 + number
+
+
+def leaving(number: int) -> int:
+    """Returns the exit status, and lets the process end without delay as soon as Python's end begins."""
+    if not _TOLD:
+        _TOLD.append(number)
+        # Everything registered until now comes later in the order of `atexit`, and so is left out.
+        atexit.register(_leave, number)
+    return status_of(number)
+
+
+def end_children(number: int = signal.SIGKILL) -> None:
+    """Sends a signal to all processes below this one (Linux).
+
+    Those that clear away after others, `multiprocessing.resource_tracker`, end by themselves.
+    """
+    parents: dict[int, list[int]] = {}
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError, ValueError):
+            # The name, in brackets, may hold anything.
+            parent = int(entry.read_text(errors="replace").rpartition(")")[2].split()[1])
+            parents.setdefault(parent, []).append(int(entry.parent.name))
+    waiting = [os.getpid()]
+    while waiting:
+        for process in parents.get(waiting.pop(), []):
+            waiting.append(process)
+            with suppress(OSError):
+                if b"resource_tracker" not in Path(f"/proc/{process}/cmdline").read_bytes():
+                    os.kill(process, number)
+
+
+def _leave(number: int) -> None:
+    end_children()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(status_of(number))
 
 
 @contextmanager
@@ -63,6 +103,11 @@ def ended_by(*numbers: int) -> Iterator[None]:
         for number in heard:
             signal.signal(number, watch.hear)
         yield
+    except BaseException as error:
+        # A library may have turned the exception into one of its own.
+        if watch.heard and not isinstance(error, Ended):
+            raise Ended(watch.heard) from None
+        raise
     finally:
         for number in heard:
             signal.signal(number, former[number])
@@ -73,16 +118,16 @@ class _Watch:
     """A thread that ends a process whose main thread does not get to its end after a signal."""
 
     def __init__(self, numbers: list[int]):
-        self._numbers, self._heard = numbers, False
+        self._numbers, self.heard = numbers, 0
         self._read, self._write = os.pipe()
         os.set_blocking(self._write, False)
         self._former = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
         threading.Thread(target=self._wait, name="hdsp-ending", daemon=True).start()
 
     def hear(self, number: int, _frame: object) -> None:
-        if self._heard:  # the end is on its way
+        if self.heard:  # the end is on its way
             return
-        self._heard = True
+        self.heard = number
         raise Ended(number)
 
     def close(self) -> None:
@@ -99,7 +144,6 @@ class _Watch:
             return
         threading.Event().wait(LATEST)
         with suppress(OSError, ValueError):
-            if not _LINE_TOLD.is_set():
+            if not _TOLD:
                 print(words_of(data[0]), file=sys.stderr, flush=True)
-            sys.stderr.flush()
-        os._exit(status_of(data[0]))
+        _leave(data[0])

@@ -3,8 +3,9 @@
 import os
 import re
 import secrets
+import shutil
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -23,8 +24,7 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
         InputError: the folder cannot be created or written to, or the disk is full.
     """
     path = Path(path)
-    # The suffix stays last because writers choose their format by it; the leading dot hides leftovers from globs.
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}.tmp{path.suffix}")
+    temporary = _temporary(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
@@ -40,14 +40,53 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+def replace_folder(folder: Path, files: Mapping[str, bytes]) -> Path:
+    """Writes a folder with these files, by name, in place of an existing one.
+
+    If the process dies in between, the former folder stays as it was, or, between two renamings, beside its place under
+    a name with a leading dot; the next write removes that.
+
+    Raises:
+        InputError: the folder cannot be written, or the disk is full.
+    """
+    work, former = _temporary(folder), _temporary(folder)
+    try:
+        work.mkdir(parents=True)
+        for name, content in files.items():
+            (work / name).write_bytes(content)
+            _sync(work / name)
+        _sync(work)
+        if folder.exists():
+            folder.rename(former)
+        work.rename(folder)
+        _sync(folder.parent)
+    except OSError as error:
+        raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+        if folder.exists():
+            shutil.rmtree(former, ignore_errors=True)
+            _remove_leftovers(folder)
+    return folder
+
+
+def _temporary(path: Path) -> Path:
+    # The suffix stays last because writers choose their format by it; the leading dot hides leftovers from globs.
+    return path.with_name(f".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}.tmp{path.suffix}")
+
+
 def _remove_leftovers(path: Path) -> None:
-    """Removes temporary files of a path from processes of this machine that died."""
+    """Removes temporary files or folders of a path from processes of this machine that died."""
     pattern = re.compile(rf"\.{re.escape(path.stem)}\.(\d+)-[0-9a-f]{{8}}\.tmp{re.escape(path.suffix)}")
     with os.scandir(path.parent) as entries:
-        found = [(entry.path, int(match[1])) for entry in entries if (match := pattern.fullmatch(entry.name))]
+        found = [(entry, int(match[1])) for entry in entries if (match := pattern.fullmatch(entry.name))]
     for leftover, process in found:
-        if not _is_alive(process):
-            Path(leftover).unlink(missing_ok=True)
+        if _is_alive(process):
+            continue
+        if leftover.is_dir():
+            shutil.rmtree(leftover.path, ignore_errors=True)
+        else:
+            Path(leftover.path).unlink(missing_ok=True)
 
 
 def _is_alive(process: int) -> bool:

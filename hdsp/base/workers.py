@@ -7,18 +7,18 @@ import logging
 import os
 import re
 import resource
-import signal
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator
 
-from hdsp.base.ending import Ended
+from hdsp.base.ending import Ended, end_children
 from hdsp.base.errors import InputError
 from hdsp.base.settings import Count, checked, fault
 
@@ -119,20 +119,30 @@ def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
         with client:
             yield client
         return
-    if settings.scheduler == "slurm":
-        cluster = _slurm_cluster(settings.slurm)
-    else:
-        cluster = _local_cluster(settings, jobs)
-    try:
-        with Client(cluster) as client:
-            try:
-                yield client
-            except Ended:
-                _end_at_once(cluster)
-                raise
-    finally:
-        with suppress(TimeoutError):  # on a busy machine, workers end slowly; they end with this process
-            cluster.close()
+    # Workers that are ended leave their folders; in this one they are removed.
+    with TemporaryDirectory(prefix="hdsp-workers-", ignore_cleanup_errors=True) as folder:
+        is_local = settings.scheduler is None
+        cluster = _local_cluster(settings, jobs, folder) if is_local else _slurm_cluster(settings.slurm)
+        client = Client(cluster)
+        try:
+            yield client
+        except Ended:
+            if is_local:  # Dask would wait for the work, or start the ended workers anew
+                cluster.shutdown_on_close = False
+                end_children()
+            else:
+                _close(client, cluster)
+            raise
+        except BaseException:
+            _close(client, cluster)
+            raise
+        _close(client, cluster)
+
+
+def _close(client: "Client", cluster: Any) -> None:
+    client.close()
+    with suppress(TimeoutError):  # on a busy machine, workers end slowly; they end with this process
+        cluster.close()
 
 
 def _warn_of_open(scheduler: str | None) -> None:
@@ -148,15 +158,6 @@ def _warn_of_open(scheduler: str | None) -> None:
         "network, or use tls:// (docs/pipeline.md)",
         stacklevel=4,
     )
-
-
-def _end_at_once(cluster: Any) -> None:
-    """Ends local worker processes in the middle of their work; Dask would wait for it."""
-    for nanny in dict(getattr(cluster, "workers", {})).values():
-        process = getattr(getattr(nanny, "process", None), "process", None)
-        if process is not None and process.pid:
-            with suppress(ProcessLookupError):
-                os.kill(process.pid, signal.SIGKILL)
 
 
 def dead_workers(cluster: "LocalCluster") -> set[Any]:
@@ -193,15 +194,19 @@ def peak_memory() -> int:
     return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-def _local_cluster(settings: ClusterSettings, jobs: int) -> "LocalCluster":
+def _local_cluster(settings: ClusterSettings, jobs: int, folder: str) -> "LocalCluster":
     from distributed import LocalCluster
 
+    # Of workers that are ended, a process of Python clears away what they share, and would tell of it.
+    told = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [told, "ignore:resource_tracker:UserWarning"]))
     for attempt in range(START_ATTEMPTS):
         try:
             return LocalCluster(
                 n_workers=settings.processes(jobs),
                 threads_per_worker=1,
                 host="127.0.0.1",
+                local_directory=folder,
                 dashboard_address=settings.dashboard,
                 memory_limit=settings.memory or 0,
                 silence_logs=logging.CRITICAL,  # a lost worker is restarted; no message is needed

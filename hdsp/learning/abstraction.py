@@ -28,7 +28,7 @@ from hdsp.learning.saved_abstraction import (
     config_text,
     lattice_contract,
     read_saved,
-    replace_folder,
+    write_saved,
 )
 from hdsp.robot import lattice
 from hdsp.robot.robot import Robot
@@ -313,7 +313,7 @@ class LearnedAbstraction:
         files = {WEIGHTS: weights, CONFIG: config_text(config).encode()}
         card = HubCard(Path(folder).name, self.model.architecture, self.provenance, self.metrics)
         files[CARD] = card.markdown(text, drawn is not None).encode()
-        return replace_folder(Path(folder), files | ({PICTURE: drawn} if drawn else {}))
+        return write_saved(Path(folder), files | ({PICTURE: drawn} if drawn else {}))
 
     def push_to_hub(self, repository: str, private: bool = False, precision: Precision = "float32") -> str:
         """Uploads the abstraction with its card to ``user/repository`` of the Hugging Face hub.

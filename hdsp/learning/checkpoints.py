@@ -8,8 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from lightning.fabric.plugins import TorchCheckpointIO
 
 from hdsp.base.errors import InputError
+from hdsp.base.files import replacing
+
+
+class WholeCheckpoints(TorchCheckpointIO):
+    """Writes checkpoints of Lightning, whole or not at all, beside their final place instead of in another folder."""
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
+        with replacing(path) as temporary:
+            torch.save(checkpoint, temporary)
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:

@@ -5,9 +5,6 @@ The configuration carries everything in which inference has to agree with traini
 
 import hashlib
 import json
-import os
-import secrets
-import shutil
 import sys
 from collections.abc import Mapping
 from dataclasses import field
@@ -18,7 +15,7 @@ import numpy as np
 
 from hdsp.abstract.flat_table import flat_table
 from hdsp.base.errors import InputError
-from hdsp.base.files import existing_file
+from hdsp.base.files import existing_file, replace_folder
 from hdsp.base.settings import Share, checked, load_settings, read_json, shown
 from hdsp.base.short_repr import short_repr
 from hdsp.learning.architectures import architectures
@@ -102,7 +99,7 @@ def _never_feasible(robot: Robot) -> tuple[tuple[float, float, float], ...]:
     return tuple((dx, dy, turn) for dx, dy, turn in found.tolist())
 
 
-def replace_folder(folder: Path, files: Mapping[str, bytes]) -> Path:
+def write_saved(folder: Path, files: Mapping[str, bytes]) -> Path:
     """Writes a folder with these files, by name; an abstraction in it is replaced as a whole.
 
     Raises:
@@ -110,21 +107,7 @@ def replace_folder(folder: Path, files: Mapping[str, bytes]) -> Path:
     """
     if folder.exists() and any(folder.iterdir()) and not (folder / CONFIG).is_file():
         raise InputError(f"{folder}: holds other files than a pretrained abstraction; it is not replaced")
-    work = folder.with_name(f".{folder.name}.{os.getpid()}-{secrets.token_hex(4)}")
-    try:
-        work.mkdir(parents=True)
-        for name, content in files.items():
-            (work / name).write_bytes(content)
-        if folder.exists():
-            folder.rename(work.with_suffix(".old"))
-        work.rename(folder)
-    except OSError as error:
-        raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
-        if folder.exists():
-            shutil.rmtree(work.with_suffix(".old"), ignore_errors=True)
-    return folder
+    return replace_folder(folder, files)
 
 
 def config_text(values: Mapping[str, Any]) -> str:

@@ -21,11 +21,12 @@ from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
 from lightning.pytorch.loggers import Logger
 
 from hdsp.base.errors import InputError
+from hdsp.base.files import replacing
 from hdsp.base.settings import load_settings
 from hdsp.base.short_repr import short_repr
 from hdsp.learning.abstraction import LearnedAbstraction
 from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, AveragedWeights, EpochPosition, StepRecord
-from hdsp.learning.checkpoints import read_checkpoint
+from hdsp.learning.checkpoints import WholeCheckpoints, read_checkpoint
 from hdsp.learning.hardware import channels_last
 from hdsp.learning.history import EpochHistory, OnEpoch
 from hdsp.learning.learning_settings import (
@@ -179,6 +180,7 @@ def train(
             gradient_clip_val=trainer_settings.gradient_clip,
             sync_batchnorm=config.hardware.device().type == "cuda",
             use_distributed_sampler=False,
+            plugins=[WholeCheckpoints()],
             callbacks=[*own_callbacks, *parts.callbacks, *callbacks],
             logger=_loggers([*parts.loggers, *_as_list(logger)]),
             enable_progress_bar=progress,
@@ -195,7 +197,8 @@ def train(
     state = read_checkpoint(best_path)
     module.load_state_dict(state["state_dict"])
     best_epoch = min(int(state["epoch"]), len(history.rows) - 1)
-    metrics = {key: value for key, value in history.rows[best_epoch].items() if key != "epoch"}
+    # A training that is repeated saves the same abstraction to the byte, so without its time.
+    metrics = {key: value for key, value in history.rows[best_epoch].items() if key not in ("epoch", "seconds")}
     abstraction = LearnedAbstraction(module.network, config.model, provenance or Provenance(), metrics)
     abstraction = abstraction.calibrated(val_sets[trainer_settings.selection.set])
     if trainer.is_global_zero:
@@ -288,8 +291,8 @@ def _checkpoint_to_resume(folder: Path, fingerprint: str) -> Path | None:
     if not is_first_process():
         return None
     shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True, exist_ok=True)
-    mark.write_text(fingerprint)
+    with replacing(mark) as temporary:
+        temporary.write_text(fingerprint)
     return None
 
 

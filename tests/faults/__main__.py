@@ -12,6 +12,12 @@ from pathlib import Path
 from benchmarks.page import table, write_block
 from tests.faults.stages import STAGES, faults_of
 
+#: Kinds of faults and the heads of their columns.
+HEAD = {
+    "kill": "killed", "torn": "killed, half a file", "ENOSPC": "disk full", "EIO": "failing disk",
+    "clock": "clock back", "two": "two at once",
+}  # fmt: skip
+
 
 def main(argv: list[str] | None = None) -> dict:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -28,21 +34,20 @@ def main(argv: list[str] | None = None) -> dict:
                 continue
             work = Path(place) / name
             work.mkdir()
-            tried, bad = Counter[str](), 0
-            for kind, number, fault in faults_of(name, inputs, work, arguments.most):
+            tried, bad, moments = Counter[str](), 0, [0]
+            for kind, number, fault in faults_of(name, inputs, work, arguments.most, moments.append):
                 tried[kind] += 1
                 bad += bool(fault)
                 if fault:
                     print(f"{name}, {kind} at {number}: {fault}", flush=True)
-            print(f"{name}: {dict(tried)}, {bad} wrong", flush=True)
-            rows.append(
-                [name, *(tried[kind] for kind in ("kill", "ENOSPC", "EIO")), "all" if not bad else f"not {bad}"]
-            )
+            print(f"{name}: {moments[-1]} moments, {dict(tried)}, {bad} wrong", flush=True)
+            rows.append([name, moments[-1], *(tried[kind] for kind in HEAD), "all" if not bad else f"not {bad}"])
             wrong += bad
     if arguments.page:
-        head = ["stage", "killed", "disk full", "failing disk", "resumed with equal bytes"]
-        write_block(arguments.page, "tests.faults", table(head, rows))
-    result = {"stages": len(rows), "faults": sum(sum(row[1:4]) for row in rows), "wrong": wrong}
+        head = ["stage", "moments", *HEAD.values(), "ended with equal results"]
+        sample = f"At most {arguments.most} moments of each kind, spread over all.\n\n" if arguments.most else ""
+        write_block(arguments.page, "tests.faults", sample + table(head, rows))
+    result = {"stages": len(rows), "faults": sum(sum(row[2:-1]) for row in rows), "wrong": wrong}
     print(json.dumps(result))
     return result
 
