@@ -15,12 +15,15 @@ FUZZ_SECONDS ?= 600
 FUZZ_SEED ?= 0
 FUZZ_ARGS ?=
 # Tests of all kernels, without the slow ones that run no kernel of their own.
-KERNEL_TESTS := tests/detailed tests/abstract/test_prepared_graph.py tests/labels/test_rules.py \
-	tests/planning/test_heuristics.py tests/learning/test_dense_edges.py::test_patches_of_a_rotated_map \
+KERNEL_TESTS := tests/detailed tests/abstract/test_prepared_graph.py tests/abstract/test_bucket_ring.py \
+	tests/labels/test_rules.py tests/planning/test_heuristics.py tests/learning/test_dense_edges.py::test_patches_of_a_rotated_map \
 	tests/learning/test_footprint_engine.py::test_a_network_with_other_widths_and_channels \
 	tests/terrain/test_cost_maps.py tests/terrain/test_patches.py tests/terrain/test_sensor_model.py \
 	tests/terrain/simulation/test_lidar_mapping.py \
 	--ignore tests/detailed/test_staircases.py
+# Tests on maps so small that they take a minute without the JIT.
+PLAIN_TESTS := tests/detailed/test_store.py tests/detailed/test_geometry.py tests/detailed/test_small_actions.py \
+	tests/detailed/test_small_searches.py tests/abstract/test_bucket_ring.py
 # Half of the test maps: they run all kernels.
 KERNEL_MAPS := not (cuboid_2 or cuboid_3 or wall_2 or staircase_wall or staircase_focused)
 
@@ -70,12 +73,12 @@ nightly: export OMP_NUM_THREADS := 1
 nightly: $(STAMP)  ## for a night: all tests with every index checked, small kernels not compiled, fuzzing, faults
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/$(VENV)/numba-checked \
 		python -m pytest --numprocesses 2 --dist loadgroup $(TEST_ARGS)
-	NUMBA_DISABLE_JIT=1 python -m pytest tests/detailed/test_store.py tests/detailed/test_geometry.py
+	NUMBA_DISABLE_JIT=1 python -m pytest $(PLAIN_TESTS)
 	$(MAKE) fuzz
 	python -m tests.faults --most 4
 
-mutants: $(STAMP)  ## mutation testing of the kernels of both searches
-	python tools/mutants.py
+mutants: $(STAMP)  ## mutation testing of both searches and of the actions; a later run goes on
+	python -m tests.mutants
 
 fuzz: $(STAMP)  ## damaged files, random plans and updates for FUZZ_SECONDS (600), from case FUZZ_SEED (0) on
 	python -m tests.fuzz --seconds $(FUZZ_SECONDS) --seed $(FUZZ_SEED) $(FUZZ_ARGS)

@@ -26,6 +26,7 @@ from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import CATEGORIES, random_map
 from tests.detailed.instances import blocky, near_edges, successor_arrays, toy, valid_states
 from tests.naive import Naive, dijkstra, turned
+from tests.naive_relaxed import relaxed_edges
 
 costs = st.floats(0.01, 3.0)
 ways_to_turn = st.sampled_from([{}, {}, {"on_the_spot": False, "radius": 0.3}, {"on_the_spot": False, "radius": 0.8}])
@@ -188,42 +189,11 @@ def test_relaxed_distances_equal_a_plain_dijkstra(robot, seed, factor):
 
 def plain_relaxed_distances(twin, start, follow):
     """{(layer, x, y, heading): cost} according to the documentation of `hdsp.detailed.relaxed.relaxed_costs`."""
-    low, high = twin.robot.offset_range()
-    price = twin.robot.base_shift.cost_per_metre * 0.025
-    ways = (1, -1) if twin.robot.base_shift.backward else (1,)
-
-    def least_cost(x, y, heading):
-        uneven = []
-        for foot in range(4):
-            states = [(x, y, heading, *([offset] * 4)) for offset in range(low, high + 1)]
-            states = [state for state in states if twin.standable(twin.foothold(state, foot))]
-            uneven.append(min((twin.uneven_under_foot(state, foot) for state in states), default=np.inf))
-        if not twin.may_be_free((x, y), heading):
-            return np.inf
-        return 1 + twin.robot.drive.unevenness_cost * (max(uneven) + sum(uneven))
-
-    def edges(layer, x, y, heading):
-        neutral = (x, y, heading, 0, 0, 0, 0)
-        if layer == 0:
-            for _, reached, cost in twin.successors(neutral):
-                yield (0, *reached[:3]), cost
-            if twin.any_foot_can_step(neutral):
-                yield (1, x, y, heading), 0.0
-            return
-        n, dx, dy = twin.shift(heading)
-        for way in ways:
-            u, v = x + way * dx, y + way * dy
-            if twin.inside((u, v)) and least_cost(u, v, heading) < np.inf:
-                mean = (least_cost(x, y, heading) + least_cost(u, v, heading)) / 2
-                yield (1, u, v, heading), price * np.hypot(dx, dy) * mean + 4 * follow * n
-        if twin.valid(neutral):
-            yield (0, x, y, heading), 0.0
-
     settled, queue = {}, [(0.0, (int(any(start[3:])), *start[:3]))]
     while queue:
         cost, node = heapq.heappop(queue)
         if node not in settled:
             settled[node] = cost
-            for reached, step in edges(*node):
+            for reached, step in relaxed_edges(twin, follow, node):
                 heapq.heappush(queue, (cost + step, reached))
     return settled

@@ -1,0 +1,40 @@
+"""Code under mutation, and the tests that should notice a change in it."""
+
+from typing import NamedTuple
+
+from tests import ROOT
+from tests.mutants.changes import Mutant, mutants_of
+
+
+class Target(NamedTuple):
+    """A package or module.
+
+    Attributes:
+        path: from the root of the checkout.
+        tests: tests on small maps, quick ones first.
+    """
+
+    path: str
+    tests: list[str]
+
+    def files(self) -> list[str]:
+        place = ROOT / self.path
+        files = [place] if place.suffix else sorted(place.glob("*.py"))
+        return [str(file.relative_to(ROOT)) for file in files]
+
+    def sample(self, count: int, seed: int, only: str = "") -> tuple[list[Mutant], int]:
+        """Some mutants in random order, or all with a text in their names; and the number of all."""
+        found = [mutant for file in self.files() for mutant in mutants_of(file)]
+        if only:
+            return [mutant for mutant in found if only in mutant.name], len(found)
+        return sorted(found, key=lambda mutant: mutant.rank(seed))[:count], len(found)
+
+
+TARGETS = {
+    target.path: target
+    for target in (
+        Target("hdsp/detailed/search", ["tests/detailed/test_small_searches.py", "tests/detailed/test_store.py"]),
+        Target("hdsp/detailed/actions", ["tests/detailed/test_small_actions.py"]),
+        Target("hdsp/abstract/dijkstra.py", ["tests/abstract/test_bucket_ring.py"]),
+    )
+}
