@@ -62,7 +62,8 @@ def connect() -> Any:
     """
     import mlflow
 
-    logging.getLogger("mlflow.store.db.utils").setLevel(logging.WARNING)
+    # It logs errors with their tracebacks before it raises them.
+    logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)
     root = project_root().resolve()
     local = not os.environ.get("MLFLOW_TRACKING_URI")
     if local:

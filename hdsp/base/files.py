@@ -61,6 +61,8 @@ def replace_folder(folder: Path, files: Mapping[str, bytes]) -> Path:
         work.rename(folder)
         _sync(folder.parent)
     except OSError as error:
+        if former.exists() and not folder.exists():
+            former.rename(folder)
         raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
     finally:
         shutil.rmtree(work, ignore_errors=True)

@@ -1,5 +1,6 @@
 """SIGTERM and Ctrl-C end real processes soon, with one line, the right exit status and nothing left behind."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from hdsp.base.ending import LATEST, Ended, ended_by, status_of
+from pipeline.command_line import ends_in_one_line
 from tests import ROOT, heed_interrupts
 
 #: Seconds by which a busy machine may be late.
@@ -46,6 +48,18 @@ def stage(config, folders):
 sys.argv = ["stage", "profile=tiny", "runtime.outputs=out"]
 run_stage(stage, "label")
 """,
+    "library": """
+import atexit, subprocess, sys, time
+from pipeline.command_line import ends_in_one_line
+atexit.register(time.sleep, 60)  # as large libraries do
+child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+with ends_in_one_line():
+    try:
+        print("ready", child.pid, flush=True)
+        time.sleep(60)
+    except BaseException:  # as Lightning does
+        sys.exit(0)
+""",
     "deaf": """
 import signal, time
 from hdsp.base.ending import ended_by
@@ -68,7 +82,12 @@ def alive(pid: int) -> bool:
 
 @pytest.mark.parametrize(
     ("script", "number"),
-    [("search", signal.SIGTERM), ("workers", signal.SIGINT), ("deaf", signal.SIGTERM)],
+    [
+        ("search", signal.SIGTERM),
+        ("workers", signal.SIGINT),
+        ("library", signal.SIGTERM),
+        ("deaf", signal.SIGTERM),
+    ],
 )
 def test_a_signal_ends_work_with_one_line_and_leaves_nothing(script, number, tmp_path):
     with subprocess.Popen(
@@ -116,3 +135,16 @@ def test_an_end_is_no_ordinary_exception():
     assert (status_of(end.number), str(end)) == (143, "terminated") and not isinstance(
         end, (Exception, KeyboardInterrupt)
     )
+
+
+def test_a_full_disk_is_one_line_however_a_library_wraps_it(capsys):
+    def wrapped(number):
+        try:
+            raise OSError(number, os.strerror(number), "a.txt")
+        except OSError:
+            raise RuntimeError("failed")  # noqa: B904, as some libraries do
+
+    with pytest.raises(SystemExit, match=r"^error: cannot write a.txt: No space left on device$"), ends_in_one_line():
+        wrapped(errno.ENOSPC)
+    with pytest.raises(RuntimeError, match="failed"), ends_in_one_line():
+        wrapped(errno.ENOENT)

@@ -45,11 +45,18 @@ def main(argv: list[str] | None = None) -> dict:
             wrong += bad
     if arguments.page:
         head = ["stage", "moments", *HEAD.values(), "ended with equal results"]
-        sample = f"At most {arguments.most} moments of each kind, spread over all.\n\n" if arguments.most else ""
-        write_block(arguments.page, "tests.faults", sample + table(head, rows))
+        write_block(arguments.page, "tests.faults", table(head, with_earlier(arguments.page.read_text(), rows)))
     result = {"stages": len(rows), "faults": sum(sum(row[2:-1]) for row in rows), "wrong": wrong}
     print(json.dumps(result))
     return result
+
+
+def with_earlier(page: str, rows: list[list]) -> list[list]:
+    """Rows of this run, and those on the page for stages that did not run now."""
+    block = page.partition("<!-- written by tests.faults: begin -->")[2].partition("<!-- written by")[0]
+    earlier = [line.strip("| ").split(" | ") for line in block.splitlines() if line.startswith("| ")]
+    found = {row[0]: row for row in [*earlier, *rows]}
+    return [found[name] for name in STAGES if name in found]
 
 
 if __name__ == "__main__":

@@ -45,6 +45,33 @@ def test_the_harness_sees_a_write_that_is_not_whole(tmp_path):
     assert contents(folder)["a.txt"] == b"half"
 
 
+def test_a_folder_is_the_former_or_the_new_one_after_a_fault_at_any_moment(tmp_path):
+    from hdsp.base import files
+
+    place, heard = tmp_path / "run", tmp_path / "heard.txt"
+    former, new = ({"a.txt": text, "b.txt": text} for text in (b"former", b"new"))
+
+    def written(content):
+        return lambda: files.replace_folder(place / "model", content)
+
+    place.mkdir()
+    written(former)()
+    moments = Writes(place)
+    assert run_apart(written(new), moments, heard) == 0
+    renamings = [n + 1 for n, event in enumerate(moments.events) if event == "os.rename"]
+    assert len(renamings) == 2
+    for kind in ("kill", "ENOSPC"):
+        for number in (1, *renamings, renamings[1] + 1):
+            written(former)()
+            ended = run_apart(written(new), Writes(place, number, kind), heard)
+            found = {path.name: path.read_bytes() for path in (place / "model").glob("*")}
+            # Between two renamings, the former folder lies beside its place.
+            assert found in (former, new) or (kind != "ENOSPC" and not found and len(os.listdir(place)) == 2), kind
+            assert ended == -9 or (ended == 1 and found == former) or found == new
+            assert run_apart(written(new), Writes(place), heard) == 0
+            assert os.listdir(place) == ["model"] and len(contents(place)) == 2
+
+
 def test_what_differs_by_nature_is_left_out(tmp_path):
     (tmp_path / "a.json").write_text('{"seconds": 1, "cost": [{"time": 2, "value": 3}]}')
     (tmp_path / "a.csv").write_text("epoch,seconds\n1,2\n")
