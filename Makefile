@@ -27,7 +27,7 @@ PLAIN_TESTS := tests/detailed/test_store.py tests/detailed/test_geometry.py test
 # Half of the test maps: they run all kernels.
 KERNEL_MAPS := not (cuboid_2 or cuboid_3 or wall_2 or staircase_wall or staircase_focused)
 
-.PHONY: help install repro demo tables publish docs docs-links test test-checked warm-checked nightly mutants fuzz audit sbom hashes lint format params clean
+.PHONY: help install repro demo tables experiments publish docs docs-links test test-checked warm-checked nightly mutants fuzz audit sbom hashes lint format params clean
 
 help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
@@ -45,6 +45,10 @@ demo: $(STAMP)  ## a robot climbs stairs in the browser
 
 tables: $(STAMP)  ## print the tables of the last run
 	@cat reports/tables.md
+
+experiments: $(STAMP)  ## one line per experiment of DVC: parameters that differ, and the numbers of Tables I and II
+	dvc exp show --only-changed --no-pager --hide-queued --drop '(seconds|loss|loss_weight|maps|epochs|flat|shipped)$$' \
+		--drop '^(data|hdsp|pipeline|models|reports)/(?!training.json|summary.json)'
 
 publish: $(STAMP)  ## write the tables of the last run into README.md and docs/results.md
 	python -m pipeline.publish_pages

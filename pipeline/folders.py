@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,8 +43,22 @@ class Folders:
     @property
     def title(self) -> str:
         """What tells a run apart: its part of a sweep, or its overrides without those of places and workers."""
-        own = self.varied or tuple(line for line in self.overrides if not line.lstrip("+~").startswith(_ELSEWHERE))
-        return " ".join(own)
+        return in_short(self.varied or self.overrides)
+
+
+def in_short(overrides: Sequence[str]) -> str:
+    """Overrides without those of places and workers; a key is as short as it can be: `lr=0.01`."""
+    own = [line.lstrip("+~").partition("=") for line in overrides if not line.lstrip("+~").startswith(_ELSEWHERE)]
+    keys = dict.fromkeys(key for key, *_ in own)
+    return " ".join(f"{_short(key, keys)}{sign}{value}" for key, sign, value in own)
+
+
+def _short(key: str, others: Collection[str]) -> str:
+    """End of a key that no other key ends with."""
+    parts = key.split(".")
+    ends = [".".join(parts[-length:]) for length in range(1, len(parts) + 1)]
+    taken = [f".{other}" for other in others if other != key]
+    return next((end for end in ends if not any(other.endswith(f".{end}") for other in taken)), key)
 
 
 def project_root() -> Path:

@@ -19,7 +19,8 @@ from typing import Any
 
 from hdsp.base.files import replacing
 
-from .folders import Folders, project_root
+from .config import parse_overrides
+from .folders import Folders, in_short, project_root
 from .started_by import has_ended, this_process
 
 EXPERIMENT = "hdsp"
@@ -27,7 +28,7 @@ PARENT_VARIABLE = "HDSP_MLFLOW_PARENT_RUN"
 #: File that ties a trained abstraction to its run.
 RUN_FILE = ("models", "training", "mlflow_run.json")
 #: Tag with the process behind a run.
-PROCESS = "process"
+PROCESS = "mlflow.process"  # the page of a run hides tags that begin so
 #: Longest name of a run.
 LONGEST = 120
 
@@ -136,12 +137,12 @@ def sweep(overrides: Sequence[str], key: str | None = None) -> Iterator[None]:
     mlflow = connect()
     end_abandoned(mlflow)
     words, client = " ".join(overrides), mlflow.MlflowClient()
+    varied = [str(found.input_line) for found in parse_overrides(overrides) if found.is_sweep_override()]
+    name = shortened(f"sweep {in_short(varied or overrides)}")
     key = key or next((word for word in overrides if word.startswith("hydra.sweep.dir=")), "")
     tags = {**git_tags(), "sweep": words, "sweep.key": key, PROCESS: this_process()}
     begun = _runs(mlflow, f"tags.`sweep.key` = '{key}'") if key and "'" not in key else []
-    with mlflow.start_run(
-        begun[0].info.run_id if begun else None, run_name=shortened(f"sweep {words}"), tags=tags
-    ) as parent:
+    with mlflow.start_run(begun[0].info.run_id if begun else None, run_name=name, tags=tags) as parent:
         parent_id = parent.info.run_id
     # The parent is closed while its children run, because they are separate runs in this or other processes.
     client.update_run(parent_id, status="RUNNING")

@@ -27,6 +27,9 @@ from .parts import training_parts
 from .stage import Folders, read_json, run_stage, write_json
 from .task_sets import read_evaluation_set, read_set, set_place
 
+#: Ends of keys without influence on a comparison; `config.yaml` has them.
+_NOISE = ("_partial_", "checkpoint_minutes", "stream_shards")
+
 if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
     from hdsp.learning import TrainResult
@@ -96,15 +99,23 @@ def record_of(config: Config, folders: Folders, hashes: Mapping[str, str]) -> tr
     """Returns what MLflow records about a training before it begins."""
     whole = plain(config)
     matter = {name: whole[name] for name in ("model", "trainer", "profile")} | {"robot": config.robot.name}
-    parameters = {key: value for key, value in flatten(matter).items() if value not in (None, [], {})}
+    parameters = {
+        key: value for key, value in flatten(matter).items() if value not in (None, [], {}) and not key.endswith(_NOISE)
+    }
     given = dict(line.lstrip("+~").partition("=")[::2] for line in folders.overrides)
-    elsewhere = (*parameters, "hydra", "runtime")
-    parameters |= {key: value for key, value in given.items() if not key.startswith(elsewhere)}
+    known = (*parameters, "hydra", "runtime", *(key for key in given if _is_above(key, parameters)))
+    parameters |= {key: value for key, value in given.items() if not key.startswith(known)}
     title = folders.title or config.profile
     texts = {"config.yaml": yaml.safe_dump(whole, sort_keys=False), "overrides.txt": "\n".join(folders.overrides)}
     tags = {f"data.{name}": value for name, value in hashes.items()}
-    name = title if f"model={config.model.architecture}" in title else f"{config.model.architecture} {title}"
+    architecture = config.model.architecture
+    name = title if architecture in title else f"{architecture} {title}"
     return tracking.RunRecord(name, parameters, tags, texts, config.runtime.system_metrics)
+
+
+def _is_above(key: str, parameters: Mapping[str, Any]) -> bool:
+    """Whether a key is a group (`model`, `trainer/schedule`) whose values are parameters."""
+    return any(name.startswith(f"{key.replace('/', '.')}.") for name in parameters)
 
 
 def log_datasets(mlflow: Any, config: Config, splits: Mapping[str, Place], hashes: Mapping[str, str]) -> dict[str, Any]:
@@ -150,6 +161,8 @@ def write_results(
     model_id = served_model.log(mlflow, abstraction_dir, tasks, config.runtime.register)
     mlflow.log_metrics({name: summary[name] for name in ("parameters", "maps", "best_epoch", "seconds")})
     for name, value in result.metrics.items():
+        if name.startswith(("learning_rate", "seconds", "loss_weight")):
+            continue  # no properties of the kept state
         # The selection set is one set of several splits.
         of = name.partition("/")[2]
         data = datasets.get(config.trainer.val_splits[0] if of == "val" else of)

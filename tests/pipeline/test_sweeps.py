@@ -46,7 +46,7 @@ def test_failed_runs_are_named_and_the_others_run(tmp_path, launcher):
         "2 of 3 runs failed: run 1 (trainer.seed=1): seed 1 is not liked; "
         "run 2 (trainer.seed=2): ZeroDivisionError: by nothing"
     )
-    assert read_json(tmp_path / "0/report.json") == {"title": "trainer.seed=0", "seed": 0}
+    assert read_json(tmp_path / "0/report.json") == {"title": "seed=0", "seed": 0}
     assert "trainer.seed=0" in (tmp_path / "0/.hydra/overrides.yaml").read_text()
 
 

@@ -2,11 +2,14 @@
 
 import json
 import math
+import os
 
 import numpy as np
 import pytest
 import yaml
 
+from pipeline import tracking
+from pipeline.started_by import this_process
 from tests.pipeline.conftest import run_python, tiny
 
 pytestmark = [pytest.mark.pipeline, pytest.mark.xdist_group("chain")]
@@ -35,7 +38,7 @@ def test_a_training_is_tracked_with_everything(chain, mlflow):
     assert parameters["trainer.epochs"] == "2"
     assert parameters["model.options.hidden"] == "16"
     assert len(parameters) < 60 and not any(value in ("None", "{}", "[]") for value in parameters.values())
-    assert run.info.run_name.startswith("compact profile=tiny model.options.widths=[4, 4]")
+    assert run.info.run_name.startswith("compact profile=tiny widths=[4, 4] blocks=[1, 1] map_features=4")
     assert len(run.data.tags["data.train"]) == 64
     assert {"git.commit", "git.dirty", "data.val", "data.random"} <= set(run.data.tags)
     assert {"parameters", "maps", "best_epoch", "seconds"} <= set(run.data.metrics)
@@ -110,6 +113,23 @@ def test_a_sweep_has_two_child_runs_under_one_parent(chain, mlflow, tmp_path):
     assert all("feasibility_accuracy/val" in run.data.metrics for run in children)
     for number in "01":
         assert (tmp_path / number / "models/abstraction/model.safetensors").is_file()
+
+
+def test_runs_of_killed_processes_end_and_a_continued_sweep_keeps_its_parent(chain, mlflow, monkeypatch):
+    monkeypatch.setenv("DVC_ROOT", str(chain))
+    client, mine = tracking.connect().MlflowClient(), this_process()
+    experiment = client.get_experiment_by_name("hdsp").experiment_id
+    gone, alive = (client.create_run(experiment, tags={tracking.PROCESS: p}).info.run_id for p in (f"{mine}0", mine))
+    words, parents = ["model=compact,swept", "hydra.sweep.dir=outputs/mine"], []
+    for _ in range(2):
+        with tracking.sweep(words):
+            parents.append(os.environ[tracking.PARENT_VARIABLE])
+            assert client.get_run(parents[-1]).info.status == "RUNNING"
+    assert parents[0] == parents[1] and client.get_run(parents[0]).info.status == "FINISHED"
+    assert client.get_run(parents[0]).info.run_name == "sweep model=compact,swept"
+    assert [client.get_run(run).info.status for run in (gone, alive)] == ["KILLED", "RUNNING"]
+    for run in (gone, alive, *parents[:1]):
+        client.delete_run(run)
 
 
 def test_a_sweep_with_an_unknown_choice_starts_no_run(chain, mlflow):
