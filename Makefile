@@ -46,9 +46,8 @@ demo: $(STAMP)  ## a robot climbs stairs in the browser
 tables: $(STAMP)  ## print the tables of the last run
 	@cat reports/tables.md
 
-experiments: $(STAMP)  ## one line per experiment of DVC: parameters that differ, and the numbers of Tables I and II
-	dvc exp show --only-changed --no-pager --hide-queued --drop '(seconds|loss|loss_weight|maps|epochs|flat|shipped)$$' \
-		--drop '^(data|hdsp|pipeline|models|reports)/(?!training.json|summary.json)'
+experiments: $(STAMP)  ## one line per experiment of DVC: the parameters and results that differ
+	dvc exp show --only-changed --no-pager
 
 publish: $(STAMP)  ## write the tables of the last run into README.md and docs/results.md
 	python -m pipeline.publish_pages
