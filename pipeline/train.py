@@ -167,7 +167,8 @@ def write_results(
         of = name.partition("/")[2]
         data = datasets.get(config.trainer.val_splits[0] if of == "val" else of)
         mlflow.log_metric(f"best/{name}", value, model_id=model_id, dataset=data)
-    for file in (history, curves):
+    profiles = result.model_dir.parent.glob("*-profile*") if config.runtime.lightning.profiler else ()
+    for file in (history, curves, *profiles):
         mlflow.log_artifact(str(file), "training")
     stored = read_json(abstraction_dir / "config.json")
     tracking.keep_run(folders, mlflow.active_run().info.run_id, model_id, stored["weights_sha256"])
