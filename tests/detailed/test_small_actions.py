@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,11 +13,13 @@ from hdsp.detailed.actions.manoeuvres import is_banned
 from hdsp.detailed.actions.state_costs import state_cost, state_costs
 from hdsp.detailed.actions.successors import MAX_SUCCESSORS, Rules, allowed_headings
 from hdsp.detailed.states import pack_states
-from hdsp.detailed.world.world import cell_index
+from hdsp.detailed.world.world import build_world, cell_index
 from hdsp.robot.robot import FEET
+from hdsp.terrain.height_map import HeightMap
 from tests import naive_relaxed
-from tests.detailed.instances import action_tuple, kernel_successors, successor_arrays
+from tests.detailed.instances import action_tuple, kernel_successors, successor_arrays, toy, valid_states
 from tests.detailed.small_scenes import SCENES, by_scene, small_scene
+from tests.naive import Naive
 
 FOUND = {"drive": 400, "turn": 60, "arc": 30, "foot": 300, "shift": 50, "step": 30}
 
@@ -146,3 +149,34 @@ def cell_under(world, state, foot):
 def test_no_state_has_more_successors_than_the_arrays_hold():
     most = max(len(edges) for name in SCENES for edges in small_scene(name).graph.values())
     assert most < MAX_SUCCESSORS
+
+
+#: A long body sweeps other cells at the next heading.
+LONG = toy(
+    body={"boxes": [{"above": 0.1, "x_min": -0.2, "x_max": 0.225, "half_width": 0.025}]},
+    drive={"sideways": False}, turn={"on_the_spot": False, "radius": 1.2},
+)  # fmt: skip
+
+
+@cache
+def among_spikes(name):
+    """States on neutral feet on maps with thin spikes, and the twin's actions: [(world, state, actions)]."""
+    robot = LONG if name == "long" else SCENES[name][0]
+    found = []
+    for seed in range(2 if name != "long" else 8):
+        rng = np.random.default_rng(seed)
+        heights = np.where(rng.random((22, 22)) < 0.03, np.float32(0.5), np.float32(0))
+        world, twin = build_world(HeightMap(heights), robot), Naive(heights, robot)
+        found += [(world, state, list(twin.successors(state))) for state in valid_states(twin, rng, 16)]
+    return found
+
+
+@pytest.mark.parametrize("name", ["nimble", "ahead only", "short arcs", "long"])
+def test_bodies_between_spikes_collide_where_the_twins_do(name):
+    """Spikes stand so densely that a heading step or a cell decides about the body on the way."""
+    kinds = Counter()
+    for world, state, actions in among_spikes(name):
+        expected = {(action, reached): cost for action, reached, cost in actions}
+        assert kernel_successors(world, state) == pytest.approx(expected, rel=1e-6), state
+        kinds.update(action[0] for action, _ in expected)
+    assert kinds["drive"] > 20 and kinds["turn"] + kinds["arc"] > 10, kinds
