@@ -35,6 +35,7 @@ def main(argv: list[str] | None = None) -> dict:
     parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"some of {', '.join(TARGETS)}")
     parser.add_argument("--count", type=int, default=60, help="mutants of each target")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
+    parser.add_argument("--so-far", action="store_true", help="try none; count the results so far")
     parser.add_argument("--again", action="store_true", help="try survivors again")
     parser.add_argument("--only", default="", help="mutants with this text in their names; all of them, not a sample")
     parser.add_argument("--results", type=Path, default=ROOT / "build" / "mutants.jsonl", help="file with all results")
@@ -45,8 +46,9 @@ def main(argv: list[str] | None = None) -> dict:
         if chosen.targets and name not in chosen.targets:
             continue
         sample, total = target.sample(chosen.count, chosen.seed, chosen.only)
-        _try(target, [each for each in sample if _is_open(results, each, chosen.again)], results)
-        found[name] = total, [(each, results.of(each)) for each in sample]
+        if not chosen.so_far:
+            _try(target, [each for each in sample if _is_open(results, each, chosen.again)], results)
+        found[name] = total, [(each, trial) for each in sample if (trial := results.of(each)) is not None]
     result = summary(found, chosen.seed)
     if chosen.page:
         write_page(chosen.page, result)
