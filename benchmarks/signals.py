@@ -147,7 +147,7 @@ def _fault(status: int, number: int, told: str, family: list[int], temporary: Pa
     if lines[-1] != words or "Traceback" in told:
         found.append(f"last line {lines[-1]!r}")
     if alive := [pid for pid in family if _is_alive(pid)]:
-        found.append(f"{len(alive)} processes left")
+        found.append(f"processes left: {', '.join(' '.join(psutil.Process(pid).cmdline())[:80] for pid in alive)}")
     # The compiler of torch makes a folder for its cache, which stays.
     if left := sorted(path.name for path in temporary.iterdir() if not path.name.startswith("torchinductor_")):
         found.append(f"left among temporary files: {', '.join(left[:3])}")

@@ -106,6 +106,7 @@ def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
         UserWarning: the scheduler takes work from anybody who reaches it.
     """
     try:
+        import dask
         from distributed import Client
     except ImportError as error:
         raise InputError(f"several workers need Dask: pip install 'dask[distributed]' ({error})") from error
@@ -120,9 +121,12 @@ def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
             yield client
         return
     # Workers that are ended leave their folders; in this one they are removed.
-    with TemporaryDirectory(prefix="hdsp-workers-", ignore_cleanup_errors=True) as folder:
+    with (
+        TemporaryDirectory(prefix="hdsp-workers-", ignore_cleanup_errors=True) as folder,
+        dask.config.set({"temporary-directory": folder}),
+    ):
         is_local = settings.scheduler is None
-        cluster = _local_cluster(settings, jobs, folder) if is_local else _slurm_cluster(settings.slurm)
+        cluster = _local_cluster(settings, jobs) if is_local else _slurm_cluster(settings.slurm)
         client = Client(cluster)
         try:
             yield client
@@ -194,7 +198,7 @@ def peak_memory() -> int:
     return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-def _local_cluster(settings: ClusterSettings, jobs: int, folder: str) -> "LocalCluster":
+def _local_cluster(settings: ClusterSettings, jobs: int) -> "LocalCluster":
     from distributed import LocalCluster
 
     # Of workers that are ended, a process of Python clears away what they share, and would tell of it.
@@ -206,7 +210,6 @@ def _local_cluster(settings: ClusterSettings, jobs: int, folder: str) -> "LocalC
                 n_workers=settings.processes(jobs),
                 threads_per_worker=1,
                 host="127.0.0.1",
-                local_directory=folder,
                 dashboard_address=settings.dashboard,
                 memory_limit=settings.memory or 0,
                 silence_logs=logging.CRITICAL,  # a lost worker is restarted; no message is needed
