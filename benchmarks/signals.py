@@ -107,8 +107,8 @@ def measured(command: Command, number: int, folder: Path) -> dict[str, float | s
                 running.kill()
                 return {"seconds": 0.0, "cpu": 0.0, "fault": f"did not begin: {told[-300:]}"}
             time.sleep(0.02)
-        before = _cpu(running.pid)
         family = [running.pid, *(one.pid for one in psutil.Process(running.pid).children(recursive=True))]
+        before = sum(map(_cpu, family))
         (os.killpg if number == signal.SIGINT else os.kill)(running.pid, number)
         began = time.monotonic()
         os.set_blocking(running.stdout.fileno(), True)
@@ -127,7 +127,10 @@ def _works(ready: str, told: str, folder: Path) -> bool:
 
 
 def _cpu(pid: int) -> float:
-    times = psutil.Process(pid).cpu_times()
+    try:
+        times = psutil.Process(pid).cpu_times()
+    except psutil.NoSuchProcess:
+        return 0.0
     return times.user + times.system + times.children_user + times.children_system
 
 
@@ -177,7 +180,7 @@ def main(argv: list[str] | None = None) -> dict:
     parser.add_argument("--signals", nargs="+", choices=SIGNALS, default=list(SIGNALS))
     parser.add_argument("--page", type=Path, help="docs page to update")
     arguments = parser.parse_args(argv)
-    rows, found = [], []
+    rows, found, loads = [], [], []
     with tempfile.TemporaryDirectory(prefix="signals-") as place:
         inputs = Path(place) / "inputs"
         inputs.mkdir()
@@ -189,13 +192,14 @@ def main(argv: list[str] | None = None) -> dict:
                 subprocess.run(["cp", "-r", str(inputs), str(folder)], check=True)
                 result = measured(COMMANDS[name], SIGNALS[kind], folder)
                 found.append(result)
-                row += [f"{result['seconds']:.1f}", f"{result['cpu']:.1f}"]
-                load = os.getloadavg()[0]
-                print(f"{name}, {kind}: {result} at load {load:.1f}", flush=True)
+                row.append(f"{result['seconds']:.1f}")
+                loads.append(os.getloadavg()[0])
+                print(f"{name}, {kind}: {result} at load {loads[-1]:.1f}", flush=True)
             rows.append(row)
     if arguments.page:
-        head = ["command", *(word for kind in arguments.signals for word in (f"{kind}, s", "CPU s"))]
-        write_block(arguments.page, "benchmarks.signals", table(head, rows))
+        head = ["command", *(f"SIG{kind}, s" for kind in arguments.signals)]
+        words = f"Load of {min(loads):.0f} - {max(loads):.0f} on {os.cpu_count()} cores:\n\n"
+        write_block(arguments.page, "benchmarks.signals", words + table(head, rows))
     result = {
         "slowest": round(max(float(one["seconds"]) for one in found), 2),
         "slowest_cpu": round(max(float(one["cpu"]) for one in found), 2),
