@@ -37,6 +37,10 @@ def _limit(robot: Robot, name: str) -> dict[str, Any]:
     below = not _faults(robot, name, limit - BELOW)
     if below:
         low = limit - BELOW
+        if faults := _faults(robot, name, limit):
+            high, ends = limit, faults
+        else:
+            low = limit
     while high - low > _CLOSE:
         middle = (low + high) / 2
         if faults := _faults(robot, name, middle):
