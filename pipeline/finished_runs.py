@@ -7,12 +7,10 @@ live on.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,7 +21,7 @@ from .code import STAGES, own_places
 from .command_line import PACKAGE
 from .config import plain
 from .config_types import Config
-from .folders import read_json, write_json
+from .folders import alone, read_json, write_json
 
 #: Record of a finished run, and the file that its process locks; beside the overrides.
 RECORD, LOCK = ".hydra/finished.json", ".hydra/lock"
@@ -38,7 +36,7 @@ def once(folder: Path, digest: str, work: Callable[[], float]) -> float:
         work: the run; an exception leaves no record.
     """
     record = folder / RECORD
-    with alone(folder / LOCK):
+    with alone(folder, LOCK):
         if record.is_file() and (stored := read_json(record)).get("digest") == digest:
             print(f"{folder}: finished before", file=sys.stderr, flush=True)
             return float("nan") if stored["value"] is None else float(stored["value"])
@@ -71,16 +69,3 @@ def _code_of(package: str) -> str:
         for path in sorted(Path(folder).rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()
-
-
-@contextmanager
-def alone(path: Path) -> Iterator[None]:
-    """Waits until no other process holds this lock; a process that ends in any way lets it go."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            print(f"{path.parent.parent}: waiting for another process in this folder", file=sys.stderr, flush=True)
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import math
 import os
-from collections.abc import Collection, Sequence
+import sys
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,6 +62,25 @@ def _short(key: str, others: Collection[str]) -> str:
     ends = [".".join(parts[-length:]) for length in range(1, len(parts) + 1)]
     taken = [f".{other}" for other in others if other != key]
     return next((end for end in ends if not any(other.endswith(f".{end}") for other in taken)), key)
+
+
+@contextmanager
+def alone(folder: Path, lock: str) -> Iterator[None]:
+    """Waits until no other process holds this lock in a folder; a process that ends in any way lets it go.
+
+    Args:
+        folder: the folder, for a line about the wait.
+        lock: file in it, which stays.
+    """
+    path = folder / lock
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            print(f"{folder}: waiting for another process in this folder", file=sys.stderr, flush=True)
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def project_root() -> Path:

@@ -15,6 +15,7 @@ from hdsp.base.files import replacing
 from hdsp.base.storage import Place
 
 from .config_types import Config
+from .folders import alone
 from .label_places import USED, label_run, split_place
 from .stage import Folders, run_stage, write_json
 
@@ -33,9 +34,10 @@ def label(config: Config, folders: Folders, split: str, verify: bool = False) ->
     write_used(folders, split, result.place)
     if result.record:  # beside the labels instead of in a report, because it differs in each run
         records = folders.write("data", "label_runs", f"{split}.jsonl")
-        earlier = records.read_text(encoding="utf-8") if records.is_file() else ""
-        with replacing(records) as path:
-            path.write_text(f"{earlier}{json.dumps(result.record)}\n", encoding="utf-8")
+        with alone(records.parent, f".{split}.lock"):  # two runs at once lose no line
+            earlier = records.read_text(encoding="utf-8") if records.is_file() else ""
+            with replacing(records) as path:
+                path.write_text(f"{earlier}{json.dumps(result.record)}\n", encoding="utf-8")
 
 
 def write_used(folders: Folders, split: str, place: Place) -> None:

@@ -21,7 +21,7 @@ from hdsp.base.storage import Place, is_url, open_folder
 from . import served_model, tracking
 from .config import flatten, plain
 from .config_types import Config
-from .finished_runs import alone
+from .folders import alone
 from .label_places import shards_place
 from .parts import training_parts
 from .stage import Folders, read_json, run_stage, write_json
@@ -55,7 +55,7 @@ def train(config: Config, folders: Folders) -> float:
     if first:
         tracked = tracking.run(record_of(config, folders, hashes))
     work = folders.write("models", "training")
-    with alone(work / "lock") if first else nullcontext(), tracked as mlflow:
+    with alone(work, "lock") if first else nullcontext(), tracked as mlflow:
         datasets = log_datasets(mlflow, config, splits, hashes) if mlflow is not None else {}
         result = train_network(
             TrainingConfig(config.model, trainer, config.runtime.hardware, lightning),

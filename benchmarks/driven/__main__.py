@@ -50,7 +50,7 @@ def main(argv=None) -> dict:
     robot = Robot.load(arguments.robot)
     counts = dict.fromkeys(kinds, arguments.count) | ({WAYS: arguments.ways} if arguments.ways else {})
     results = run_all(counts, arguments.seed, robot, arguments.folder, arguments.jobs)
-    summary = summarise(robot.name, results)
+    summary = summarise(robot.name, arguments.seed, results)
     if arguments.slopes:
         summary["slope"] = {name: slope_limits(Robot.load(name)) for name in Robot.presets()}
     if arguments.page:

@@ -17,11 +17,12 @@ _DIFFERS = 1.03  # ratio of costs from which two ways are a pair
 _DOTS = {"obstacle": "o", "rough": "s", "stairs": "^", "sideways": "D"}
 
 
-def summarise(robot: str, results: dict[str, list[dict[str, Any]]]) -> dict[str, Any]:
+def summarise(robot: str, seed: int, results: dict[str, list[dict[str, Any]]]) -> dict[str, Any]:
     """Returns the benchmark's JSON document.
 
     Args:
         robot: its name.
+        seed: seed of the tasks.
         results: results of tasks by kind; `ways` has two drives for each task.
     """
     single = {kind: found for kind, found in results.items() if kind != WAYS}
@@ -31,6 +32,7 @@ def summarise(robot: str, results: dict[str, list[dict[str, Any]]]) -> dict[str,
     found = pairs(ways)
     return {
         "robot": robot,
+        "seed": seed,
         "tasks": {kind: len(found) for kind, found in single.items()},
         "driven": {kind: _share(found) for kind, found in single.items()},
         "all": _share(tasks),
@@ -76,7 +78,8 @@ def text(summary: dict[str, Any], picture: str) -> str:
         for kind, share in summary["driven"].items()
     ]
     rows.append(["all", sum(summary["tasks"].values()), summary["all"], ""])
-    parts = [table(["ground", "tasks", "arrived", "other ends"], rows)]
+    parts = [f"{summary['robot']}, tasks of seed {summary['seed']}:"]
+    parts.append(table(["ground", "tasks", "arrived", "other ends"], rows))
     parts.append(f"Simulation: {summary['realtime']} times as fast as real time on one core.")
     if summary["pairs"]:
         by_sort = ", ".join(f"{sort} {value}" for sort, value in summary["rank_correlation_by_sort"].items())

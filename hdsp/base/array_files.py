@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -77,6 +78,15 @@ def _reader(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Callable[[], np.
         with archive.open(info) as file:
             array = np.lib.format.read_array(file, allow_pickle=False)
             file.read()  # the checksum is compared at the end
+        _check_text(array)
         return array
 
     return read
+
+
+def _check_text(array: np.ndarray) -> None:
+    """Refuses text with numbers beyond Unicode, which Python's text functions do not expect."""
+    if array.dtype.kind == "U" and array.size:
+        numbers = np.frombuffer(array.tobytes(), np.dtype(np.uint32).newbyteorder(array.dtype.byteorder))
+        if numbers.max(initial=0) > sys.maxunicode:
+            raise InputError(f"it is damaged: text with the character number {numbers.max():,}")

@@ -1,8 +1,8 @@
 """Signals that end a process: an exception in the main thread, so that files and workers are cleared away.
 
-Code of libraries may run for seconds without looking at signals, for example a compiler. A process that is still there
-after ``LATEST`` ends at once, with the same line and exit status. Python's own end, which takes seconds with large
-libraries, is left out, and processes that the ending one has started end with it.
+Library code, for example a compiler, may run for seconds without looking at signals. A process still there after
+``LATEST`` ends at once, with the same line and exit status. Python's own end, which takes seconds with large
+libraries, is left out, and child processes end with their parent.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def leaving(number: int) -> int:
 def end_children(number: int = signal.SIGKILL) -> None:
     """Sends a signal to all processes below this one (Linux).
 
-    Those that clear away after others, `multiprocessing.resource_tracker`, end by themselves.
+    The exception, `multiprocessing.resource_tracker`, clears away after others and ends by itself.
     """
     parents: dict[int, list[int]] = {}
     for entry in Path("/proc").glob("[0-9]*/stat"):

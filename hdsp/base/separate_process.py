@@ -1,4 +1,4 @@
-"""A library that may abort or hang on damaged input, in a process of its own with limits of memory and time.
+"""A library in a separate process with limits for memory and time: it may abort or hang on damaged input.
 
 The process gets bytes or a path, and hands back one array of numbers in a private temporary folder; nothing is
 unpickled.

@@ -127,26 +127,20 @@ def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
     ):
         is_local = settings.scheduler is None
         cluster = _local_cluster(settings, jobs) if is_local else _slurm_cluster(settings.slurm)
-        client = Client(cluster)
+        client, at_once = Client(cluster), False
         try:
             yield client
         except Ended:
-            if is_local:  # Dask would wait for the work, or start the ended workers anew
+            at_once = is_local  # Dask would wait for the work, or start the ended workers anew
+            raise
+        finally:
+            if at_once:
                 cluster.shutdown_on_close = False
                 end_children()
             else:
-                _close(client, cluster)
-            raise
-        except BaseException:
-            _close(client, cluster)
-            raise
-        _close(client, cluster)
-
-
-def _close(client: "Client", cluster: Any) -> None:
-    client.close()
-    with suppress(TimeoutError):  # on a busy machine, workers end slowly; they end with this process
-        cluster.close()
+                client.close()
+                with suppress(TimeoutError):  # on a busy machine, workers end slowly; they end with this process
+                    cluster.close()
 
 
 def _warn_of_open(scheduler: str | None) -> None:

@@ -4,30 +4,20 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from hdsp.abstract.abstract_costs import AbstractCosts, Region
-from hdsp.abstract.manual import ManualCosts
 from hdsp.base.errors import InputError
-from hdsp.base.extensions import HEURISTICS, extension_place, extensions, load_extension
-from hdsp.base.gradual import Gradual, Steps, now
+from hdsp.base.gradual import now
 from hdsp.base.settings import shown
-from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.causes import Cause
-from hdsp.detailed.relaxed.foothold_regions import efforts_to, foothold_region_steps
-from hdsp.detailed.search.estimate import Estimate, least_foot_cost, with_step_efforts
 from hdsp.detailed.search.life_cycle import Hopeless, Progress
 from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.search.reached import METRES_PER_RADIAN
-from hdsp.detailed.world.world import World, build_world
+from hdsp.detailed.world.world import build_world
 from hdsp.detailed.world.world_update import updated_world
-from hdsp.learning.loading import abstraction_of, load_abstraction
-from hdsp.planning.answers.invalid_end import InvalidEnd
-from hdsp.planning.answers.plan_statistics import PlanStatistics
 from hdsp.planning.answers.plans import Plan
 from hdsp.planning.arguments import (
     callback,
@@ -40,18 +30,19 @@ from hdsp.planning.arguments import (
     whole,
 )
 from hdsp.planning.compiled import compile_for
-from hdsp.planning.ends.arrival import STATE_BYTES, Arrival, Tolerance, arrival_steps, poses_of, several, with_heading
-from hdsp.planning.ends.departure import Departure, departure_steps
+from hdsp.planning.ends.arrival import Tolerance, several, with_heading
 from hdsp.planning.ends.location import locate
 from hdsp.planning.ends.nearby import can_leave, nearest_to_leave
-from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, GridHeuristic, Heuristic
+from hdsp.planning.heuristics import Heuristic
+from hdsp.planning.heuristics.heuristic_choice import heuristic_of
 from hdsp.planning.improving import improving_plans
 from hdsp.planning.map_changes import changed_cells
 from hdsp.planning.margin import with_margin
 from hdsp.planning.measured_map import MeasuredMap
-from hdsp.planning.memory import least_memory, memory_limit, own_memory
+from hdsp.planning.memory import least_memory, memory_limit
 from hdsp.planning.polish import DEFAULT, Polish, polish_seconds, weight_and_polish
 from hdsp.planning.query import Query
+from hdsp.planning.query_start import Asked, SharedGround, begin_query, without_search
 from hdsp.planning.query_turns import QueryTurns
 from hdsp.planning.refinable import refinable_plan
 from hdsp.robot.lattice import Grid
@@ -112,52 +103,12 @@ class Planner:
         self.terrain = self._map.terrain
         self.grid = Grid(self.terrain.origin, self.terrain.shape)
         self.world = build_world(self.terrain, self._wider)
-        self.heuristic = self._make_heuristic(heuristic)
+        self.heuristic = heuristic_of(heuristic, self.world, self.terrain, self.robot, self._map.measured)
         self._queries = QueryTurns()
         compile_for(self.robot, self.heuristic)
 
     def __repr__(self) -> str:
         return f"Planner({self.robot.name}, heuristic {self.heuristic.name}, {self.terrain})"
-
-    def _make_heuristic(self, heuristic: str | AbstractCosts | Heuristic) -> Heuristic:
-        if isinstance(heuristic, Heuristic):
-            if (heuristic.world.nx, heuristic.world.ny) != self.grid.shape:
-                cells = f"{heuristic.world.nx} x {heuristic.world.ny}"
-                raise InputError(f"heuristic {heuristic.name} belongs to another terrain, of {cells} cells")
-            if self.terrain is not self._map.measured:
-                raise InputError(
-                    f"heuristic {heuristic.name} belongs to the terrain before its conditioning; make it for "
-                    "terrain.conditioned(), or plan with conditioning=None"
-                )
-            return heuristic
-        if isinstance(heuristic, AbstractCosts) and not isinstance(heuristic, type):
-            return self._guided_by(heuristic, type(heuristic).__name__)
-        name = heuristic if isinstance(heuristic, str) else ""
-        if name == "geometric":
-            return GeometricHeuristic(self.world)
-        if name == "grid":
-            return GridHeuristic(self.world)
-        if name == "manual":
-            return AbstractHeuristic(self.world, self.terrain, ManualCosts(self.robot), "manual")
-        if name == "learned" or (name.startswith("learned:") and name != "learned:"):
-            folder = name.removeprefix("learned").removeprefix(":")
-            abstraction = load_abstraction(folder, self.robot) if folder else abstraction_of(self.robot)
-            from hdsp.learning.learned_costs import LearnedCosts
-
-            costs = LearnedCosts(abstraction, robot=self.robot)
-            return self._guided_by(costs, "learned")
-        if name and extension_place(HEURISTICS, name) is not None:
-            return self._make_heuristic(_made_elsewhere(name, self.world, self.terrain))
-        others = "".join(f"'{other}', " for other in sorted(extensions(HEURISTICS)))
-        raise InputError(
-            f"heuristic {shown(heuristic)}: need 'geometric', 'grid', 'manual', 'learned', 'learned:FOLDER', {others}"
-            "an AbstractCosts or a Heuristic"
-        )
-
-    def _guided_by(self, costs: AbstractCosts, name: str) -> AbstractHeuristic:
-        """Returns the heuristic from an abstraction, with the manual one beside it."""
-        second = None if type(costs) is ManualCosts else ManualCosts(self.robot)
-        return AbstractHeuristic(self.world, self.terrain, costs, name, second)
 
     @property
     def conditioning(self) -> ConditioningReport | None:
@@ -337,11 +288,11 @@ class Planner:
         unbounded = not self.heuristic.admissible and anchored is None
         weight, polish = weight_and_polish(weight, polish, unbounded)
         compile_for(self.robot, self.heuristic, anchored=anchored is not None, refinable=refinable)
-        progress = callback("progress", progress)
+        asked = Asked(start, goal, tolerance, start_free, way_out, weight, limits, callback("progress", progress))
 
         def answer() -> Plan:
             began = now()
-            query = self._query(start, goal, tolerance, start_free, way_out, weight, limits, progress)
+            query = begin_query(self._ground(), asked)
             if isinstance(query, Plan):
                 return query
             prepared = now() - began
@@ -435,11 +386,12 @@ class Planner:
         polish = polish_seconds(polish, DEFAULT)
         compile_for(self.robot, self.heuristic, anytime=True, refinable=refinable)
         progress = callback("progress", progress)
+        asked = Asked(start, goal, tolerance, start_free, way_out, weights[0], limits, progress)
         cancelled = self._cancelled(weights[0], (start, goal))
 
         def timed_query() -> tuple[Query | Plan, float]:
             began = now()
-            query = self._query(start, goal, tolerance, start_free, way_out, weights[0], limits, progress)
+            query = begin_query(self._ground(), asked)
             return query, now() - began
 
         query, prepared = self._queries.answer(timed_query, lambda: (cancelled(), 0.0))
@@ -449,127 +401,15 @@ class Planner:
         plans = improving_plans(query, weights, refinable, Polish(polish), prepared)
         return (query.from_start(plan) for plan in self._queries.answers(plans, cancelled))
 
-    def _query(
-        self,
-        start,
-        goal,
-        tolerance: Tolerance | None,
-        start_free: bool,
-        way_out: bool,
-        weight: float,
-        limits: Limits,
-        progress: Progress | None,
-    ) -> Query | Plan:
-        """Returns the query, with the heuristic prepared for its goals, or a plan that ends before the search."""
-        began = now()
-        free = limits.memory - self.heuristic.needed_memory() - least_memory(self.world)
-        asked = Gradual(self._ends(start, goal, tolerance, start_free, way_out, free))
-        if not asked.run(began + limits.time):
-            return self._no_plan(Status.TIME_LIMIT, weight, began, (start, goal))
-        begin, ends = asked.result
-        if begin.faults or ends.faults:
-            first = (several(goal) or [goal])[0]
-            status, pose = (Status.INVALID_START, start) if begin.faults else (Status.INVALID_GOAL, first)
-            values, heading_free = with_heading(pose)
-            near = pose_values(values, "pose", self._wider)[:3]
-            inquiry = InvalidEnd(begin.world, self.grid, self._wider, near, heading_free)
-            return self._no_plan(status, weight, began, (start, goal), begin.faults or ends.faults).renewed(
-                inquiry=inquiry, terrain=begin.terrain
-            )
-        exact = ends.exact and len(ends.states) == 1
-        groups = None if exact else np.unique(ends.goal, return_inverse=True)[1].ravel()
-        same = begin.world is self.world
-        other = 0 if same else own_memory(begin.world, self.world)
-        aside = other + STATE_BYTES * len(ends.states) + least_memory(begin.world)
-        self.heuristic.keep_within(limits.memory - aside - self.heuristic.needed_memory())
-
-        def on_ground(steps: Steps[Estimate]) -> Steps[tuple[Estimate, Estimate]]:
-            found = yield from steps
-            return found, (found if same else (yield from _on_ground(begin.world, found, ends)))
-
-        preparation = Gradual(on_ground(self.heuristic.steps_from(begin.state, ends.states, groups)))
-        if not preparation.run(began + limits.time):
-            return self._no_plan(Status.TIME_LIMIT, weight, began, (start, goal))
-        held = aside - least_memory(begin.world) + self.heuristic.needed_memory() + self.heuristic.kept()
-        if limits.memory < held + least_memory(begin.world):
-            return self._no_plan(Status.MEMORY_LIMIT, weight, began, (start, goal)).renewed({"total_memory": held})
-        spent = 0.0 if begin.way is None else float(begin.way.costs.sum())
-        found, estimate = preparation.result
-
-        def estimate_of(heuristic: Heuristic, until: float) -> Estimate | None:
-            steps = Gradual(on_ground(heuristic.steps_to(ends.states, groups)))
-            return steps.result[1] if steps.run(until) else None
-
-        return Query(
-            terrain=begin.terrain,
-            robot=self.robot,
-            wider=self._wider,
-            grid=self.grid,
-            world=begin.world,
-            heuristic=self.heuristic,
-            estimate=estimate,
-            start=begin.state,
-            goals=ends.states,
-            goal_numbers=ends.goal,
-            # On other ground under the start, costs-to-go in the map may be too high.
-            admissible=self.heuristic.admissible and (same or len(estimate.table) == 0),
-            consistent=self.heuristic.consistent and (same or len(estimate.table) == 0),
-            limits=replace(limits, cost=limits.cost - spent, memory=limits.memory - held),
-            held=held,
-            ends=began + limits.time,
-            progress=progress,
-            assumed=begin.assumed,
-            way=begin.way,
-            measured=self.terrain if self.conditioning is None else None,
-            whole=None if self.heuristic.covers_map(found) else partial(estimate_of, self.heuristic),
-            others=tuple(partial(estimate_of, other) for other in self.heuristic.others()),
-        )
-
     def _memory(self, asked: int) -> int:
         """Limit of a query's memory in bytes; see ``memory_limit``."""
         return memory_limit(whole("memory", asked), self.heuristic.needed_memory() + least_memory(self.world))
 
-    def _ends(
-        self, start, goal, tolerance: Tolerance | None, start_free: bool, way_out: bool, memory: int
-    ) -> Steps[tuple[Departure, Arrival]]:
-        """Finds start and goals of a query, in steps; ``memory`` is left for the states at the goals, in bytes."""
-        begin = yield from departure_steps(
-            self.terrain, self.world, self.grid, self.robot, self._wider, start, start_free, way_out
-        )  # fmt: skip
-        goals = several(goal) or [goal]
-        return begin, (yield from arrival_steps(begin.world, self.grid, self._wider, goals, tolerance, memory))
-
     def _cancelled(self, weight: float, asked: tuple) -> Callable[[], Plan]:
         """Makes the answer to a cancelled query."""
-        return partial(self._no_plan, Status.CANCELLED, weight, now(), asked)
+        return partial(without_search, self._ground(), Status.CANCELLED, weight, now(), asked)
 
-    def _no_plan(
-        self, status: Status, weight: float, began: float, asked: tuple, faults: Sequence[Cause | str] = ()
-    ) -> Plan:
-        """Returns the answer to a query that ends before its search."""
-        spent = now() - began
-        prepared = spent if status == Status.TIME_LIMIT else 0.0
-        stats = PlanStatistics(self.heuristic.name, float(weight), heuristic_seconds=prepared, seconds=spent)
-        nothing = np.empty((0, 7)), (), np.empty(0)
-        return Plan(
-            status, np.inf, *nothing, stats, self.terrain, self.robot, problems=tuple(faults), ends=poses_of(*asked)
+    def _ground(self) -> SharedGround:
+        return SharedGround(
+            self.terrain, self.world, self.grid, self.robot, self._wider, self.heuristic, self.conditioning is None
         )
-
-
-def _on_ground(world: World, estimate: Estimate, ends: Arrival) -> Steps[Estimate]:
-    """Makes an estimate for a world with other ground under the start, where the map has no foothold regions."""
-    if len(estimate.back.place) > 0:
-        groups = np.unique(ends.goal, return_inverse=True)[1].ravel()
-        return (yield from GridHeuristic(world).steps_to(ends.states, groups))
-    if len(estimate.effort) == 0:
-        return estimate
-    regions = yield from foothold_region_steps(world, Rules(), least_foot_cost(world))
-    return with_step_efforts(estimate, regions.region, efforts_to(regions, world, ends.states))
-
-
-def _made_elsewhere(name: str, world: World, terrain: HeightMap) -> Heuristic | AbstractCosts:
-    """Heuristic of another package for a terrain."""
-    made = load_extension(HEURISTICS, name)(world, terrain)
-    if not isinstance(made, Heuristic | AbstractCosts):
-        raise InputError(f"heuristic {name!r}: {type(made).__name__} is neither a Heuristic nor an AbstractCosts")
-    return made

@@ -72,13 +72,14 @@ def test_the_summary_counts_and_ranks(tmp_path):
             {"sort": "stairs", "ways": [result(50, 3), result(40, 9, "slipped")]},
         ],
     }  # fmt: skip
-    found = summary.summarise("momaro", results)
+    found = summary.summarise("momaro", 7, results)
     assert found["driven"] == {"flat": 1.0, "stairs": 0.5} and found["all"] == 0.75
     assert found["causes"]["stairs"] == {"slipped": 1} and found["realtime"] == 5.0
     assert found["pairs"] == 3 and found["rank_correlation"] == pytest.approx(1 / 3, abs=0.01)
     assert found["rank_correlation_by_sort"] == {"obstacle": None, "rough": 1.0, "stairs": -1.0, "sideways": None}
     found["slope"] = {"momaro": {"pitch": {"planned": 15.5, "driven": 30.0, "below": True, "ends": ["slipped"]}}}
     text = summary.text(found, "x.png")
+    assert text.startswith("momaro, tasks of seed 7:")
     assert "| stairs | 2 | 0.5 | 1 slipped |" in text and "| momaro | pitch | 15.5 | 30 | slipped |" in text
     summary.draw(results, tmp_path / "x.png")
     assert (tmp_path / "x.png").stat().st_size > 5000

@@ -4,6 +4,7 @@
 - ``geometric``: distance, heading and feet. Admissible and consistent.
 - ``grid``: the way of the base over the map. Admissible and consistent, and aware of walls.
 - ``abstract``: costs-to-go in an abstraction (manual, learned, any ``AbstractCosts``). Well informed, not admissible.
+- ``heuristic_choice``: heuristics by name.
 - ``standing``: abstract states at which the robot can stand.
 """
 

@@ -1,7 +1,7 @@
-"""Program that takes messages out of a ROS bag: python bag_program.py OUT MEMORY SECONDS PATH TOPIC INDEX BYTES.
+"""Program for messages in a ROS bag: python bag_program.py OUT MEMORY SECONDS PATH TOPIC INDEX BYTES.
 
-It runs in a process of its own (`hdsp.base.separate_process`), because a bag's packed chunks may unpack to any size.
-OUT is a uint8 array: a line of JSON, then raw messages of the type GridMap.
+It runs in a separate process (`hdsp.base.separate_process`), because a bag's packed chunks may unpack to any size.
+OUT is a uint8 array: a line in JSON, then raw GridMap messages.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ _END = 5_000_000_000
 
 
 def taken_out(path: Path, topic: str, index: int) -> bytes:
-    """Returns a line of JSON with all topics and the sizes of the messages, then the messages.
+    """Returns a line in JSON with all topics and message sizes, then the messages.
 
-    The line has ``topics``: name, type and number of messages of each connection; ``messages``: topic and size of each
-    message. A message that is not there, or a topic that is unknown or not the only one, is left out.
+    The line has ``topics``: name, type and message count for each connection; ``messages``: topic and size for each
+    message. A missing message, an unknown topic and one among several are left out.
 
     Args:
         path: a bag.
-        topic: name of a topic with or without the slash at its start; ``ONLY`` or ``EACH``.
-        index: place of the message in its topic; negative from the end.
+        topic: a topic's name with or without the slash at its start; ``ONLY`` or ``EACH``.
+        index: the message's place in its topic; negative from the end.
     """
     with _opened(path) as reader:
         kinds = {connection.topic: connection.msgtype for connection in reader.connections}
@@ -56,7 +56,7 @@ def taken_out(path: Path, topic: str, index: int) -> bytes:
 
 
 def only_file(folder: Path) -> Path | None:
-    """The file of a ROS 2 bag in a folder without metadata.yaml; None if there is none or more than one."""
+    """The ROS 2 bag file in a folder without metadata.yaml; None if there is none or more than one."""
     found = [path for pattern in _FILES for path in folder.glob(pattern)] if folder.is_dir() else []
     return found[0] if len(found) == 1 else None
 

@@ -1,7 +1,7 @@
 """Messages of the type grid_map_msgs/GridMap in ROS bags by rosbags, without ROS.
 
 ROS 1 (.bag) and ROS 2 (a folder with metadata.yaml, or its .db3 or .mcap file). The message definitions are here, as
-many ROS 2 bags have none. A process of its own takes the messages out of their file (`bag_program`).
+many ROS 2 bags have none. A separate process takes the messages out (`bag_program`).
 
 A layer is a matrix with a ring buffer: row and column 0 are at the start indices. Its rows run against x, its columns
 against y, and the pose in the message is the middle of the map. Heights are positions in the frame of the message;
@@ -88,7 +88,7 @@ class _Topic(NamedTuple):
 
 
 def _taken_out(path: Path, topic: str, index: int, cells: int) -> tuple[list[_Topic], dict[str, bytes]]:
-    """All topics of a bag, and the raw message at an index of some topics (`bag_program.taken_out`)."""
+    """All topics in a bag, and the raw message at an index in some topics (`bag_program.taken_out`)."""
     files = [path] if path.is_file() else [entry for entry in path.iterdir() if entry.is_file()]
     size = _PER_CELL * cells + _LEAST
     seconds = _SECONDS + sum(file.stat().st_size for file in files) // _BYTES_IN_A_SECOND
@@ -102,7 +102,7 @@ def _taken_out(path: Path, topic: str, index: int, cells: int) -> tuple[list[_To
 
 
 def _topic(found: list[_Topic], wanted: str | None) -> tuple[str, int]:
-    """Name of the wanted topic, and the number of its messages."""
+    """The wanted topic's name, and its number of messages."""
     kinds = {topic.name: topic.kind for topic in found}
     topics = sorted(topic for topic, kind in kinds.items() if kind == GRID_MAP)
     if not topics:
