@@ -111,7 +111,7 @@ def draw(results: dict[str, list[dict[str, Any]]], path: Path) -> None:
         arrived = [result for result in found if kind != WAYS and result["success"]]
         if arrived:
             left.scatter([r["cost"] for r in arrived], [r["energy"] for r in arrived], s=18, label=kind)
-    left.set(xlabel="planned cost", ylabel="energy (J)", yscale="log", xscale="log", title="plans")
+    left.set(xlabel="planned cost", ylabel="energy (J)", yscale="log", title="plans")
     found = pairs(results.get(WAYS, []))
     for sort in SORTS:
         dots = [(cost, energy) for name, cost, energy in found if name == sort]
@@ -120,11 +120,14 @@ def draw(results: dict[str, list[dict[str, Any]]], path: Path) -> None:
     right.axhline(1.0, color="0.4", lw=0.9)
     right.set(
         xlabel="cost of the dearer way / cost of the cheaper way", ylabel="energy, the same ratio", yscale="log",
-        xscale="log", title="two ways between the same poses",
+        title="two ways between the same poses",
     )  # fmt: skip
     for axes in (left, right):
         if axes.collections:
             axes.legend(fontsize=8)
         axes.grid(alpha=0.3, which="both")
+    left.yaxis.set_major_formatter("{x:g}")
+    right.yaxis.set_major_formatter("{x:g}")
+    right.yaxis.set_minor_formatter("{x:g}")
     figure.savefig(path, dpi=110)
     plt.close(figure)
