@@ -86,7 +86,7 @@ class Writes:
 
 
 _counting: list[Writes] = []
-_hooked: list[int] = []
+_hooked: list[bool] = []
 
 
 def _hook(event: str, arguments: tuple[Any, ...]) -> None:
@@ -97,9 +97,9 @@ def _hook(event: str, arguments: tuple[Any, ...]) -> None:
 @contextmanager
 def counted(writes: Writes) -> Iterator[None]:
     """Counts the writes of this process during a block."""
-    if os.getpid() not in _hooked:
+    if not _hooked:  # a fork inherits the hook
         sys.addaudithook(_hook)
-        _hooked.append(os.getpid())
+        _hooked.append(True)
     sync = os.fsync
 
     def synced(descriptor: int) -> None:
