@@ -4,11 +4,10 @@
 
 Each command starts anew, works until it has told or written something, and gets Ctrl-C (every process of its group, as
 from a terminal) or SIGTERM (the command alone). Its end is the moment at which its output is closed, which its last
-process does. Beside the clock stands CPU time of the command from the signal on, because other work on the machine
-lengthens the former: the load is printed as well. Files that are left among the temporary ones, and processes that are
-left, count as faults.
+process does. Other work on the machine lengthens it, so the load is printed as well. Temporary files that are left,
+processes that are left after a second, and commands that did not begin count as faults; the page shows `-` for them.
 
-The last line is JSON: `slowest` by the clock, `slowest_cpu`, and `faults`.
+The last line is JSON: `slowest` by the clock, and `faults`.
 """
 
 import argparse
@@ -33,6 +32,7 @@ TINY = ("profile=tiny", "runtime.workers=1")
 #: Options of the network `compact` that train in seconds.
 NETWORK = ("model.options.widths=[4,4]", "model.options.blocks=[1,1]", "model.options.map_features=4")
 LONG = ("trainer.epochs=100000", *NETWORK)
+PLAN = ("hdsp", "plan", "{}/map.npz", "--start", "1.2", "1.2", "0", "--goal", "8.6", "1.2", "0")
 #: Seconds to wait for a command to begin its work, and to end.
 PATIENCE = 300.0
 SIGNALS = {"INT": signal.SIGINT, "TERM": signal.SIGTERM}
@@ -62,19 +62,13 @@ def _label(workers: int) -> Command:
 
 
 COMMANDS: dict[str, Command] = {
-    "hdsp plan": Command(
-        ("hdsp", "plan", "{}/map.npz", "--start", "1.2", "1.2", "0", "--goal", "14", "14", "0", "--heuristic",
-         "geometric", "--weight", "1"), "search",
-    ),
-    "hdsp plan --improve": Command(
-        ("hdsp", "plan", "{}/map.npz", "--start", "1.2", "1.2", "0", "--goal", "14", "14", "0", "--improve", "100"),
-        "search",
-    ),
+    "hdsp plan": Command((*PLAN, "--heuristic", "geometric", "--weight", "1"), "planning:"),
+    "hdsp plan --improve": Command((*PLAN, "--improve", "100"), "planning:"),
     "hdsp warmup": Command(("hdsp", "warmup"), "compil"),
     "label": _label(1),
     "label, 2 workers": _label(2),
     "train": _stage("train", *LONG, ready="epoch   3"),
-    "evaluate": _stage("evaluate", ready="val, manual"),
+    "evaluate": _stage("evaluate", ready="random, "),
     "plan": _stage("plan", ready="geometric, W"),
     "sweep": _stage("train", "-m", "hydra.sweep.dir={}/sweep", "trainer.seed=1,2", *LONG, ready="epoch   3"),
     "sweep, joblib": _stage(
@@ -84,19 +78,20 @@ COMMANDS: dict[str, Command] = {
 }  # fmt: skip
 
 
-def measured(command: Command, number: int, folder: Path) -> dict[str, float | str]:
-    """Runs a command, signals it at work, and returns ``seconds``, ``cpu`` and ``fault``."""
+def measured(command: Command, number: int, folder: Path) -> tuple[float | None, str]:
+    """Runs a command, and signals it at work; returns the seconds, None if it did not begin, and its faults."""
     from tests import heed_interrupts
 
     temporary = folder / "tmp"
     temporary.mkdir()
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(temporary), "DVC_ROOT": str(folder)}
+    if "warmup" in command.words:
+        environment["NUMBA_CACHE_DIR"] = str(folder / "kernels")
     words = [word.format(folder) for word in command.words]
-    with (folder / "heard.txt").open("w") as heard:
-        running = subprocess.Popen(
-            [sys.executable, "-u", "-m", *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=ROOT,
-            env=environment, process_group=0, preexec_fn=heed_interrupts,
-        )  # fmt: skip
+    with subprocess.Popen(
+        [sys.executable, "-u", "-m", *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=ROOT,
+        env=environment, process_group=0, preexec_fn=heed_interrupts,
+    ) as running:  # fmt: skip
         assert running.stdout is not None
         os.set_blocking(running.stdout.fileno(), False)
         until = time.monotonic() + PATIENCE
@@ -105,43 +100,23 @@ def measured(command: Command, number: int, folder: Path) -> dict[str, float | s
             told += (running.stdout.read() or b"").decode("utf-8", "replace")
             if running.poll() is not None or time.monotonic() > until:
                 running.kill()
-                return {"seconds": 0.0, "cpu": 0.0, "fault": f"did not begin: {told[-300:]}"}
+                return None, f"did not begin: {told[-300:]}"
             time.sleep(0.02)
-        family = [running.pid, *(one.pid for one in psutil.Process(running.pid).children(recursive=True))]
-        before = sum(map(_cpu, family))
+        family = psutil.Process(running.pid).children(recursive=True)
         (os.killpg if number == signal.SIGINT else os.kill)(running.pid, number)
         began = time.monotonic()
         os.set_blocking(running.stdout.fileno(), True)
         told += running.stdout.read().decode("utf-8", "replace")
+        running.wait()
         seconds = time.monotonic() - began
-        _, status, usage = os.wait4(running.pid, 0)
-        running.returncode = os.waitstatus_to_exitcode(status)
-        seconds = max(seconds, time.monotonic() - began)
-        heard.write(told)
-    cpu = usage.ru_utime + usage.ru_stime - before
-    return {"seconds": seconds, "cpu": cpu, "fault": _fault(running.returncode, number, told, family, temporary)}
+    return seconds, _fault(running.returncode, number, told, family, temporary)
 
 
 def _works(ready: str, told: str, folder: Path) -> bool:
     return any((folder / "out").rglob(ready)) if ready.startswith("*") else ready in told
 
 
-def _cpu(pid: int) -> float:
-    try:
-        times = psutil.Process(pid).cpu_times()
-    except psutil.NoSuchProcess:
-        return 0.0
-    return times.user + times.system + times.children_user + times.children_system
-
-
-def _is_alive(pid: int) -> bool:
-    try:
-        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
-
-
-def _fault(status: int, number: int, told: str, family: list[int], temporary: Path) -> str:
+def _fault(status: int, number: int, told: str, family: list[psutil.Process], temporary: Path) -> str:
     lines = told.strip().splitlines() or [""]
     words = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}[signal.Signals(number)]
     found = []
@@ -149,12 +124,21 @@ def _fault(status: int, number: int, told: str, family: list[int], temporary: Pa
         found.append(f"exit status {status}")
     if lines[-1] != words or "Traceback" in told:
         found.append(f"last line {lines[-1]!r}")
-    if alive := [pid for pid in family if _is_alive(pid)]:
-        found.append(f"processes left: {', '.join(' '.join(psutil.Process(pid).cmdline())[:80] for pid in alive)}")
+    left_over = psutil.wait_procs(family, timeout=1)[1]
+    if alive := [process for process in left_over if not _is_zombie(process)]:
+        found.append(f"processes left: {', '.join(process.name() for process in alive)}")
     # The compiler of torch makes a folder for its cache, which stays.
     if left := sorted(path.name for path in temporary.iterdir() if not path.name.startswith("torchinductor_")):
         found.append(f"left among temporary files: {', '.join(left[:3])}")
     return "; ".join(found)
+
+
+def _is_zombie(process: psutil.Process) -> bool:
+    """Whether a process has ended, and nobody has asked for its status."""
+    try:
+        return process.status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True
 
 
 def prepare(folder: Path, run: Callable[..., object] = subprocess.run) -> None:
@@ -162,7 +146,7 @@ def prepare(folder: Path, run: Callable[..., object] = subprocess.run) -> None:
     import hdsp
 
     heights = np.zeros((400, 400), np.float32)
-    heights[::16, ::16] = 0.3
+    heights[196:204, :360] = 0.3
     hdsp.HeightMap(heights).save(folder / "map.npz")
     places = (f"runtime.inputs={folder}", f"runtime.outputs={folder}")
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "DVC_ROOT": str(folder)}
@@ -180,7 +164,8 @@ def main(argv: list[str] | None = None) -> dict:
     parser.add_argument("--signals", nargs="+", choices=SIGNALS, default=list(SIGNALS))
     parser.add_argument("--page", type=Path, help="docs page to update")
     arguments = parser.parse_args(argv)
-    rows, found, loads = [], [], []
+    rows, loads = [], []
+    found: list[tuple[float | None, str]] = []
     with tempfile.TemporaryDirectory(prefix="signals-") as place:
         inputs = Path(place) / "inputs"
         inputs.mkdir()
@@ -190,20 +175,19 @@ def main(argv: list[str] | None = None) -> dict:
             for kind in arguments.signals:
                 folder = Path(place) / f"{len(found)}"
                 subprocess.run(["cp", "-r", str(inputs), str(folder)], check=True)
-                result = measured(COMMANDS[name], SIGNALS[kind], folder)
-                found.append(result)
-                row.append(f"{result['seconds']:.1f}")
+                seconds, fault = measured(COMMANDS[name], SIGNALS[kind], folder)
+                found.append((seconds, fault))
+                row.append("-" if seconds is None else f"{seconds:.1f}")
                 loads.append(os.getloadavg()[0])
-                print(f"{name}, {kind}: {result} at load {loads[-1]:.1f}", flush=True)
+                print(f"{name}, {kind}: {row[-1]} s at load {loads[-1]:.1f} {fault}", flush=True)
             rows.append(row)
     if arguments.page:
         head = ["command", *(f"SIG{kind}, s" for kind in arguments.signals)]
-        words = f"Load of {min(loads):.0f} - {max(loads):.0f} on {os.cpu_count()} cores:\n\n"
+        words = f"Load of at most {max(loads):.1f} on {os.cpu_count()} cores:\n\n"
         write_block(arguments.page, "benchmarks.signals", words + table(head, rows))
     result = {
-        "slowest": round(max(float(one["seconds"]) for one in found), 2),
-        "slowest_cpu": round(max(float(one["cpu"]) for one in found), 2),
-        "faults": sum(bool(one["fault"]) for one in found),
+        "slowest": round(max((seconds for seconds, _ in found if seconds is not None), default=0.0), 2),
+        "faults": sum(bool(fault) for _, fault in found),
     }
     print(json.dumps(result))
     return result
