@@ -120,8 +120,19 @@ def costs_around(inside, behind, limit, edges, standing, least, prices, excess):
                         reached.add(between)
                         value = max(inside[end] + 0.5 * cost - excess, 0.0)
                         result[between] = min(result.get(between, np.inf), value)
-    queue = []
-    for ix, iy, heading in reached - set(result):
+    return reconnected(result, reached, prices)
+
+
+def reconnected(costs, states, prices):
+    """Costs-to-go with those of further states, at given prices: a dict over states (ix, iy, heading).
+
+    Args:
+        costs: costs-to-go of some states.
+        states: those that a way may pass.
+        prices: as in `hdsp.abstract.cut_off.reconnect`.
+    """
+    result, queue = dict(costs), []
+    for ix, iy, heading in states - set(result):
         for action, (dx, dy, dtheta) in enumerate(ABSTRACT_ACTIONS.tolist()):
             end = ix + dx, iy + dy, (heading + dtheta) % ABSTRACT_HEADINGS
             if end in result:
@@ -134,7 +145,7 @@ def costs_around(inside, behind, limit, edges, standing, least, prices, excess):
         result[ix, iy, heading] = cost
         for action, (dx, dy, dtheta) in enumerate(ABSTRACT_ACTIONS.tolist()):
             start = ix - dx, iy - dy, (heading - dtheta) % ABSTRACT_HEADINGS
-            if start in reached:
+            if start in states:
                 heapq.heappush(queue, (cost + float(prices[start[2], action]), start))
     return result
 

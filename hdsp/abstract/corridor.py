@@ -27,7 +27,7 @@ import numpy as np
 
 from hdsp.abstract.bridging import PASSED
 from hdsp.abstract.cut_off import reconnect
-from hdsp.abstract.waiting import BUCKETS, Waiting, put, remove
+from hdsp.abstract.waiting import BUCKETS, Waiting, bucket_width, put, remove
 from hdsp.base.jit import njit
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
 
@@ -75,7 +75,17 @@ def least_costs_from(states: np.ndarray, open_states: np.ndarray, least: np.ndar
     flat = _flat(states, nx, ny)
     costs, queue = np.full(open_states.size, np.inf), Waiting.none(open_states.size)
     _spread(
-        flat, np.zeros(len(flat)), open_states.ravel(), nx, ny, least, 1, np.inf, costs, *queue, 1.0 / _width(least)
+        flat,
+        np.zeros(len(flat)),
+        open_states.ravel(),
+        nx,
+        ny,
+        least,
+        1,
+        np.inf,
+        costs,
+        *queue,
+        1.0 / bucket_width(least),
     )
     return costs.reshape(headings, nx, ny)
 
@@ -94,7 +104,7 @@ def connected(
     """
     shape, queue, prices = open_states.shape, Waiting.none(open_states.size), np.array(prices, np.float32, order="C")
     found, flat = np.full(open_states.size, np.inf), _flat(goals, shape[1], shape[2])
-    per_width, (_, nx, ny) = 1.0 / _width(prices), shape
+    per_width, (_, nx, ny) = 1.0 / bucket_width(prices), shape
     _spread(flat, costs, open_states.ravel(), nx, ny, prices, -1, most, found, *queue, per_width)
     near = np.flatnonzero(found < np.inf)
     heading, ix, iy = np.unravel_index(near, shape)
@@ -121,7 +131,7 @@ def find_corridor(
     shape = behind.shape
     found, settled, queue = np.full(behind.size, np.inf), np.zeros(behind.size, np.bool_), Waiting.none(behind.size)
     (nx, ny), bounds, flat = shape[1:], behind.ravel(), incoming.reshape(-1)
-    settings = 1.0 / _width(least), doubt, NEAR, NARROW, WIDE, (1 + _FRINGE) * MOST
+    settings = 1.0 / bucket_width(least), doubt, NEAR, NARROW, WIDE, (1 + _FRINGE) * MOST
     best = _settle(flat, nx, ny, bounds, _flat(goals, nx, ny), costs, found, settled, *queue, *settings)
     if best == np.inf:
         return None
@@ -167,12 +177,6 @@ def costs_around(
 
 def _flat(states: np.ndarray, nx: int, ny: int) -> np.ndarray:
     return (states[:, 2] * nx + states[:, 0]) * ny + states[:, 1]
-
-
-def _width(least: np.ndarray) -> float:
-    """Width of a bucket: the cheapest action, and no less than a small share of the most expensive one."""
-    finite = least[np.isfinite(least)]
-    return float(max(finite.min(), finite.max() / 64, 1e-6)) if len(finite) else 1.0
 
 
 @njit(allocates=False, nogil=True)

@@ -1,9 +1,8 @@
 """Costs-to-go for states that an abstraction cuts off from the goal."""
 
-import heapq
-
 import numpy as np
 
+from hdsp.abstract.waiting import BUCKETS, Waiting, bucket_width, put, remove
 from hdsp.base.jit import njit
 from hdsp.robot.lattice import ABSTRACT_ACTIONS
 
@@ -20,13 +19,13 @@ def reconnect(distances: np.ndarray, states: np.ndarray, prices: np.ndarray) -> 
         states: bool [16, nx, ny], states that a robot may pass; all others stay inf.
         prices: float64 [16, 22], price of an action by its start's heading.
     """
-    _reconnect(distances, states, prices, ABSTRACT_ACTIONS)
+    per_width = 1.0 / bucket_width(prices)
+    _reconnect(distances, states, prices, ABSTRACT_ACTIONS, *Waiting.none(distances.size), per_width)
 
 
-@njit(nogil=True)
-def _reconnect(distances, states, prices, actions):
+@njit(allocates=False, nogil=True)
+def _reconnect(distances, states, prices, actions, after, ahead, heads, counts, per_width):
     headings, nx, ny = distances.shape
-    waiting = [(np.inf, 0)]
     for k in range(headings):
         for a in range(nx):
             for b in range(ny):
@@ -38,17 +37,23 @@ def _reconnect(distances, states, prices, actions):
                     if 0 <= x < nx and 0 <= y < ny:
                         least = min(least, distances[(k + actions[m, 2]) % headings, x, y] + prices[k, m])
                 if least < np.inf:
-                    waiting.append((least, (k * nx + a) * ny + b))
-    heapq.heapify(waiting)
-    while waiting:
-        cost, place = heapq.heappop(waiting)
-        if cost == np.inf:
-            break
-        k, a, b = place // (nx * ny), place // ny % nx, place % ny
-        if distances[k, a, b] <= cost:
-            continue
-        distances[k, a, b] = cost
-        for m in range(len(actions)):
-            x, y, z = a - actions[m, 0], b - actions[m, 1], (k - actions[m, 2]) % headings
-            if 0 <= x < nx and 0 <= y < ny and states[z, x, y] and cost + prices[z, m] < distances[z, x, y]:
-                heapq.heappush(waiting, (cost + prices[z, m], (z * nx + x) * ny + y))
+                    distances[k, a, b] = least
+                    put(after, ahead, heads, counts, (k * nx + a) * ny + b, np.int64(least * per_width))
+    while counts[1] > 0:
+        slot = counts[0] % BUCKETS
+        while heads[slot] >= 0:
+            state = np.int64(heads[slot])
+            remove(after, ahead, heads, counts, state)
+            k, a, b = state // (nx * ny), state // ny % nx, state % ny
+            cost = distances[k, a, b]
+            bucket = np.int64(cost * per_width)
+            if bucket > counts[0]:
+                put(after, ahead, heads, counts, state, bucket)
+                continue
+            for m in range(len(actions)):
+                x, y, z = a - actions[m, 0], b - actions[m, 1], (k - actions[m, 2]) % headings
+                if 0 <= x < nx and 0 <= y < ny and states[z, x, y] and cost + prices[z, m] < distances[z, x, y]:
+                    distances[z, x, y] = cost + prices[z, m]
+                    start = (z * nx + x) * ny + y
+                    put(after, ahead, heads, counts, start, np.int64(distances[z, x, y] * per_width))
+        counts[0] += 1

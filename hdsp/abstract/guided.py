@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hdsp.abstract.prepared_graph import PreparedGraph
+from hdsp.abstract.prepared_graph import PreparedGraph, copy_edges
 from hdsp.abstract.waiting import BUCKETS, Waiting, put, remove
 from hdsp.base.jit import njit
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
@@ -78,7 +78,7 @@ class MixedEdges:
             states: bool [16, nx, ny].
             cheapest, most_expensive: bounds on their finite costs.
         """
-        _copy_edges(incoming, self.incoming, np.argwhere(states), ABSTRACT_ACTIONS)
+        copy_edges(incoming, self.incoming, np.argwhere(states), ABSTRACT_ACTIONS)
         self._cover(cheapest, most_expensive)
 
     def open(self, prices: np.ndarray, open_states: np.ndarray) -> None:
@@ -140,17 +140,6 @@ def _spread_near(incoming, starts, nx, ny, to_goals, most, cost, after, ahead, h
                     cost[other] = further
                     put(after, ahead, heads, counts, other, np.int64(further * per_width))
         counts[0] += 1
-
-
-@njit(allocates=False)
-def _copy_edges(source, target, states, actions):
-    _, nx, ny, count = source.shape
-    for n in range(len(states)):
-        k, a, b = states[n, 0], states[n, 1], states[n, 2]
-        for m in range(count):
-            x, y, z = a + actions[m, 0], b + actions[m, 1], (k + actions[m, 2]) % ABSTRACT_HEADINGS
-            if 0 <= x < nx and 0 <= y < ny:
-                target[z, x, y, m] = source[z, x, y, m]
 
 
 @njit(allocates=False)

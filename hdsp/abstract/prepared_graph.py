@@ -239,24 +239,44 @@ def _invert(edges, actions):
     return incoming, cheapest, most_expensive, valid
 
 
-@njit(nogil=True)
-def enter_least(incoming, k, standing, least, actions):
+@njit(allocates=False, nogil=True)
+def enter_least(incoming, k, bounded, kept, least, actions):
     """Writes the least cost of each action into the edges to the states at one heading.
 
     Args:
         incoming: see ``PreparedGraph``.
         k: the heading.
-        standing: bool [16, nx, ny]; states without standing have no edges.
+        bounded: bool [16, nx, ny], states whose edges have their least cost.
+        kept: bool [16, nx, ny], states whose edges stay as they are; states of neither kind have no edges.
         least: float32 [16, 22], by the start's heading.
         actions: the abstract actions.
     """
-    headings, nx, ny = standing.shape
+    headings, nx, ny = bounded.shape
     for a in range(nx):
-        for b in range(ny):
-            for m in range(len(actions)):
-                x, y, z = a - actions[m, 0], b - actions[m, 1], (k - actions[m, 2]) % headings
-                inside = 0 <= x < nx and 0 <= y < ny
-                incoming[k, a, b, m] = least[z, m] if inside and standing[z, x, y] else np.float32(np.inf)
+        for m in range(len(actions)):
+            x, dy, z = a - actions[m, 0], actions[m, 1], (k - actions[m, 2]) % headings
+            if not 0 <= x < nx:
+                incoming[k, a, :, m] = np.float32(np.inf)
+                continue
+            for b in range(min(max(dy, 0), ny)):
+                incoming[k, a, b, m] = np.float32(np.inf)
+            for b in range(max(ny + min(dy, 0), 0), ny):
+                incoming[k, a, b, m] = np.float32(np.inf)
+            for b in range(max(dy, 0), ny + min(dy, 0)):
+                if not kept[z, x, b - dy]:
+                    incoming[k, a, b, m] = least[z, m] if bounded[z, x, b - dy] else np.float32(np.inf)
+
+
+@njit(allocates=False, nogil=True)
+def copy_edges(source, target, states, actions):
+    """Copies the edges from some states, int64 [n, 3] (heading, ix, iy), from one ``incoming`` to another."""
+    headings, nx, ny, count = source.shape
+    for n in range(len(states)):
+        k, a, b = states[n, 0], states[n, 1], states[n, 2]
+        for m in range(count):
+            x, y, z = a + actions[m, 0], b + actions[m, 1], (k + actions[m, 2]) % headings
+            if 0 <= x < nx and 0 <= y < ny:
+                target[z, x, y, m] = source[z, x, y, m]
 
 
 @njit(nogil=True)

@@ -36,6 +36,12 @@ class Waiting(NamedTuple):
         return cls(*links, np.full(BUCKETS, -1, np.int32), np.zeros(2, np.int64))
 
 
+def bucket_width(costs: np.ndarray) -> float:
+    """Width of a bucket for actions with some costs: the cheapest, and no less than a share of the most expensive."""
+    finite = costs[np.isfinite(costs)]
+    return float(max(finite.min(), finite.max() / 64, 1e-6)) if len(finite) else 1.0
+
+
 @njit(inline="always")
 def put(after, ahead, heads, counts, state, bucket):
     """Puts a state into a bucket, out of its present one."""

@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from benchmarks.dijkstra import reversed_csr
 from hdsp.abstract import PreparedGraph, cost_to_go
+from hdsp.abstract.prepared_graph import enter_least
 from hdsp.base.errors import InputError
 from hdsp.robot.lattice import ABSTRACT_ACTIONS
 from tests import naive_abstract
@@ -194,3 +195,17 @@ def test_refuses_changed_costs_that_are_no_costs():
     graph = PreparedGraph.from_edges(random_edges(1, 3, 3))
     with pytest.raises(InputError, match=r"cost -1\.0"):
         graph.with_edges(np.array([[0, 1, 1]]), np.full((1, 22), -1.0))
+
+
+@pytest.mark.parametrize("shape", [(5, 6), (2, 3), (1, 1)])
+def test_least_costs_are_entered_beside_known_edges(shape):
+    random = np.random.default_rng(4)
+    bounded, kept = random.random((16, *shape)) < 0.7, random.random((16, *shape)) < 0.3
+    least = random.uniform(0.1, 1.0, (16, 22)).astype(np.float32)
+    edges = random_edges(5, *shape)
+    expected = np.where(bounded[..., None], least[:, None, None], np.float32(np.inf))
+    expected = PreparedGraph.from_edges(np.where(kept[..., None], edges, expected)).incoming
+    incoming = PreparedGraph.from_edges(np.where(kept[..., None], edges, np.float32(7.0))).incoming
+    for heading in range(16):
+        enter_least(incoming, heading, bounded, kept, least, ABSTRACT_ACTIONS)
+    np.testing.assert_array_equal(incoming, expected)

@@ -78,9 +78,13 @@ def test_costs_to_go_are_the_same_after_any_queries_and_updates(monkeypatch, ter
 
 
 def test_prepared_edges_all_count(terrain):
-    planner = Planner(terrain, MOMARO, Dearer(1))
-    planner.prepare()
+    planner, fresh = (Planner(terrain, MOMARO, Dearer(1)) for _ in range(2))
     start, goal = poses(planner, np.random.default_rng(3), 2)
+    table(planner, start, goal)
+    assert 0 < planner.heuristic.known.share < 1
+    for each in (planner, fresh):
+        each.prepare()
+    np.testing.assert_array_equal(planner.heuristic.graph.incoming, fresh.heuristic.graph.incoming)
     found, expected = way_costs(planner, start, goal)
     assert found == pytest.approx(expected, rel=1e-5)
 

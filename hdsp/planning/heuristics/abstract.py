@@ -188,7 +188,7 @@ class AbstractHeuristic(Heuristic):
                 feet = yield from standing_steps(world)
                 self._feet, self._uneven = feet, uneven_cells(world)
                 yield
-            self._known = yield from KnownEdges.steps(terrain, self.costs, self._feet >= 0)
+            self._known = KnownEdges(terrain, self.costs, self._feet >= 0)
             self._known.keep_within(self._most_kept)
 
     def _all_edges(self) -> Steps[None]:

@@ -36,6 +36,7 @@ def corridor_steps(
     open_states = standing.copy()
     open_states[sources.states[:, 2], sources.states[:, 0], sources.states[:, 1]] = True
     behind = least_costs_from(states_around(start, standing), open_states, least)
+    yield from known.bounded()
     goals, costs, cut_off = sources.states, sources.costs, False
     while True:
         version = known.version

@@ -43,7 +43,7 @@ def guided_steps(
     def raise_guide(share: float) -> Steps[None]:
         mixed.raise_by(share)
         yield
-        mixed.enter(known.incoming, entered, *known.extremes)
+        mixed.enter(known.from_evaluated, entered, *known.extremes)
         yield
         if opened is not None:
             mixed.open(prices, opened)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 
 from hdsp.abstract.abstract_costs import (
@@ -12,9 +14,9 @@ from hdsp.abstract.abstract_costs import (
     RememberingCosts,
     edge_steps,
 )
-from hdsp.abstract.prepared_graph import PreparedGraph, enter_edges, enter_least, replace_edges
+from hdsp.abstract.prepared_graph import PreparedGraph, copy_edges, enter_edges, enter_least, replace_edges
 from hdsp.base.errors import InputError
-from hdsp.base.gradual import Gradual, Steps
+from hdsp.base.gradual import Gradual, Steps, finished
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS
 from hdsp.terrain.height_map import HeightMap
 
@@ -26,7 +28,7 @@ class KnownEdges:
     """Edges from the states of a map at which the robot can stand, as far as they were evaluated.
 
     Edges of ``BoundedCosts`` that are not evaluated have their least cost; others are missing. Several threads may
-    evaluate edges. ``steps`` makes an object, in steps.
+    evaluate edges. Memory for all edges of a large map is taken when ``incoming`` is first read.
 
     Args:
         terrain: the map.
@@ -36,7 +38,8 @@ class KnownEdges:
     Attributes:
         least: float32 [16, 22], least cost of an action by heading; None for costs without known bounds.
         evaluated: bool [16, nx, ny], states whose edges are known.
-        incoming: float32 [16, nx, ny, 22], edges by end state, see ``PreparedGraph``.
+        from_evaluated: float32 [16, nx, ny, 22], edges by end state, see ``PreparedGraph``; without meaning where the
+            start is not evaluated.
         version: another object after each evaluation.
     """
 
@@ -45,22 +48,33 @@ class KnownEdges:
         stated = costs.least if isinstance(costs, BoundedCosts) else None
         self.least = None if stated is None else np.array(stated, np.float32, order="C")
         self.evaluated, self.version = np.zeros(standing.shape, bool), object()
-        self.incoming = np.empty((*standing.shape, N_ABSTRACT_ACTIONS), np.float32)
+        self.from_evaluated = np.empty((*standing.shape, N_ABSTRACT_ACTIONS), np.float32)
         self._memory = costs.new_memory(terrain) if isinstance(costs, RememberingCosts) else None
         self._cheapest, self._most_expensive = np.inf, 0.0
+        self._parts, self._writing = 0, threading.Lock()
+        self._bounding = Gradual(self._bounding_steps())
         self._graph: PreparedGraph | None = None
         self._running: Gradual[None] | None = None
 
-    @classmethod
-    def steps(cls, terrain: HeightMap, costs: AbstractCosts, standing: np.ndarray) -> Steps[KnownEdges]:
-        """Makes the edges of a map of which none is evaluated; arguments as for the class."""
-        result = cls(terrain, costs, standing)
-        bounds = np.full(N_ABSTRACT_ACTIONS, np.inf, np.float32) if result.least is None else result.least
-        bounds = np.ascontiguousarray(np.broadcast_to(bounds, (len(standing), N_ABSTRACT_ACTIONS)))
-        for heading in range(len(standing)):
-            enter_least(result.incoming, heading, standing, bounds, ABSTRACT_ACTIONS)
+    @property
+    def incoming(self) -> np.ndarray:
+        """Edges by end state, float32 [16, nx, ny, 22], see ``PreparedGraph``, with least costs of other edges."""
+        finished(self.bounded())
+        return self.from_evaluated
+
+    def bounded(self) -> Steps[None]:
+        """Enters the costs of edges that are not evaluated, in steps."""
+        while not self._bounding.step():
             yield
-        return result
+
+    def _bounding_steps(self) -> Steps[None]:
+        bounds = np.full((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), np.inf, np.float32)
+        if self.least is not None:
+            bounds[:] = self.least
+        for heading in range(ABSTRACT_HEADINGS):
+            with self._writing:
+                enter_least(self.from_evaluated, heading, self.standing, self.evaluated, bounds, ABSTRACT_ACTIONS)
+            yield
 
     @property
     def share(self) -> float:
@@ -95,20 +109,19 @@ class KnownEdges:
 
     def evaluate_all(self) -> Steps[None]:
         """Evaluates all edges that are not known."""
-        while (missing := self.standing & ~self.evaluated).any():
-            yield from self._step(missing)
+        yield from self.bounded()
+        yield from self.evaluate(self.standing)
 
     def evaluate(self, states: np.ndarray) -> Steps[None]:
         """Evaluates edges of states, bool [16, nx, ny], at which the robot can stand."""
         while (missing := states & ~self.evaluated).any():
-            yield from self._step(missing)
-
-    def _step(self, mask: np.ndarray) -> Steps[None]:
-        if self._running is None or self._running.done or self._running.failed:
-            self._running = Gradual(self._evaluation(mask))
-        # An evaluation that a query with little time began is continued by the next one.
-        self._running.step()
-        yield
+            running, parts = self._running, self._parts
+            # An evaluation that a query with little time began is continued by the next one.
+            if running is None or running.done or running.failed:
+                running = self._running = Gradual(self._evaluation(missing))
+            while self._parts == parts and not running.done:
+                running.step()
+                yield
 
     def _evaluation(self, mask: np.ndarray) -> Steps[None]:
         if mask.size <= PART and np.array_equal(mask, self.standing):
@@ -134,14 +147,19 @@ class KnownEdges:
         edges = np.ascontiguousarray(edges, np.float32)
         least = np.zeros((ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS), np.float32) if self.least is None else self.least
         corner = np.array(region[:2])
-        wrong, cheapest, most_expensive = enter_edges(self.incoming, edges, part, corner, least, ABSTRACT_ACTIONS)
-        if not wrong >= 0:
-            raise InputError(f"abstract edges contain the cost {wrong}, costs must be >= 0")
-        self._cheapest, self._most_expensive = min(self._cheapest, cheapest), max(self._most_expensive, most_expensive)
-        self._graph = None
-        # A search that saw the former edges finds another version before it finds these states evaluated.
-        self.version = object()
-        self.evaluated[:, region[0] : region[2], region[1] : region[3]] |= part
+        with self._writing:
+            wrong, *extremes = enter_edges(self.from_evaluated, edges, part, corner, least, ABSTRACT_ACTIONS)
+            if not wrong >= 0:
+                raise InputError(f"abstract edges contain the cost {wrong}, costs must be >= 0")
+            self._cheapest, self._most_expensive = (
+                min(self._cheapest, extremes[0]),
+                max(self._most_expensive, extremes[1]),
+            )
+            self._graph = None
+            # A search that saw the former edges finds another version before it finds these states evaluated.
+            self.version = object()
+            self.evaluated[:, region[0] : region[2], region[1] : region[3]] |= part
+            self._parts += 1
 
     def updated(self, terrain: HeightMap, standing: np.ndarray, changed: np.ndarray) -> KnownEdges | None:
         """Returns the edges of a changed map, without edges that the change reaches.
@@ -158,16 +176,22 @@ class KnownEdges:
             return None
         result = object.__new__(KnownEdges)
         result.__dict__.update(self.__dict__, terrain=terrain, standing=standing, _graph=None, _running=None)
+        result._writing = threading.Lock()
         result._memory = None if self._memory is None else self._memory.after(changed)
         # States at which the robot could not stand before have no edges yet.
         result.evaluated = self.evaluated & standing & ~self.costs.affected(changed)
-        result.incoming = self.incoming.copy()
+        if not self._bounding.done:
+            result._bounding = Gradual(result._bounding_steps())
+            result.from_evaluated = np.empty_like(self.from_evaluated)
+            copy_edges(self.from_evaluated, result.from_evaluated, np.argwhere(result.evaluated), ABSTRACT_ACTIONS)
+            return result
+        result.from_evaluated = self.from_evaluated.copy()
         states = np.ascontiguousarray(np.argwhere((self.evaluated & ~result.evaluated) | (self.standing != standing)))
         bounds = np.full((len(states), N_ABSTRACT_ACTIONS), np.inf, np.float32)
         if self.least is not None:
             known = standing[tuple(states.T)]
             bounds[known] = self.least[states[known, 0]]
-        replace_edges(result.incoming, states, bounds, ABSTRACT_ACTIONS)
+        replace_edges(result.from_evaluated, states, bounds, ABSTRACT_ACTIONS)
         return result
 
 
