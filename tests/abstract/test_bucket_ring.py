@@ -67,7 +67,9 @@ def test_stops_and_growth_change_no_distance(seed, shape, blocked, costs, initia
     found, ends, _ = searched(edges, goals, initial, most, room)
     each = [naive_abstract.cost_to_go(edges, goal) + cost for goal, cost in zip(goals, initial, strict=True)]
     np.testing.assert_allclose(found, np.min(each, axis=0), rtol=1e-12)
-    assert (PAUSED in ends) <= (most < ALL) and (room is not None or PAUSED in ends or len(ends) <= 2)
+    assert (PAUSED in ends) <= (most < ALL)
+    # Actions without cost may put all states of a map into one bucket, several times.
+    assert room is not None or PAUSED in ends or 0.0 in costs or len(ends) <= 2
 
 
 @pytest.mark.parametrize("most", [1, 3, 15, 16, 17])
