@@ -27,7 +27,7 @@ import numpy as np
 
 from hdsp.abstract.bridging import PASSED
 from hdsp.abstract.cut_off import reconnect
-from hdsp.abstract.waiting import BUCKETS, Waiting, bucket_width, put, remove
+from hdsp.abstract.waiting import Waiting, bucket_of, present, put, take
 from hdsp.base.jit import njit
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
 
@@ -63,6 +63,16 @@ class Corridor(NamedTuple):
         return self.costs < np.inf
 
 
+class _Breadth(NamedTuple):
+    """Limits of a corridor, for kernels; ``doubt`` as for ``find_corridor``, ``most`` is a number of states."""
+
+    doubt: float
+    near: float
+    narrow: float
+    wide: float
+    most: float
+
+
 def least_costs_from(states: np.ndarray, open_states: np.ndarray, least: np.ndarray) -> np.ndarray:
     """Returns lower bounds on the costs from the nearest of some states, float64 [16, nx, ny]; inf without a way.
 
@@ -73,20 +83,8 @@ def least_costs_from(states: np.ndarray, open_states: np.ndarray, least: np.ndar
     """
     headings, nx, ny = open_states.shape
     flat = _flat(states, nx, ny)
-    costs, queue = np.full(open_states.size, np.inf), Waiting.none(open_states.size)
-    _spread(
-        flat,
-        np.zeros(len(flat)),
-        open_states.ravel(),
-        nx,
-        ny,
-        least,
-        1,
-        np.inf,
-        costs,
-        *queue,
-        1.0 / bucket_width(least),
-    )
+    costs, queue = np.full(open_states.size, np.inf), Waiting.none(open_states.size, least)
+    _spread(flat, np.zeros(len(flat)), open_states.ravel(), (nx, ny), least, 1, np.inf, costs, queue)
     return costs.reshape(headings, nx, ny)
 
 
@@ -102,12 +100,12 @@ def connected(
         prices: float64 [16, 22], price of an action by its start's heading.
         most: largest cost.
     """
-    shape, queue, prices = open_states.shape, Waiting.none(open_states.size), np.array(prices, np.float32, order="C")
-    found, flat = np.full(open_states.size, np.inf), _flat(goals, shape[1], shape[2])
-    per_width, (_, nx, ny) = 1.0 / bucket_width(prices), shape
-    _spread(flat, costs, open_states.ravel(), nx, ny, prices, -1, most, found, *queue, per_width)
+    _, nx, ny = open_states.shape
+    prices = np.array(prices, np.float32, order="C")
+    found, queue = np.full(open_states.size, np.inf), Waiting.none(open_states.size, prices)
+    _spread(_flat(goals, nx, ny), costs, open_states.ravel(), (nx, ny), prices, -1, most, found, queue)
     near = np.flatnonzero(found < np.inf)
-    heading, ix, iy = np.unravel_index(near, shape)
+    heading, ix, iy = np.unravel_index(near, open_states.shape)
     return np.stack([ix, iy, heading], axis=1), found[near]
 
 
@@ -128,11 +126,10 @@ def find_corridor(
         least: as for ``least_costs_from``.
         doubt: see above.
     """
-    shape = behind.shape
-    found, settled, queue = np.full(behind.size, np.inf), np.zeros(behind.size, np.bool_), Waiting.none(behind.size)
-    (nx, ny), bounds, flat = shape[1:], behind.ravel(), incoming.reshape(-1)
-    settings = 1.0 / bucket_width(least), doubt, NEAR, NARROW, WIDE, (1 + _FRINGE) * MOST
-    best = _settle(flat, nx, ny, bounds, _flat(goals, nx, ny), costs, found, settled, *queue, *settings)
+    found, settled = np.full(behind.size, np.inf), np.zeros(behind.size, np.bool_)
+    (_, nx, ny), bounds, queue = behind.shape, behind.ravel(), Waiting.none(behind.size, least)
+    breadth = _Breadth(doubt, NEAR, NARROW, WIDE, (1 + _FRINGE) * MOST)
+    best = _settle(incoming.reshape(-1), (nx, ny), bounds, _flat(goals, nx, ny), costs, found, settled, queue, breadth)
     if best == np.inf:
         return None
     keys = np.where(settled, found + bounds, np.inf)
@@ -140,7 +137,7 @@ def find_corridor(
     limit = max(best + NARROW, _smallest(keys[around], MOST))
     around &= keys <= max(limit, _smallest(keys[around], round((1 + _FRINGE) * MOST)))
     found[~(keys <= limit)] = np.inf
-    return Corridor(found.reshape(shape), behind, limit, around.reshape(shape))
+    return Corridor(found.reshape(behind.shape), behind, limit, around.reshape(behind.shape))
 
 
 def _smallest(values: np.ndarray, count: int) -> float:
@@ -180,17 +177,16 @@ def _flat(states: np.ndarray, nx: int, ny: int) -> np.ndarray:
 
 
 @njit(allocates=False, nogil=True)
-def _spread(sources, costs, open_states, nx, ny, least, direction, most, cost, after, ahead, heads, counts, per_width):
+def _spread(sources, costs, open_states, shape, least, direction, most, cost, queue):
     """Dijkstra search with the same edges everywhere, forward (direction 1) or backward (-1); fills ``cost``."""
+    nx, ny = shape
     for i in range(len(sources)):
         if costs[i] <= most and costs[i] < cost[sources[i]]:
             cost[sources[i]] = costs[i]
-            put(after, ahead, heads, counts, sources[i], np.int64(costs[i] * per_width))
-    while counts[1] > 0:
-        slot = counts[0] % BUCKETS
-        while heads[slot] >= 0:
-            state = np.int64(heads[slot])
-            remove(after, ahead, heads, counts, state)
+            put(queue, sources[i], costs[i])
+    while queue.counts[1] > 0:
+        while present(queue):
+            state = take(queue)
             k, a, b = state // (nx * ny), state // ny % nx, state % ny
             so_far = cost[state]
             for m in range(len(ABSTRACT_ACTIONS)):
@@ -202,58 +198,37 @@ def _spread(sources, costs, open_states, nx, ny, least, direction, most, cost, a
                 further = so_far + least[k if direction > 0 else z, m]
                 if further < cost[other] and further <= most and open_states[other]:
                     cost[other] = further
-                    put(after, ahead, heads, counts, other, np.int64(further * per_width))
-        counts[0] += 1
+                    put(queue, other, further)
+        queue.counts[0] += 1
 
 
 @njit(allocates=False, nogil=True)
-def _settle(
-    incoming,
-    nx,
-    ny,
-    behind,
-    goals,
-    costs,
-    cost,
-    settled,
-    after,
-    ahead,
-    heads,
-    counts,
-    per_width,
-    doubt,
-    near,
-    narrow,
-    wide,
-    most,
-):
+def _settle(incoming, shape, behind, goals, costs, cost, settled, queue, breadth):
     """Backward A* search; fills ``cost``, also beyond the corridor, and returns the cost of the cheapest way."""
+    nx, ny = shape
     best, least_key, limit, total = np.inf, np.inf, np.inf, 0
     for i in range(len(goals)):
         goal = goals[i]
         if costs[i] < cost[goal] and behind[goal] < np.inf:
             cost[goal] = costs[i]
-            put(after, ahead, heads, counts, goal, np.int64((costs[i] + behind[goal]) * per_width))
+            put(queue, goal, costs[i] + behind[goal])
     count = len(ABSTRACT_ACTIONS)
-    while counts[1] > 0 and counts[0] <= limit * per_width:
+    while queue.counts[1] > 0 and queue.counts[0] <= limit * queue.per_width:
         # All states of former buckets have their cost.
-        if total >= most and counts[0] > least_key * per_width:
+        if total >= breadth.most and queue.counts[0] > least_key * queue.per_width:
             break
-        slot = counts[0] % BUCKETS
-        while heads[slot] >= 0:
-            state = np.int64(heads[slot])
-            remove(after, ahead, heads, counts, state)
+        while present(queue):
+            state = take(queue)
             so_far = cost[state]
             key = so_far + behind[state]
             if key > limit:
                 continue
-            bucket = np.int64(key * per_width)
-            if bucket > counts[0]:
-                put(after, ahead, heads, counts, state, bucket)
+            if bucket_of(queue, key) > queue.counts[0]:
+                put(queue, state, key)
                 continue
-            if behind[state] <= near and so_far + doubt * behind[state] < best:
-                best = so_far + doubt * behind[state]
-                least_key, limit = best + narrow, best + wide
+            if behind[state] <= breadth.near and so_far + breadth.doubt * behind[state] < best:
+                best = so_far + breadth.doubt * behind[state]
+                least_key, limit = best + breadth.narrow, best + breadth.wide
             if not settled[state]:
                 settled[state] = True
                 total += 1
@@ -267,8 +242,8 @@ def _settle(
                 further = so_far + edge
                 if further < cost[start] and behind[start] < np.inf and further + behind[start] <= limit:
                     cost[start] = further
-                    put(after, ahead, heads, counts, start, np.int64((further + behind[start]) * per_width))
-        counts[0] += 1
+                    put(queue, start, further + behind[start])
+        queue.counts[0] += 1
     return best
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hdsp.abstract.waiting import BUCKETS, Waiting, bucket_width, put, remove
+from hdsp.abstract.waiting import Waiting, bucket_of, present, put, take
 from hdsp.base.jit import njit
 from hdsp.robot.lattice import ABSTRACT_ACTIONS
 
@@ -19,12 +19,11 @@ def reconnect(distances: np.ndarray, states: np.ndarray, prices: np.ndarray) -> 
         states: bool [16, nx, ny], states that a robot may pass; all others stay inf.
         prices: float64 [16, 22], price of an action by its start's heading.
     """
-    per_width = 1.0 / bucket_width(prices)
-    _reconnect(distances, states, prices, ABSTRACT_ACTIONS, *Waiting.none(distances.size), per_width)
+    _reconnect(distances, states, prices, ABSTRACT_ACTIONS, Waiting.none(distances.size, prices))
 
 
 @njit(allocates=False, nogil=True)
-def _reconnect(distances, states, prices, actions, after, ahead, heads, counts, per_width):
+def _reconnect(distances, states, prices, actions, queue):
     headings, nx, ny = distances.shape
     for k in range(headings):
         for a in range(nx):
@@ -38,22 +37,18 @@ def _reconnect(distances, states, prices, actions, after, ahead, heads, counts, 
                         least = min(least, distances[(k + actions[m, 2]) % headings, x, y] + prices[k, m])
                 if least < np.inf:
                     distances[k, a, b] = least
-                    put(after, ahead, heads, counts, (k * nx + a) * ny + b, np.int64(least * per_width))
-    while counts[1] > 0:
-        slot = counts[0] % BUCKETS
-        while heads[slot] >= 0:
-            state = np.int64(heads[slot])
-            remove(after, ahead, heads, counts, state)
+                    put(queue, (k * nx + a) * ny + b, least)
+    while queue.counts[1] > 0:
+        while present(queue):
+            state = take(queue)
             k, a, b = state // (nx * ny), state // ny % nx, state % ny
             cost = distances[k, a, b]
-            bucket = np.int64(cost * per_width)
-            if bucket > counts[0]:
-                put(after, ahead, heads, counts, state, bucket)
+            if bucket_of(queue, cost) > queue.counts[0]:
+                put(queue, state, cost)
                 continue
             for m in range(len(actions)):
                 x, y, z = a - actions[m, 0], b - actions[m, 1], (k - actions[m, 2]) % headings
                 if 0 <= x < nx and 0 <= y < ny and states[z, x, y] and cost + prices[z, m] < distances[z, x, y]:
                     distances[z, x, y] = cost + prices[z, m]
-                    start = (z * nx + x) * ny + y
-                    put(after, ahead, heads, counts, start, np.int64(distances[z, x, y] * per_width))
-        counts[0] += 1
+                    put(queue, (z * nx + x) * ny + y, distances[z, x, y])
+        queue.counts[0] += 1

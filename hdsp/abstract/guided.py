@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.abstract.prepared_graph import PreparedGraph, copy_edges
-from hdsp.abstract.waiting import BUCKETS, Waiting, put, remove
+from hdsp.abstract.waiting import Waiting, present, put, take
 from hdsp.base.jit import njit
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
 
@@ -105,10 +105,9 @@ def find_band(graph: PreparedGraph, distances: np.ndarray, starts: np.ndarray) -
     best = to_goals[flat].min()
     if best == np.inf:
         return None
-    costs, queue = np.full(to_goals.size, np.inf), Waiting.none(to_goals.size)
-    per_width = 1.0 / max(graph.cheapest, graph.most_expensive / 64, 1e-6)
+    costs, queue = np.full(to_goals.size, np.inf), Waiting.none(to_goals.size, (graph.cheapest, graph.most_expensive))
     most = best + FARTHEST + _BEYOND
-    _spread_near(graph.incoming.reshape(-1), flat, nx, ny, to_goals, most, costs, *queue, per_width)
+    _spread_near(graph.incoming.reshape(-1), flat, (nx, ny), to_goals, most, costs, queue)
     keys = costs + to_goals
     near = np.sort(keys[keys <= most])
     limit = min(max(best + NEAREST, near[min(ENOUGH, len(near)) - 1]), best + FARTHEST)
@@ -116,18 +115,16 @@ def find_band(graph: PreparedGraph, distances: np.ndarray, starts: np.ndarray) -
 
 
 @njit(allocates=False)
-def _spread_near(incoming, starts, nx, ny, to_goals, most, cost, after, ahead, heads, counts, per_width):
+def _spread_near(incoming, starts, shape, to_goals, most, cost, queue):
     """Dijkstra search from some states over states on ways to a goal that cost at most ``most``; fills ``cost``."""
-    count = len(ABSTRACT_ACTIONS)
+    (nx, ny), count = shape, len(ABSTRACT_ACTIONS)
     for start in starts:
         if to_goals[start] <= most:
             cost[start] = 0.0
-            put(after, ahead, heads, counts, start, 0)
-    while counts[1] > 0:
-        slot = counts[0] % BUCKETS
-        while heads[slot] >= 0:
-            state = np.int64(heads[slot])
-            remove(after, ahead, heads, counts, state)
+            put(queue, start, 0.0)
+    while queue.counts[1] > 0:
+        while present(queue):
+            state = take(queue)
             k, a, b = state // (nx * ny), state // ny % nx, state % ny
             so_far = cost[state]
             for m in range(count):
@@ -138,8 +135,8 @@ def _spread_near(incoming, starts, nx, ny, to_goals, most, cost, after, ahead, h
                 further = so_far + np.float64(incoming[other * count + m])
                 if further < cost[other] and further + to_goals[other] <= most:
                     cost[other] = further
-                    put(after, ahead, heads, counts, other, np.int64(further * per_width))
-        counts[0] += 1
+                    put(queue, other, further)
+        queue.counts[0] += 1
 
 
 @njit(allocates=False)
