@@ -17,25 +17,17 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.learning.footprint_geometry import (
-    CONTEXT_STEP,
-    FEET,
-    GOAL_FEATURES,
     GROUND_RADIUS,
-    LINE,
     LINE_RADIUS,
     MOST,
     NEAR_RADIUS,
-    POSE_FEATURES,
-    PROFILE,
     REACH,
-    REQUIREMENT_FEATURES,
     SAMPLES,
     SHARPNESS,
     FootprintOptions,
     farthest_read,
 )
-from hdsp.learning.inference.cell_layer import Layer
-from hdsp.learning.inference.dense_layers import Graph
+from hdsp.learning.inference.footprint_layers import FootprintLayers
 from hdsp.learning.inference.gather_kernels import (
     GroundMaps,
     PoseCells,
@@ -61,7 +53,6 @@ from hdsp.learning.inference.kept_features import ALONG, LOCAL, POSE, KeptFeatur
 from hdsp.learning.inference.pose_table import CORNERS, PoseTable, Ways, goal_features, numbers, square
 from hdsp.learning.judgements import Judgements
 from hdsp.learning.learning_settings import ModelSettings
-from hdsp.learning.saved_abstraction import WEIGHTS
 from hdsp.robot.lattice import PATCH_CELLS, PATCH_CENTER, cells
 from hdsp.terrain.cost_maps import disc_mask
 from hdsp.terrain.scenes import CATEGORIES, random_map
@@ -78,8 +69,6 @@ STATES = 64
 STACK = 16
 #: Channels of the first convolution, as ``trunk_channels`` numbers them.
 _KINDS = ("unknown", "edge", "slope_x", "slope_y")
-#: Pose features are stored in rows of a multiple of this.
-_ALIGNED = 16
 #: Sets of goals whose constants are kept; one for each heading, and as many mirrored.
 _KEPT = 32
 
@@ -129,15 +118,16 @@ class FootprintEngine:
         self._kinds = np.array([_KINDS.index(c) for c in self.encoding.channels if c in _KINDS], np.int64)
         self._cone = self._unevenness_cone()
         self._clearance = np.argwhere(disc_mask(cells(self.stance.clearance))) - self.stance.clearance_cells
-        self._weights = _checked(tensors, _shapes(options, len(self._kinds)))
-        # Pose features have trailing zeros, so their weights have too.
-        self.features = -(-(options.features + POSE_FEATURES) // _ALIGNED) * _ALIGNED
-        self._build_local()
+        self.layers = FootprintLayers(options, len(self._kinds), tensors)
+        self.features, self._of_goal = self.layers.features, self.layers.of_goal
         self.code: float | None = None
         if codes:
             self.code = self._calibrated()
-        self._build_pose()
-        self._build_judges()
+        self._pose, self._start, self._judge = (
+            self.layers.of_pose(self.code),
+            self.layers.of_start(),
+            self.layers.of_goals(),
+        )
 
     def _unevenness_cone(self) -> tuple[np.ndarray, np.ndarray]:
         radius = self.encoding.unevenness_radius
@@ -147,23 +137,7 @@ class FootprintEngine:
         return offsets[weights > 0], weights[weights > 0]
 
     def __reduce__(self) -> tuple:
-        return FootprintEngine, (self.settings, self._weights, self.code is not None)
-
-    def _linear(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Weight [in, out] and bias of a linear layer."""
-        return self._weights[f"{name}.weight"].T, self._weights[f"{name}.bias"]
-
-    def _convolution(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Weight [in, out] and bias of a convolution; rows are in the order of ``gather``: by x, by y, by channel."""
-        weight = self._weights[f"{name}.weight"]
-        return weight.transpose(2, 3, 1, 0).reshape(-1, len(weight)), self._weights[f"{name}.bias"]
-
-    def _build_local(self) -> None:
-        """Makes the convolutions of local features and line features."""
-        names = [f"local.{2 * k}" for k in range(len(self.options.dilations))]
-        self.near, self.line, *self.local = (
-            Layer(*self._convolution(name)) for name in ("near.0", "of_line.0", *names)
-        )
+        return FootprintEngine, (self.settings, self.layers.weights, self.code is not None)
 
     def _calibrated(self) -> float:
         """Returns the value of a code for the last local features, from the largest one on random ground."""
@@ -177,54 +151,6 @@ class FootprintEngine:
             largest = max(largest, float(local[needed.local[-1]].max()))
         # Rounded, because the last bits of the features depend on the processor.
         return max(math.ceil(16 * CLIPPED * largest), 1) / 16 / 255
-
-    def _build_pose(self) -> None:
-        """Makes the layers that judge a pose."""
-        of_local, bias = self._convolution("of_local")
-        graph = Graph(
-            ["local", "ground"] if self.code is None else ["ground"], "result", ["local"][self.code is None :]
-        )
-        ground = graph.linear("ground", "of ground", self._weights["of_ground.weight"].T, bias, relu=False)
-        hidden = graph.operation("Add", [graph.product("local", "of local", of_local, self.code), ground], "sum")
-        graph.linear(graph.operation("Relu", [hidden], "hidden"), "result", *self._linear("footprint"))
-        self.pose = graph.session()
-
-    def _build_judges(self) -> None:
-        """Makes the layers for the start and for its goals."""
-        options, weights, linear = self.options, self._weights, self._linear
-        seen = options.features + POSE_FEATURES
-        *ways, rest = np.split(weights["rest.0.weight"].T, [seen * k for k in range(1, SAMPLES + 3)])
-        mean, greatest = ways[SAMPLES] / np.float32(SAMPLES), ways[SAMPLES + 1]
-        of_start, *of_samples = (self._padded(way + mean) for way in ways[:SAMPLES])
-        around, self._of_goal = np.split(rest, [options.context + options.feet])
-
-        of_context, bias = linear("context")
-        of_context = self._padded(of_context.reshape(-1, seen, options.context)).reshape(-1, options.context)
-        graph = Graph(["context rows", "feet rows", "start"], "result")
-        context = graph.linear("context rows", "context", of_context, bias)
-        feet = graph.linear("feet rows", "feet", *linear("feet"))
-        known = graph.operation("Concat", ["start", context, feet], "known", axis=1)
-        of_known = np.concatenate([of_start, around])
-        graph.linear(known, "result", of_known, weights["rest.0.bias"], relu=False)
-        self.start = graph.session()
-
-        graph = Graph(["rows", "start", "goals"], "result")
-        of_ways = graph.constant("of ways", np.concatenate([*of_samples, self._padded(greatest)]))
-        shape = graph.operation("Shape", ["goals"], "goals shape")
-        shape = graph.operation("Concat", [graph.constant("bases", np.array([-1])), shape], "shape", axis=0)
-        way = graph.operation("Reshape", [graph.operation("Gemm", ["rows", of_ways], "ways"), shape], "ways by base")
-        start = graph.operation("Unsqueeze", ["start", graph.constant("axis", np.array([1]))], "start by base")
-        way = graph.operation("Add", [way, start], "ways with start")
-        way = graph.operation("Add", [way, "goals"], "ways with goals")
-        flat = graph.constant("flat", np.array([-1, options.head]))
-        first = graph.operation("Relu", [graph.operation("Reshape", [way, flat], "rows of ways")], "first")
-        graph.linear(graph.linear(first, "second", *linear("rest.2")), "result", *linear("heads"), relu=False)
-        self.judge = graph.session()
-
-    def _padded(self, weight: np.ndarray) -> np.ndarray:
-        """Adds zeros for the trailing zeros of pose features, along the axis before the last."""
-        missing = self.features - weight.shape[-2]
-        return np.pad(weight, [(0, 0)] * (weight.ndim - 2) + [(0, missing), (0, 0)])
 
     def new_memory(self, shape: tuple[int, int]) -> KeptFeatures:
         """Returns a place for the features of a map with ``shape`` cells, empty."""
@@ -258,7 +184,7 @@ class FootprintEngine:
         near = self._near_and_local(channels, needed, across, known.local)
         yield None
         line_offsets = numbers(square(LINE_RADIUS), across)[:: 2 * LINE_RADIUS + 1]
-        self.line.convolve(near, needed.line, line_offsets, 2 * LINE_RADIUS + 1, known.line)
+        self.layers.line.convolve(near, needed.line, line_offsets, 2 * LINE_RADIUS + 1, known.line)
         yield None
         self._poses(known.local, maps, needed.poses, self.table.straight(across), known.poses)
         if place is not None:
@@ -279,10 +205,10 @@ class FootprintEngine:
             gather(poses.ravel(), self.features, part, context, self.features, around)
             feet = np.empty((len(part), of_feet), np.float32)
             feet_rows(part, line, maps, along, profile, footholds, feet)
-            (known,) = self.start.run(None, {"context rows": around, "feet rows": feet, "start": poses[part]})
+            (known,) = self._start.run(None, {"context rows": around, "feet rows": feet, "start": poses[part]})
             rows = np.empty((len(part) * len(goals), SAMPLES * self.features), np.float32)
             way_rows(part, poses, of_turns, corners, to.ways.weights, to.ways.turning, rows)
-            (judged,) = self.judge.run(None, {"rows": rows, "start": known, "goals": to.constant})
+            (judged,) = self._judge.run(None, {"rows": rows, "start": known, "goals": to.constant})
             excess, logits, *planning_excess = np.moveaxis(judged.reshape(len(part), len(goals), -1), 2, 0)
             costs = [flat * (1 + more) for flat, more in zip(to.costs, (excess, *planning_excess), strict=True)]
             yield slice(start, start + STATES), Judgements(costs[0], logits, *costs[1:])
@@ -309,7 +235,7 @@ class FootprintEngine:
         if key not in self._goals:
             if len(self._goals) >= _KEPT:
                 self._goals.clear()
-            features, weights = goal_features(goals), self._weights
+            features, weights = goal_features(goals), self.layers.weights
             hidden = features @ weights["goal_cost.0.weight"].T + weights["goal_cost.0.bias"]
             costs = np.maximum(hidden, 0) @ weights["goal_cost.2.weight"].T + weights["goal_cost.2.bias"]
             ways = Ways.to(goals)
@@ -376,10 +302,10 @@ class FootprintEngine:
     def _near_and_local(self, channels: np.ndarray, needed: _Needed, across: int, result: np.ndarray) -> np.ndarray:
         """Computes the last local features, or their codes; returns features of the first convolution."""
         offsets = numbers(square(NEAR_RADIUS), across)[:: 2 * NEAR_RADIUS + 1]
-        size, last = len(channels), len(self.local) - 1
+        size, last = len(channels), len(self.layers.local) - 1
         local = near = np.empty((size, self.options.width), np.float32)
-        self.near.convolve(channels, needed.near, offsets, 2 * NEAR_RADIUS + 1, near)
-        for k, (layer, dilation) in enumerate(zip(self.local, self.options.dilations, strict=True)):
+        self.layers.near.convolve(channels, needed.near, offsets, 2 * NEAR_RADIUS + 1, near)
+        for k, (layer, dilation) in enumerate(zip(self.layers.local, self.options.dilations, strict=True)):
             to = result if k == last else np.empty_like(near)
             layer.convolve(local, needed.local[k], numbers(square(dilation, dilation), across), 1, to, self.code)
             local = to
@@ -422,11 +348,11 @@ class FootprintEngine:
     def _pose_rows(self, count: int, kind: np.dtype) -> tuple[np.ndarray, np.ndarray]:
         """Empty rows for ``count`` poses: local features or codes, and ground."""
         taps = self.options.taps[0] * self.options.taps[1]
-        ground = self._weights["of_ground.weight"].shape[1]
-        return np.empty((count, taps * self.options.width), kind), np.empty((count, ground), np.float32)
+        ground = np.empty((count, self.layers.ground_features), np.float32)
+        return np.empty((count, taps * self.options.width), kind), ground
 
     def _judged_poses(self, local: np.ndarray, ground: np.ndarray) -> np.ndarray:
-        return self.pose.run(None, {"local": local, "ground": ground})[0]
+        return self._pose.run(None, {"local": local, "ground": ground})[0]
 
 
 class _Goals(NamedTuple):
@@ -460,41 +386,3 @@ def _spread_square(marks: np.ndarray, sides: tuple[int, int], step: int, across:
     row = np.zeros_like(marks)
     spread(marks, along_y, row)
     spread(row, along_x * across, result)
-
-
-def _shapes(options: FootprintOptions, channels: int) -> dict[str, tuple[int, ...]]:
-    """Shapes of all weights and biases."""
-    width, hidden, features, head = options.width, options.hidden, options.features, options.head
-    taps = options.taps[0] * options.taps[1]
-    near, line = 2 * NEAR_RADIUS + 1, 2 * LINE_RADIUS + 1
-    seen = features + POSE_FEATURES
-    of_feet = len(FEET) * (len(LINE) * width + 2 * len(PROFILE) + PROFILE[-1] - PROFILE[0] + 1)
-    way = (SAMPLES + 2) * seen + options.context + options.feet + GOAL_FEATURES
-    weights = {
-        "near.0": (width, channels, near, near),
-        **{f"local.{2 * k}": (width, width, 3, 3) for k in range(len(options.dilations))},
-        "of_local": (hidden, width, *options.taps),
-        "of_ground": (hidden, 3 * taps + REQUIREMENT_FEATURES),
-        "footprint": (features, hidden),
-        "context": (options.context, len(square(REACH, CONTEXT_STEP)) * seen),
-        "of_line.0": (width, width, line, line),
-        "feet": (options.feet, of_feet),
-        "rest.0": (head, way),
-        "rest.2": (head // 2, head),
-        "heads": (1 + options.costs, head // 2),
-        "goal_cost.0": (64, GOAL_FEATURES),
-        "goal_cost.2": (options.costs, 64),
-    }
-    shapes = {f"{name}.weight": shape for name, shape in weights.items()}
-    return shapes | {f"{name}.bias": shape[:1] for name, shape in weights.items() if name != "of_ground"}
-
-
-def _checked(tensors: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
-    if odd := sorted(set(tensors) ^ set(shapes)):
-        raise InputError(
-            f"{WEIGHTS}: does not fit footprint: {odd[0]} is {'unknown' if odd[0] in tensors else 'missing'}"
-        )
-    for name, shape in shapes.items():
-        if tensors[name].shape != shape:
-            raise InputError(f"{WEIGHTS}: does not fit footprint: {name} is {tensors[name].shape}, not {shape}")
-    return {name: np.ascontiguousarray(tensors[name], np.float32) for name in shapes}
