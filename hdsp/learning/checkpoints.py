@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import shutil
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from lightning.fabric.plugins import TorchCheckpointIO
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
+from hdsp.learning.processes import is_first_process
 
 
 class WholeCheckpoints(TorchCheckpointIO):
@@ -41,6 +43,32 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     if not isinstance(state.get("epoch"), int):
         raise InputError(f"checkpoint {path}: its epoch is no number")
     return state
+
+
+def checkpoint_to_resume(folder: Path, fingerprint: str) -> Path | None:
+    """Returns the last checkpoint from the same training; removes checkpoints from another training."""
+    mark = folder / "fingerprint.txt"
+    if mark.is_file() and mark.read_text() == fingerprint:
+        for path in (folder / "last.ckpt", folder / "best.ckpt"):
+            if path.is_file() and _is_whole(path):
+                return path
+    if not is_first_process():
+        return None
+    shutil.rmtree(folder, ignore_errors=True)
+    with replacing(mark) as temporary:
+        temporary.write_text(fingerprint)
+    return None
+
+
+def _is_whole(checkpoint: Path) -> bool:
+    try:
+        read_checkpoint(checkpoint)
+    except InputError as error:
+        if zipfile.is_zipfile(checkpoint) and "holds objects" in str(error):  # no accident
+            raise
+        print(f"{checkpoint} is damaged; an earlier state, or none, takes its place", flush=True)
+        return False
+    return True
 
 
 def _line(error: Exception) -> str:

@@ -4,7 +4,6 @@ import hashlib
 import json
 import logging
 import math
-import shutil
 import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,7 +12,6 @@ from dataclasses import asdict, dataclass, fields
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from zipfile import is_zipfile
 
 import lightning.pytorch as pl
 import torch
@@ -21,12 +19,11 @@ from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
 from lightning.pytorch.loggers import Logger
 
 from hdsp.base.errors import InputError
-from hdsp.base.files import replacing
 from hdsp.base.settings import load_settings
 from hdsp.base.short_repr import short_repr
 from hdsp.learning.abstraction import LearnedAbstraction
 from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, AveragedWeights, EpochPosition, StepRecord
-from hdsp.learning.checkpoints import WholeCheckpoints, read_checkpoint
+from hdsp.learning.checkpoints import WholeCheckpoints, checkpoint_to_resume, read_checkpoint
 from hdsp.learning.hardware import channels_last
 from hdsp.learning.history import EpochHistory, OnEpoch
 from hdsp.learning.learning_settings import (
@@ -39,7 +36,7 @@ from hdsp.learning.learning_settings import (
 from hdsp.learning.module import AbstractionModule
 from hdsp.learning.networks import build_network
 from hdsp.learning.networks.base import TaskNetwork
-from hdsp.learning.processes import SharedBatches, is_first_process
+from hdsp.learning.processes import SharedBatches
 from hdsp.learning.saved_abstraction import Provenance
 from hdsp.learning.task_data import Targets, task_loader
 from hdsp.learning.task_stream import ResumableBatches, TaskStream
@@ -129,74 +126,29 @@ def train(
         raise InputError(f"trainer.selection.set: {chosen!r} is not one of the validation sets {names}")
     started = time.perf_counter()
     config.hardware.apply_threads()
-    parts, lightning = parts or TrainingParts(), config.lightning
+    parts = parts or TrainingParts()
     module = _module(config, tuple(val_sets), parts)
-    if trainer_settings.initial is not None:
-        _begin_with(module.network, trainer_settings.initial, config.model)
     predicted: Targets = ("cost", "planning_cost") if module.network.predicts_planning_cost else ("cost",)
     source, maps = _training_batches(trainer_settings, train_tasks, predicted, config.hardware.readers)
     batches = ResumableBatches(source)
-    val_loaders = [
-        SharedBatches(
-            task_loader(tasks, VALIDATION_BATCH, targets=predicted if tasks.planning_cost is not None else ("cost",))
-        )
-        for tasks in val_sets.values()
-    ]
+    val_loaders = [_validation_batches(tasks, predicted) for tasks in val_sets.values()]
 
     checkpoints = out_dir / "checkpoints"
-    last = _checkpoint_to_resume(checkpoints, _fingerprint(config, source))
+    last = checkpoint_to_resume(checkpoints, _fingerprint(config, source))
     history = EpochHistory(out_dir, trainer_settings.selection.score, on_epoch, quiet)
-    keep_best = ModelCheckpoint(checkpoints, "best", monitor="score", enable_version_counter=False)
-    keep_last = ModelCheckpoint(checkpoints, "last", enable_version_counter=False)
-    interval = timedelta(minutes=trainer_settings.checkpoint_minutes)
-    keep_within = ModelCheckpoint(checkpoints, "last", train_time_interval=interval, enable_version_counter=False)
-    own_callbacks: list[pl.Callback] = [history, EpochPosition(batches), keep_best, keep_last, keep_within]
-    if trainer_settings.early_stopping:
-        patience = trainer_settings.early_stopping
-        own_callbacks.append(EarlyStopping("score", patience=patience, check_finite=False))
-    if trainer_settings.ema:
-        own_callbacks.append(AveragedWeights(trainer_settings.ema))
-    if trainer_settings.losses.rule != "constant":
-        rule = LOSS_WEIGHT_RULES[trainer_settings.losses.rule]
-        own_callbacks.append(rule(trainer_settings.losses.factor, trainer_settings.losses.patience))
-    if lightning.log_every is not None:
-        own_callbacks.append(StepRecord(lightning.log_every, on_step))
-    if lightning.compile:
-        module.network.compile(**(lightning.compile if isinstance(lightning.compile, dict) else {}))
+    own = [history, EpochPosition(batches), *_own_callbacks(config, checkpoints, on_step)]
     # Loaders and dropout layers draw from the global generator; the fork leaves the caller's state unchanged.
     with _without_lightning_chatter(), torch.random.fork_rng():
         torch.manual_seed(trainer_settings.seed)
         trainer = pl.Trainer(
-            accelerator=config.hardware.device().type,
-            devices=lightning.devices,
-            num_nodes=lightning.nodes,
-            strategy=parts.strategy or lightning.strategy,  # type: ignore[arg-type]  # a mapping has its part
-            precision=_precision(config),  # type: ignore[arg-type]  # Lightning checks the name
-            profiler=parts.profiler or named_profiler(lightning.profiler, out_dir),
-            max_epochs=trainer_settings.epochs,
-            accumulate_grad_batches=trainer_settings.accumulate,
-            limit_train_batches=trainer_settings.limits.train,
-            limit_val_batches=trainer_settings.limits.val,
-            gradient_clip_val=trainer_settings.gradient_clip,
-            sync_batchnorm=config.hardware.device().type == "cuda",
-            use_distributed_sampler=False,
-            plugins=[WholeCheckpoints()],
-            callbacks=[*own_callbacks, *parts.callbacks, *callbacks],
-            logger=_loggers([*parts.loggers, *_as_list(logger)]),
+            **_trainer_options(config, parts, out_dir),
+            callbacks=[*own, *parts.callbacks, *callbacks],
+            logger=[*parts.loggers, *_as_list(logger)] or False,
             enable_progress_bar=progress,
-            enable_model_summary=False,
-            num_sanity_val_steps=0,
-            log_every_n_steps=lightning.log_every or NEVER,
         )
         trainer.fit(module, batches, val_loaders, ckpt_path=last, weights_only=True if last else None)
 
-    best_path = checkpoints / "best.ckpt"
-    if not math.isfinite(min(row["score"] for row in history.rows)):
-        best_path = checkpoints / "last.ckpt"
-        print(_without_score(history.rows, trainer_settings), flush=True)
-    state = read_checkpoint(best_path)
-    module.load_state_dict(state["state_dict"])
-    best_epoch = min(int(state["epoch"]), len(history.rows) - 1)
+    best_epoch = _take_best(module, checkpoints, history.rows, trainer_settings)
     # A training that is repeated saves the same abstraction to the byte, so without its time.
     metrics = {key: value for key, value in history.rows[best_epoch].items() if key not in ("epoch", "seconds")}
     abstraction = LearnedAbstraction(module.network, config.model, provenance or Provenance(), metrics)
@@ -207,6 +159,62 @@ def train(
     return TrainResult(out_dir / "model", best_epoch, metrics, history.rows, seconds, resumed_from, maps)
 
 
+def _own_callbacks(config: TrainingConfig, checkpoints: Path, on_step: OnEpoch | None) -> list[pl.Callback]:
+    """The callbacks that the settings ask for, first those that keep checkpoints."""
+    settings, log_every = config.trainer, config.lightning.log_every
+    within = timedelta(minutes=settings.checkpoint_minutes)
+    result: list[pl.Callback] = [
+        ModelCheckpoint(checkpoints, "best", monitor="score", enable_version_counter=False),
+        ModelCheckpoint(checkpoints, "last", enable_version_counter=False),
+        ModelCheckpoint(checkpoints, "last", train_time_interval=within, enable_version_counter=False),
+    ]
+    if settings.early_stopping:
+        result.append(EarlyStopping("score", patience=settings.early_stopping, check_finite=False))
+    if settings.ema:
+        result.append(AveragedWeights(settings.ema))
+    if settings.losses.rule != "constant":
+        result.append(LOSS_WEIGHT_RULES[settings.losses.rule](settings.losses.factor, settings.losses.patience))
+    if log_every is not None:
+        result.append(StepRecord(log_every, on_step))
+    return result
+
+
+def _trainer_options(config: TrainingConfig, parts: TrainingParts, out_dir: Path) -> dict[str, Any]:
+    """Lightning's options that follow from the settings."""
+    settings, lightning, hardware = config.trainer, config.lightning, config.hardware
+    return {
+        "accelerator": hardware.device().type,
+        "devices": lightning.devices,
+        "num_nodes": lightning.nodes,
+        "strategy": parts.strategy or lightning.strategy,
+        "precision": lightning.precision or ("bf16-mixed" if hardware.precision == "bf16" else "32-true"),
+        "profiler": parts.profiler or named_profiler(lightning.profiler, out_dir),
+        "max_epochs": settings.epochs,
+        "accumulate_grad_batches": settings.accumulate,
+        "limit_train_batches": settings.limits.train,
+        "limit_val_batches": settings.limits.val,
+        "gradient_clip_val": settings.gradient_clip,
+        "sync_batchnorm": hardware.device().type == "cuda",
+        "use_distributed_sampler": False,
+        "plugins": [WholeCheckpoints()],
+        "enable_model_summary": False,
+        "num_sanity_val_steps": 0,
+        "log_every_n_steps": lightning.log_every or NEVER,
+    }
+
+
+def _take_best(
+    module: AbstractionModule, checkpoints: Path, rows: Sequence[Mapping[str, float]], settings: TrainerSettings
+) -> int:
+    """Loads the weights with the best score, the last ones if no score is finite; returns their epoch."""
+    scored = math.isfinite(min(row["score"] for row in rows))
+    if not scored:
+        print(_without_score(rows, settings), flush=True)
+    state = read_checkpoint(checkpoints / ("best.ckpt" if scored else "last.ckpt"))
+    module.load_state_dict(state["state_dict"])
+    return min(int(state["epoch"]), len(rows) - 1)
+
+
 def _without_score(rows: Sequence[Mapping[str, float]], settings: TrainerSettings) -> str:
     """Words for a training in which no epoch has a finite score."""
     return (
@@ -215,15 +223,15 @@ def _without_score(rows: Sequence[Mapping[str, float]], settings: TrainerSetting
     )
 
 
-def _precision(config: TrainingConfig) -> str:
-    return config.lightning.precision or ("bf16-mixed" if config.hardware.precision == "bf16" else "32-true")
-
-
 def _module(config: TrainingConfig, val_sets: tuple[str, ...], parts: TrainingParts) -> AbstractionModule:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.trainer.seed)
         network = channels_last(build_network(config.model))
-    trainer = config.trainer
+    trainer, compiled = config.trainer, config.lightning.compile
+    if trainer.initial is not None:
+        _begin_with(network, trainer.initial, config.model)
+    if compiled:
+        network.compile(**(compiled if isinstance(compiled, dict) else {}))
     return AbstractionModule(network, trainer.optimizer, trainer.schedule, trainer.losses, val_sets, parts)
 
 
@@ -242,10 +250,6 @@ def _as_list(logger: Logger | Iterable[Logger] | None) -> list[Logger]:
     return [logger] if isinstance(logger, Logger) else list(logger or ())
 
 
-def _loggers(loggers: list[Logger]) -> list[Logger] | bool:
-    return loggers or False
-
-
 def _training_batches(
     settings: TrainerSettings, tasks: "TaskSet | Sequence[Place]", targets: Targets, readers: int
 ) -> tuple[Any, int]:
@@ -259,6 +263,11 @@ def _training_batches(
     if not len(stream):
         raise InputError(f"{', '.join(map(str, tasks))}: the shards hold no maps")
     return stream, sum(stream.maps)
+
+
+def _validation_batches(tasks: "TaskSet", predicted: Targets) -> SharedBatches:
+    known: Targets = predicted if tasks.planning_cost is not None else ("cost",)
+    return SharedBatches(task_loader(tasks, VALIDATION_BATCH, targets=known))
 
 
 def _fingerprint(config: TrainingConfig, batches: Any) -> str:
@@ -279,32 +288,6 @@ def _fingerprint(config: TrainingConfig, batches: Any) -> str:
     for tensor in (data.heights, data.goals, data.feasible, data.cost, *planning):
         digest.update(memoryview(tensor.numpy()).cast("B"))
     return digest.hexdigest()
-
-
-def _checkpoint_to_resume(folder: Path, fingerprint: str) -> Path | None:
-    """Returns the last checkpoint from the same training; removes checkpoints from another training."""
-    mark = folder / "fingerprint.txt"
-    if mark.is_file() and mark.read_text() == fingerprint:
-        for path in (folder / "last.ckpt", folder / "best.ckpt"):
-            if path.is_file() and _is_whole(path):
-                return path
-    if not is_first_process():
-        return None
-    shutil.rmtree(folder, ignore_errors=True)
-    with replacing(mark) as temporary:
-        temporary.write_text(fingerprint)
-    return None
-
-
-def _is_whole(checkpoint: Path) -> bool:
-    try:
-        read_checkpoint(checkpoint)
-    except InputError as error:
-        if is_zipfile(checkpoint) and "holds objects" in str(error):  # no accident
-            raise
-        print(f"{checkpoint} is damaged; an earlier state, or none, takes its place", flush=True)
-        return False
-    return True
 
 
 @contextmanager
