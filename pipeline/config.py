@@ -24,7 +24,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
-from hdsp.base.settings import load_settings, read_yaml, shown, unknown_key
+from hdsp.base.messages import shown, unknown_key
+from hdsp.base.settings import load_settings
+from hdsp.base.yaml_files import read_yaml
 
 from .config_types import Config
 

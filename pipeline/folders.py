@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hdsp.base.files import replacing
-from hdsp.base.settings import read_json as read_json_file
+from hdsp.base.yaml_files import read_json as read_json_file
 
 #: Settings without influence on results.
 _ELSEWHERE = ("runtime.", "hydra.", "hydra/", "search=", "search.")

@@ -1,7 +1,7 @@
 """Common services without robots.
 
 - `errors`: user errors
-- `settings`: loader for typed settings from YAML, JSON and mappings
+- `settings`, `yaml_files`: typed settings from YAML, JSON and mappings; `messages`: values in messages
 - `files`, `downloads`, `storage`: whole-or-absent files, published data files, local folders and object stores
 - `workers`: worker processes, on this machine or a cluster
 - `gradual`: computations in short steps, for time limits
@@ -17,9 +17,10 @@ from hdsp.base.files import existing_file, replacing, writable_file
 from hdsp.base.gradual import Gradual, Steps, finished
 from hdsp.base.jit import njit
 from hdsp.base.provenance import code_fingerprint, reached_code
-from hdsp.base.settings import Document, checked, load_settings, parse_yaml, read_json, read_yaml
+from hdsp.base.settings import checked, load_settings
 from hdsp.base.storage import Folder, Place, open_folder
 from hdsp.base.workers import ClusterSettings, connected
+from hdsp.base.yaml_files import Document, parse_yaml, read_json, read_yaml
 
 __all__ = [
     "ClusterSettings",

@@ -9,27 +9,22 @@ Convention: values keep their type, with two exceptions: a float field accepts a
 list. Numbers are finite unless the field allows others.
 """
 
-import difflib
 import functools
-import json
-import os
 import re
-import reprlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Annotated, Any, NamedTuple, TypeVar, dataclass_transform
+from typing import Annotated, Any, TypeVar, dataclass_transform
 
 import numpy as np
-import yaml
 from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, TypeAdapter, ValidationError, model_validator
 from pydantic_core import ArgsKwargs, ErrorDetails, PydanticCustomError
 
 from hdsp.base.errors import InputError
-from hdsp.base.files import existing_file
+from hdsp.base.messages import did_you_mean, one_line, shown, unknown_key
 from hdsp.base.short_repr import short_repr
+from hdsp.base.yaml_files import TOO_DEEP, Document
 
 T = TypeVar("T")
-Path = Sequence[str | int]
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -62,8 +57,6 @@ PathInside = Annotated[str, AfterValidator(_inside)]
 FileName = Annotated[str, Field(min_length=1), AfterValidator(_file_name)]
 
 _CONFIG = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-_TOO_DEEP = "nested too deeply, or a part of itself"
-_LONGEST = 100  # characters of a value in a message
 
 
 def unit(name: str) -> Any:
@@ -188,38 +181,6 @@ def checked(cls: type[T]) -> type[T]:
     return made
 
 
-class Document(NamedTuple):
-    """Contents of a YAML file.
-
-    Attributes:
-        values: the file's mapping, plain.
-        name: file name in messages.
-        text: file text.
-        root: parsed nodes with their lines.
-    """
-
-    values: dict[Any, Any]
-    name: str
-    text: str
-    root: yaml.Node
-
-    def line(self, path: Path) -> int:
-        """Returns the line, counted from 1, of the key at a path, or of the path's innermost existing part."""
-        node, line = self.root, self.root.start_mark.line
-        for part in path:
-            if isinstance(node, yaml.MappingNode):
-                found = [pair for pair in node.value if pair[0].value == str(part)]
-                if not found:
-                    break
-                line, node = found[-1][0].start_mark.line, found[-1][1]
-            elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
-                node = node.value[part]
-                line = node.start_mark.line
-            else:
-                break
-        return line + 1
-
-
 def load_settings(kind: type[T], values: Any, where: str = "", source: Document | str | None = None) -> T:
     """Builds settings of class ``kind`` from a mapping; returns an instance of ``kind`` unchanged.
 
@@ -239,132 +200,7 @@ def load_settings(kind: type[T], values: Any, where: str = "", source: Document 
     except ValidationError as error:
         raise InputError(_first_fault(error, where, source)) from None
     except RecursionError:
-        raise InputError(_joined(where, f": {_TOO_DEEP}")) from None
-
-
-def read_yaml(path: str | os.PathLike, what: str) -> Document:
-    """Reads the mapping in a YAML file.
-
-    Args:
-        path: path of the file.
-        what: the file's name in messages.
-
-    Raises:
-        InputError: the file does not exist, or holds no mapping; with the line of the fault.
-    """
-    return parse_yaml(_read_text(path, what), str(path))
-
-
-def parse_yaml(text: str, name: str) -> Document:
-    """Parses the mapping in a YAML text.
-
-    A key may appear only once in a mapping; numbers like ``1e-3`` are numbers.
-
-    Args:
-        text: file text.
-        name: file name in messages.
-
-    Raises:
-        InputError: the text is not YAML, or no mapping; with the line.
-    """
-    loader = None
-    try:
-        loader = _Loader(text)
-        root = loader.get_single_node()
-        values = None if root is None else loader.construct_document(root)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        line = mark.line + 1 if mark else 1
-        raise InputError(f"{name}, line {line}: not YAML: {_one_line(error.problem or error.context)}") from None
-    except yaml.reader.ReaderError as error:
-        line = text.count("\n", 0, error.position) + 1
-        raise InputError(f"{name}, line {line}: not YAML: {error.reason}") from None
-    except RecursionError:
-        raise InputError(f"{name}: {_TOO_DEEP}") from None
-    finally:
-        if loader is not None:
-            loader.dispose()
-    if root is None:
-        raise InputError(f"{name}, line 1: the file is empty; need a mapping")
-    if not isinstance(values, dict):
-        raise InputError(f"{name}, line {root.start_mark.line + 1}: need a mapping, got {shown(values)}")
-    return Document(values, name, text, root)
-
-
-def read_json(path: str | os.PathLike, what: str) -> Any:
-    """Reads the value in a JSON file; arguments as in `read_yaml`.
-
-    Raises:
-        InputError: the file does not exist, or is not JSON; with the line.
-    """
-    text = _read_text(path, what)
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}, line {error.lineno}: not JSON: {error.msg}") from None
-    except (RecursionError, ValueError) as error:  # ValueError: a number with thousands of digits
-        raise InputError(f"{path}: not JSON: {_one_line(error)}") from None
-
-
-def unknown_key(key: Any, allowed: Iterable[str]) -> str:
-    """Message about an unknown key: the nearest existing key, and all allowed keys."""
-    names = sorted(allowed)
-    if not isinstance(key, str):
-        return f"key {shown(key)} is no text; allowed are {', '.join(names)}"
-    meant = did_you_mean(key, names)
-    return f"unknown key {shown(key)}{meant or ';'} allowed are {', '.join(names) or 'none'}"
-
-
-def shown(value: Any) -> str:
-    """Formats a value for a message: Python syntax, lists for tuples, shortened, on one line."""
-    text = _one_line(_SHORT.repr(value))
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 4]} ..."
-
-
-class _Short(reprlib.Repr):
-    def __init__(self) -> None:
-        super().__init__()
-        self.maxlevel, self.maxstring, self.maxother, self.maxlong = 3, 80, 80, 80
-        self.maxdict = self.maxlist = self.maxtuple = 8
-
-    def repr_tuple(self, x: tuple, level: int) -> str:
-        return self.repr_list(list(x), level)
-
-    def repr_int(self, x: int, level: int) -> str:
-        try:
-            return super().repr_int(x, level)
-        except ValueError:  # Python prints no number with thousands of digits
-            return hex(x)[:40] + "..."
-
-
-_SHORT = _Short()
-
-
-class _Loader(yaml.SafeLoader):
-    """PyYAML's safe loader; it also accepts exponents without a point, and rejects duplicate keys."""
-
-    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        try:
-            return super().construct_object(node, deep)
-        except (ValueError, OverflowError) as error:  # invalid dates, numbers with thousands of digits
-            raise yaml.constructor.ConstructorError(None, None, str(error), node.start_mark) from None
-
-    def construct_mapping(self, node: yaml.Node, deep: bool = False) -> dict[Any, Any]:
-        lines: dict[tuple[str, Any], int] = {}
-        for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
-            if not isinstance(key, yaml.ScalarNode) or key.tag == "tag:yaml.org,2002:merge":
-                continue
-            if (first := lines.setdefault((key.tag, key.value), key.start_mark.line)) != key.start_mark.line:
-                problem = f"key {shown(key.value)} is there twice, first in line {first + 1}"
-                raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
-        return super().construct_mapping(node, deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(?:[0-9][0-9_]*\.?[0-9_]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
-    list("-+.0123456789"),
-)
+        raise InputError(_joined(where, f": {TOO_DEEP}")) from None
 
 
 def _adapter(kind: type) -> TypeAdapter[Any]:
@@ -375,18 +211,6 @@ def _adapter(kind: type) -> TypeAdapter[Any]:
 
 
 _ADAPTERS: dict[type, TypeAdapter[Any]] = {}
-
-
-def _read_text(path: str | os.PathLike, what: str) -> str:
-    try:
-        data = existing_file(path, what).read_bytes()
-    except OSError as error:
-        raise InputError(f"{what} {path} cannot be read: {error.strerror or error}") from None
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(f"{path}, line {line}: no text in UTF-8") from None
 
 
 def _frozen(value: Any) -> Any:
@@ -416,7 +240,7 @@ def _first_fault(error: ValidationError, where: str, source: Document | str | No
     elif kind == "missing":
         words = " is missing"
     elif kind == "value_error":  # raised by a function inside a validator
-        words = f": {_one_line(context['error'])}"
+        words = f": {one_line(context['error'])}"
     elif path[-1:] == ["[key]"]:
         path, words = path[:-2], f": key {shown(path[-2])}; need {_need(found)}"
     else:
@@ -458,12 +282,6 @@ _NEEDS = {
 }
 
 
-def did_you_mean(key: Any, names: Iterable[str]) -> str:
-    """Returns words that name the closest of ``names``, for the end of a message; empty if none is close."""
-    near = difflib.get_close_matches(key.lower(), list(names), 1) if isinstance(key, str) else []
-    return f"; did you mean {near[0]!r}?" if near else ""
-
-
 def _step(part: str | int) -> str:
     if isinstance(part, int):
         return f"[{part}]"
@@ -472,7 +290,3 @@ def _step(part: str | int) -> str:
 
 def _joined(where: str, words: str) -> str:
     return f"{where}{words}" if where else words.lstrip(": ")
-
-
-def _one_line(value: Any) -> str:
-    return " ".join(str(value).split())

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hdsp.base.errors import InputError
-from hdsp.base.settings import read_yaml
 from hdsp.base.short_repr import short_repr
+from hdsp.base.yaml_files import read_yaml
 from hdsp.labels.rules import LabelSettings
 from hdsp.labels.scan_patches import ScanPatchSettings, label_scan
 from hdsp.labels.shards import is_shard, read_shard

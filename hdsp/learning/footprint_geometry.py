@@ -14,7 +14,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.settings import Count, NotNegative, Positive, checked, fault
 from hdsp.learning.learning_settings import HeightEncoding, Width
 from hdsp.robot.lattice import ABSTRACT_HEADINGS, cells
-from hdsp.robot.robot import Box
+from hdsp.robot.shape import Box
 
 #: Largest base displacement along an axis, in cells: the longest action at any heading residue.
 REACH = 9

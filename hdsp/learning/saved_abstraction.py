@@ -16,8 +16,10 @@ import numpy as np
 from hdsp.abstract.flat_table import flat_table
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file, replace_folder
-from hdsp.base.settings import Share, checked, load_settings, read_json, shown
+from hdsp.base.messages import shown
+from hdsp.base.settings import Share, checked, load_settings
 from hdsp.base.short_repr import short_repr
+from hdsp.base.yaml_files import read_json
 from hdsp.learning.architectures import architectures
 from hdsp.learning.calibration import Calibration
 from hdsp.learning.learning_settings import ModelSettings

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.base.settings import shown
+from hdsp.base.messages import shown
 from hdsp.detailed.search.life_cycle import Progress
 from hdsp.detailed.search.outcome import Limits
 from hdsp.robot.lattice import Grid, metres

@@ -23,7 +23,8 @@ from hdsp.base.errors import InputError
 from hdsp.base.short_repr import short_repr
 from hdsp.detailed.actions.action import Action
 from hdsp.robot.lattice import metres
-from hdsp.robot.robot import FEET, Box, Robot
+from hdsp.robot.robot import FEET, Robot
+from hdsp.robot.shape import Box
 from hdsp.terrain.arenas import Arena
 from hdsp.terrain.inclination import inclination
 from hdsp.terrain.obstacles import Block, Face, TiltedGround

@@ -6,7 +6,7 @@ import numpy as np
 
 from hdsp.abstract.abstract_costs import Region
 from hdsp.base.errors import InputError
-from hdsp.base.settings import shown
+from hdsp.base.messages import shown
 from hdsp.terrain.height_map import HeightMap
 
 

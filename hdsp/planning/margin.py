@@ -5,7 +5,8 @@ from dataclasses import replace
 
 from hdsp.base.errors import InputError
 from hdsp.planning.arguments import number
-from hdsp.robot.robot import Box, Robot
+from hdsp.robot.robot import Robot
+from hdsp.robot.shape import Box
 
 
 def with_margin(robot: Robot, margin: float) -> Robot:

@@ -6,7 +6,7 @@ import numpy as np
 
 from hdsp.abstract.abstract_costs import Region
 from hdsp.base.errors import InputError
-from hdsp.base.settings import shown
+from hdsp.base.messages import shown
 from hdsp.planning.map_changes import changed_cells
 from hdsp.robot.lattice import RESOLUTION, is_detailed
 from hdsp.terrain.conditioning import ConditioningReport, Stages, is_conditioned

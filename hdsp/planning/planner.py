@@ -12,7 +12,7 @@ import numpy as np
 from hdsp.abstract.abstract_costs import AbstractCosts, Region
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import now
-from hdsp.base.settings import shown
+from hdsp.base.messages import shown
 from hdsp.detailed.search.life_cycle import Hopeless, Progress
 from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.search.reached import METRES_PER_RADIAN

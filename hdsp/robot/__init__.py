@@ -1,6 +1,7 @@
 """Robot description, and the lattices for its planning.
 
-- `robot`: geometry, limits and cost constants of a robot; presets are YAML files in `presets`
+- `robot`: a robot as data; presets are YAML files in `presets`
+- `shape`, `action_limits`, `quantities`: its feet, body and legs; limits and costs of its actions; their units
 - `lattice`: detailed and abstract lattice, abstract actions, conversions between their coordinates and the world
 - `motion_limits`: limits of speed and acceleration, for the times of motions
 - `physics`: masses, wheels and motors, for a simulation
@@ -8,6 +9,7 @@
 - `schema`: JSON schema and documentation page of the robot file
 """
 
+from hdsp.robot.action_limits import BaseShift, DeviationCost, Drive, FootMove, Step, Turn
 from hdsp.robot.lattice import (
     ABSTRACT_ACTIONS,
     ABSTRACT_HEADINGS,
@@ -28,22 +30,8 @@ from hdsp.robot.lattice import (
 )
 from hdsp.robot.motion_limits import Accelerations, Speeds
 from hdsp.robot.physics import Physics
-from hdsp.robot.robot import (
-    FEET,
-    BaseShift,
-    Body,
-    Box,
-    DeviationCost,
-    Drive,
-    Feet,
-    FootMove,
-    Legs,
-    Rectangle,
-    Robot,
-    Stance,
-    Step,
-    Turn,
-)
+from hdsp.robot.robot import FEET, Robot
+from hdsp.robot.shape import Body, Box, Feet, Legs, Rectangle, Stance
 from hdsp.robot.urdf import robot_urdf
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Robot file as a JSON schema and as a documentation page, both generated from the classes in `hdsp.robot.robot`.
+"""Robot file as a JSON schema and as a documentation page, both generated from the classes in `hdsp.robot`.
 
     python -m hdsp.robot.schema          # prints the schema
     python -m hdsp.robot.schema docs     # writes docs/robot.schema.json and docs/robot-file.md
@@ -18,16 +18,17 @@ from typing import Any, NamedTuple
 from pydantic import TypeAdapter
 
 from hdsp.base.files import replacing
-from hdsp.robot import robot as module
+from hdsp.robot import action_limits, motion_limits, physics, robot, shape
 from hdsp.robot.robot import Robot
 
 SCHEMA_FILE, PAGE_FILE = "robot.schema.json", "robot-file.md"
+_MODULES = robot, shape, action_limits, motion_limits, physics
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 _PAGE = """# Robot file
 
 This page documents every key of a robot file. `python -m hdsp.robot.schema docs` writes the page from
-`hdsp/robot/robot.py`; do not edit it.
+`hdsp/robot/`; do not edit it.
 
 A robot is one YAML file: `hdsp.Planner(terrain, robot="my_robot.yaml")`. Every key without a default is required. The
 presets [momaro.yaml](../hdsp/robot/presets/momaro.yaml),
@@ -78,7 +79,7 @@ def robot_schema() -> dict[str, Any]:
     """Returns the robot file's JSON schema; each key has a ``description``, and a ``unit`` if it has one."""
     schema = TypeAdapter(Robot).json_schema()
     for name, part in {"Robot": schema, **schema["$defs"]}.items():
-        kind = getattr(module, name)
+        kind = next(getattr(module, name) for module in _MODULES if hasattr(module, name))
         meanings = _meanings(kind)
         part["description"] = _summary(kind)
         for key, value in part["properties"].items():

@@ -1,7 +1,7 @@
 """Inclination of the ground under feet, for checks: measured on any ground, without the planner's cost maps.
 
-The rule is that of ``hdsp.robot.robot.Slope``: the gradient of the ground in the robot frame lies within an ellipse. A
-gradient is measured over the length on which an edge that a wheel just passes is no steeper than the limit.
+The rule is that of ``hdsp.robot.action_limits.Slope``: the gradient of the ground in the robot frame lies within an
+ellipse. A gradient is measured over the length on which an edge that a wheel just passes is no steeper than the limit.
 
 Convention: x forward, y left, m; angles in rad.
 """

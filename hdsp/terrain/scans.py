@@ -19,18 +19,8 @@ from pydantic import Field, model_validator
 
 from hdsp.base.downloads import DATA_DIR_VARIABLE, data_folder, fetch, first_words, verify
 from hdsp.base.errors import InputError
-from hdsp.base.settings import (
-    Document,
-    FileName,
-    Name,
-    NotNegative,
-    PathInside,
-    Positive,
-    checked,
-    fault,
-    load_settings,
-    read_yaml,
-)
+from hdsp.base.settings import FileName, Name, NotNegative, PathInside, Positive, checked, fault, load_settings
+from hdsp.base.yaml_files import Document, read_yaml
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.pointcloud import (
     Camera,

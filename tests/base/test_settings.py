@@ -11,19 +11,8 @@ import pytest
 from pydantic import model_validator
 
 from hdsp.base.errors import InputError
-from hdsp.base.settings import (
-    Count,
-    Name,
-    Positive,
-    Range,
-    Share,
-    checked,
-    fault,
-    load_settings,
-    parse_yaml,
-    read_json,
-    read_yaml,
-)
+from hdsp.base.settings import Count, Name, Positive, Range, Share, checked, fault, load_settings
+from hdsp.base.yaml_files import parse_yaml, read_json, read_yaml
 
 
 @checked

@@ -13,7 +13,8 @@ import pytest
 import yaml
 
 from hdsp.base.errors import InputError
-from hdsp.base.settings import load_settings, read_yaml
+from hdsp.base.settings import load_settings
+from hdsp.base.yaml_files import read_yaml
 from hdsp.robot.robot import Robot
 from hdsp.terrain.arenas import read_arena
 from hdsp.terrain.scans import Scan

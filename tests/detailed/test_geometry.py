@@ -15,7 +15,8 @@ from hdsp.detailed.world.geometry import (
     step_line,
 )
 from hdsp.robot.lattice import DRIVE_MOVES, HEADINGS, RESOLUTION, heading_angle, rotation
-from hdsp.robot.robot import Rectangle, Robot
+from hdsp.robot.robot import Robot
+from hdsp.robot.shape import Rectangle
 from hdsp.terrain.height_map import HeightMap
 from tests.detailed.instances import toy
 from tests.naive import rectangle_offsets

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from hdsp.base.settings import read_yaml
+from hdsp.base.yaml_files import read_yaml
 from hdsp.detailed.motion.motion import Motion
 from hdsp.labels.shards import read_shard, write_shard
 from hdsp.robot.robot import Robot

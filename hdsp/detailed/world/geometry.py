@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.robot.lattice import DRIVE_MOVES, HEADINGS, cells, heading_angle, rotation
-from hdsp.robot.robot import Rectangle, Robot
+from hdsp.robot.robot import Robot
+from hdsp.robot.shape import Rectangle
 
 #: Nudge before rounding for a position exactly between two cells, in cells.
 _NUDGE = 1e-6

@@ -16,8 +16,9 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from hdsp.base.extensions import TERRAIN, extension_place
+from hdsp.base.messages import did_you_mean
 from hdsp.base.provenance import ROOT, code_fingerprint
-from hdsp.base.settings import Count, Natural, checked, did_you_mean, fault
+from hdsp.base.settings import Count, Natural, checked, fault
 from hdsp.labels.shard_index import ShardPlan, planned_shards
 from hdsp.labels.shards import SCHEMA_VERSION
 from hdsp.labels.tasks import TaskSet, columns_of

@@ -19,8 +19,10 @@ from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.search.weighted_astar import solve
 from hdsp.detailed.world.world import build_world
 from hdsp.planning.heuristics import AbstractHeuristic
+from hdsp.robot.action_limits import LONGEST_STEP
 from hdsp.robot.lattice import metres
-from hdsp.robot.robot import LONGEST_STEP, OFFSETS, Robot
+from hdsp.robot.robot import Robot
+from hdsp.robot.shape import OFFSETS
 from hdsp.terrain.height_map import HeightMap
 
 _EXPANSIONS = 200_000  # of one search; a plan usually takes a tenth

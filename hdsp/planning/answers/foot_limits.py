@@ -16,8 +16,9 @@ import numpy as np
 
 from hdsp.detailed.relaxed.proofs import is_foot_stopped
 from hdsp.detailed.world.world import World, build_world, cell_index
+from hdsp.robot.action_limits import LONGEST_STEP
 from hdsp.robot.lattice import cells, metres
-from hdsp.robot.robot import LONGEST_STEP, Robot
+from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
 CLEARANCE, HEIGHT, LIFT, LENGTH = range(4)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.base.settings import read_yaml
+from hdsp.base.yaml_files import read_yaml
 from hdsp.learning.loading import load_abstraction, presets, robot_of
 from hdsp.planning.commands.cloud_commands import POINT_FILES, about_cloud, add_cloud_reading
 from hdsp.planning.commands.command_parser import add_json, takes_words

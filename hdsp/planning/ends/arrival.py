@@ -11,7 +11,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps, finished
-from hdsp.base.settings import shown
+from hdsp.base.messages import shown
 from hdsp.detailed.actions.state_costs import separated, state_costs
 from hdsp.detailed.causes import Cause
 from hdsp.detailed.states import distinct_rows, pack_states

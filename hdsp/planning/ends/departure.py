@@ -30,7 +30,8 @@ from hdsp.planning.ends.location import locate
 from hdsp.planning.ends.nearby import can_leave
 from hdsp.planning.ends.way_out import WayOut, find_way_out
 from hdsp.robot.lattice import Grid, metres
-from hdsp.robot.robot import Rectangle, Robot
+from hdsp.robot.robot import Robot
+from hdsp.robot.shape import Rectangle
 from hdsp.terrain.cost_maps import disc_mask
 from hdsp.terrain.height_map import HeightMap
 

@@ -4,7 +4,7 @@ from hdsp.abstract.abstract_costs import AbstractCosts
 from hdsp.abstract.manual import ManualCosts
 from hdsp.base.errors import InputError
 from hdsp.base.extensions import HEURISTICS, extension_place, extensions, load_extension
-from hdsp.base.settings import shown
+from hdsp.base.messages import shown
 from hdsp.detailed.world.world import World
 from hdsp.learning.loading import abstraction_of, load_abstraction
 from hdsp.planning.heuristics.abstract import AbstractHeuristic
