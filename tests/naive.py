@@ -18,8 +18,9 @@ HEADINGS = 64
 MOVES = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0) and not abs(x) == abs(y) == 2]
 INF = math.inf
 TOUCH = 1e-6  # m; a body that touches the ground by no more is free
-REMEMBERED = ["difference", "edge", "steep", "unevenness", "standable", "foot_cell", "contact_cell", "contact_height",
-              "blocked", "cost_at", "lifted_over", "can_step", "deviation", "least_deviation", "arc"]  # fmt: skip
+REMEMBERED = ["known", "difference", "foothold_difference", "edge", "joined", "steep", "unevenness", "standable",
+              "foot_cell", "contact_cell", "cells_of_feet", "contact_height", "blocked", "cost_at", "free", "line",
+              "lifted_over", "can_step", "deviation", "least_deviation", "arc"]  # fmt: skip
 
 
 def angle(heading):
@@ -36,6 +37,12 @@ def deviation_angle(heading, dx, dy):
     """Angle between heading and direction of travel, [0, pi]."""
     x, y = rotated(-heading, dx, dy)
     return abs(math.atan2(y, x))
+
+
+@cache
+def ray(way, n):
+    """Offset of the cell ``n`` cells away in one of eight directions over half a turn."""
+    return tuple(nearest(n * f(way * math.pi / 8), 1) for f in (math.cos, math.sin))
 
 
 def nearest(value, direction):
@@ -56,13 +63,13 @@ def disc(radius):
 
 @cache
 def rectangle_offsets(rectangle, heading):
-    """Offsets (dx, dy) to all cells with centres in a rectangle of a robot with this heading."""
+    """Cells with centres in a rectangle of a robot with this heading: offsets (dx, dy), and (x, y) in its frame."""
     reach = math.ceil(math.hypot(max(abs(rectangle.x_min), abs(rectangle.x_max)), rectangle.half_width) / CELL)
     found = []
     for dx, dy in itertools.product(range(-reach, reach + 1), repeat=2):
         x, y = rotated(-heading, dx * CELL, dy * CELL)
         if rectangle.x_min - 1e-9 <= x <= rectangle.x_max + 1e-9 and abs(y) <= rectangle.half_width + 1e-9:
-            found.append((dx, dy))
+            found.append((dx, dy, *rotated(-heading, dx, dy)))
     return found
 
 
@@ -140,7 +147,7 @@ class Naive:
         # Along this length, an edge that a wheel passes is no steeper than the limit.
         longest = max(math.ceil(self.robot.drive.highest_edge / min(steepest) / CELL / 2 - 1e-9), 1)
         for way, n in itertools.product(range(8), range(1, longest + 1)):
-            dx, dy = (nearest(n * f(way * math.pi / 8), 1) for f in (math.cos, math.sin))
+            dx, dy = ray(way, n)
             ends = [(cell[0] + dx, cell[1] + dy), (cell[0] - dx, cell[1] - dy)]
             if not self.joined(cell, way, n):
                 continue
@@ -154,7 +161,7 @@ class Naive:
     def joined(self, cell, way, reach):
         """Whether no edge lies up to ``reach`` cells on either side of a cell, in one of eight directions."""
         for n in range(1, reach + 1):
-            dx, dy = (nearest(n * f(way * math.pi / 8), 1) for f in (math.cos, math.sin))
+            dx, dy = ray(way, n)
             for end in ((cell[0] + dx, cell[1] + dy), (cell[0] - dx, cell[1] - dy)):
                 if not self.inside(end) or self.edge(end):
                     return False
@@ -199,8 +206,10 @@ class Naive:
         return state[0] + dx, state[1] + dy
 
     def in_rectangle(self, base, heading, rectangle):
-        """Cells with centres in a rectangle of the robot, on the map or not."""
-        return [(base[0] + dx, base[1] + dy) for dx, dy in rectangle_offsets(rectangle, heading)]
+        """Known cells with centres in a rectangle of the robot, with (x, y) in its frame."""
+        for dx, dy, x, y in rectangle_offsets(rectangle, heading):
+            if self.known((base[0] + dx, base[1] + dy)):
+                yield (base[0] + dx, base[1] + dy), x, y
 
     def contact_cell(self, heading, foot, offset, dx=0.0, dy=0.0):
         """Middle cell of a foot's contact, like `foot_cell`, but with the move rounded separately."""
@@ -243,8 +252,7 @@ class Naive:
             return True
         ground, ahead, across = self.plane(heading, offsets, footholds)
         for box in self.robot.body.boxes:
-            for cell in filter(self.known, self.in_rectangle(base, heading, box)):
-                x, y = rotated(-heading, cell[0] - base[0], cell[1] - base[1])
+            for cell, x, y in self.in_rectangle(base, heading, box):
                 if float(self.height(cell)) > ground + ahead * x + across * y + box.above + TOUCH:
                     return True
         return False
@@ -270,7 +278,7 @@ class Naive:
         return all(
             float(self.height(cell)) <= most + box.above + TOUCH
             for box in boxes
-            for cell in filter(self.known, self.in_rectangle(base, heading, box))
+            for cell, _, _ in self.in_rectangle(base, heading, box)
         )
 
     def cost_at(self, base, heading, offsets, footholds, contacts):
@@ -290,11 +298,13 @@ class Naive:
         """State cost after a move by (dx, dy) cells from a state."""
         ix, iy, heading, *feet = state
         base = ix + nearest(dx, dx), iy + nearest(dy, dy)
-        cells = [
-            tuple((ix + x, iy + y) for x, y in (of(heading, i, feet[i], dx, dy) for i in range(4)))
-            for of in (self.foot_cell, self.contact_cell)
-        ]
-        return self.cost_at(base, heading, tuple(feet), *cells)
+        relative = self.cells_of_feet(heading, tuple(feet), dx, dy)
+        footholds, contacts = (tuple((ix + x, iy + y) for x, y in cells) for cells in relative)
+        return self.cost_at(base, heading, tuple(feet), footholds, contacts)
+
+    def cells_of_feet(self, heading, feet, dx, dy):
+        """Foot cells and contact cells relative to the base cell before a move."""
+        return [[of(heading, i, feet[i], dx, dy) for i in range(4)] for of in (self.foot_cell, self.contact_cell)]
 
     def valid(self, state):
         low, high = self.robot.offset_range()

@@ -4,6 +4,7 @@ Every plan is replayed: each action is legal from its state, reaches the next on
 """
 
 import math
+from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -89,7 +90,7 @@ class PlanCases:
 
     def _query(self, random: np.random.Generator) -> str:
         """A plan of `Planner` for a robot of the package, on a random map between random poses, is replayed."""
-        robot = Robot.load(str(random.choice(Robot.presets())))
+        robot = _preset(str(random.choice(Robot.presets())))
         heights = random_map(
             int(random.integers(1000)), str(random.choice(CATEGORIES)), int(random.integers(1000)), cells=104
         ).heights
@@ -128,6 +129,11 @@ class PlanCases:
         for cost, expected in compared:
             assert math.isclose(cost, expected, rel_tol=1e-5), (cost, expected)
         return "compared" if compared else "limit"
+
+
+@cache
+def _preset(name: str) -> Robot:
+    return Robot.load(name)
 
 
 def _replay(twin: Naive, states: list[tuple], cost: float) -> None:

@@ -1,9 +1,14 @@
 """Sequences of changed maps: after each `update()`, a plan is that of a new planner, for every heuristic."""
 
+import tempfile
+from functools import cache
+
 import numpy as np
 
+from hdsp.abstract.abstract_costs import AbstractCosts
 from hdsp.base.errors import InputError
 from hdsp.planning.planner import Planner
+from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
 #: Heuristics with their shares.
@@ -12,6 +17,9 @@ HEURISTICS = {"geometric": 1.0, "grid": 1.0, "manual": 1.0, "learned": 1.0}
 _SIZES = {"learned": ((80, 64), 2)}
 _SIZE = (96, 80), 3
 _BORDER = 0.65  # m, around starts and goals
+#: Widths of a network that takes a part of the shipped network's time; one sequence in four has the shipped one.
+_SMALL = {"width": 16, "hidden": 16, "features": 16, "context": 16, "feet": 16, "head": 16, "planning": True}
+_SHIPPED_IN = 4
 
 
 class UpdateCases:
@@ -20,22 +28,24 @@ class UpdateCases:
     def __init__(self, heuristic: str):
         self.heuristic, self.number = heuristic, sorted(HEURISTICS).index(heuristic)
         self.cells, self.changes = _SIZES.get(heuristic, _SIZE)
+        self.robot = Robot.load("momaro")
 
     def outcome(self, seed: int) -> str:
         """``equal``, ``refused`` (invalid start), or a fault with words behind it."""
         random = np.random.default_rng([self.number, seed])
         try:
-            return self._sequence(random)
+            return self._sequence(random, seed % _SHIPPED_IN == 0)
         except AssertionError as error:
             return f"wrong {' '.join(str(error).split())[:200]}"
         except Exception as error:
             return f"traceback {type(error).__name__}: {' '.join(str(error).split())[:200]}"
 
-    def _sequence(self, random: np.random.Generator) -> str:
+    def _sequence(self, random: np.random.Generator, shipped: bool) -> str:
         heights = _ground(self.cells, random)
         start, goal = _poses(self.cells, random)
         weight = float(random.choice([1.25, 2.0, 3.0]))
-        planner, outcomes = self._planner(heights), set()
+        updated, fresh = (self._heuristic(shipped, copy) for copy in (0, 1))
+        planner, outcomes = self._planner(heights, updated), set()
         if random.random() < 0.8:  # else the first plan is on a changed map
             outcomes.add(_plan(planner, start, goal, weight)[0])
         for _ in range(self.changes):
@@ -44,7 +54,7 @@ class UpdateCases:
             if random.random() < 0.4:
                 start, goal = _poses(self.cells, random)
             found = _plan(planner, start, goal, weight)
-            expected = _plan(self._planner(heights), start, goal, weight)
+            expected = _plan(self._planner(heights, fresh), start, goal, weight)
             assert found[0] == expected[0], (found[0], expected[0])
             if found[1] is not None:
                 assert found[1].cost == expected[1].cost, (found[1].cost, expected[1].cost)
@@ -52,8 +62,30 @@ class UpdateCases:
             outcomes.add(found[0])
         return "equal" if outcomes != {"refused"} else "refused"
 
-    def _planner(self, heights: np.ndarray) -> Planner:
-        return Planner(HeightMap(heights.copy()), heuristic=self.heuristic, conditioning=None)
+    def _planner(self, heights: np.ndarray, heuristic: str | AbstractCosts) -> Planner:
+        return Planner(HeightMap(heights.copy()), self.robot, heuristic=heuristic, conditioning=None)
+
+    def _heuristic(self, shipped: bool, copy: int) -> str | AbstractCosts:
+        if self.heuristic != "learned":
+            return self.heuristic
+        from hdsp.learning import LearnedCosts
+
+        return LearnedCosts(_network(shipped, copy), robot=self.robot)
+
+
+@cache
+def _network(shipped: bool, copy: int):
+    """An abstraction; the updated planner and new ones have a copy each, so that they share no state."""
+    from hdsp.learning import LearnedAbstraction, Provenance
+    from hdsp.learning.loading import load_abstraction
+    from tests.learning.test_zoo import abstraction
+
+    if shipped:
+        return load_abstraction("momaro")
+    made, robot = abstraction("footprint", **_SMALL), Robot.load("momaro")
+    made.provenance = Provenance.of(robot, "0123")
+    with tempfile.TemporaryDirectory() as folder:
+        return LearnedAbstraction.from_pretrained(made.save_pretrained(f"{folder}/model"), robot)
 
 
 def _plan(planner: Planner, start, goal, weight: float):
