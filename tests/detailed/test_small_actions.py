@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -18,7 +19,14 @@ from hdsp.detailed.world.world import build_world, cell_index
 from hdsp.robot.robot import FEET
 from hdsp.terrain.height_map import HeightMap
 from tests import naive_relaxed
-from tests.detailed.instances import action_tuple, kernel_successors, successor_arrays, toy, valid_states
+from tests.detailed.instances import (
+    NIMBLE,
+    action_tuple,
+    kernel_successors,
+    successor_arrays,
+    toy,
+    valid_states,
+)
 from tests.detailed.small_scenes import SCENES, by_scene, small_scene
 from tests.naive import Naive
 
@@ -154,10 +162,33 @@ def test_no_state_has_more_successors_than_the_arrays_hold():
 
 
 #: A long body sweeps other cells at the next heading.
-LONG = toy(
-    body={"boxes": [{"above": 0.1, "x_min": -0.2, "x_max": 0.225, "half_width": 0.025}]},
-    drive={"sideways": False}, turn={"on_the_spot": False, "radius": 1.2},
-)  # fmt: skip
+LONG_BODY = {"boxes": [{"above": 0.1, "x_min": -0.2, "x_max": 0.225, "half_width": 0.025}]}
+LONG = toy(body=LONG_BODY, drive={"sideways": False}, turn={"on_the_spot": False, "radius": 1.2})
+
+
+@pytest.mark.parametrize(("pillar", "free"), [(10, -1), (-9, 1)])
+def test_a_pillar_at_one_end_of_the_body_leaves_the_shift_to_the_other_end(pillar, free):
+    heights, robot = np.zeros((27, 27), np.float32), toy(body=LONG_BODY, feet={"offset_max": 0.05})
+    heights[13 + pillar, 13] = 0.5
+    state = (13, 13, 0, 1, -1, -1, 1)
+    found = kernel_successors(build_world(HeightMap(heights), robot), state)
+    expected = {(action, reached): cost for action, reached, cost in Naive(heights, robot).successors(state)}
+    assert found == pytest.approx(expected, rel=1e-6)
+    assert [action[1] for action, _ in found if action[0] == "shift"] == [free]
+
+
+def test_a_step_ahead_needs_no_other_direction():
+    """Cells at which a foot can step in the first direction alone, heading 0."""
+    heights, steps = np.zeros((20, 20), np.float32), 0
+    heights[10:] = 0.1
+    world, twin = build_world(HeightMap(heights), NIMBLE), Naive(heights, NIMBLE)
+    ahead = world._replace(steps=world.steps & np.uint64(1))
+    for offsets in product((-2, -1, 0, 1), repeat=4):
+        if twin.valid(state := (8, 10, 0, *offsets)):
+            expected = {action for action, _, _ in twin.successors(state) if action[0] == "step" and action[2] > 0}
+            assert {action for action, _ in kernel_successors(ahead, state) if action[0] == "step"} == expected
+            steps += len(expected)
+    assert steps > 20
 
 
 @cache
