@@ -6,7 +6,7 @@ A node is a layer (0: neutral feet, 1: any feet) and a base pose: (layer, x, y, 
 import math
 from functools import cache
 
-from tests.naive import CELL
+from tests.naive_ground import CELL
 
 
 @cache

@@ -4,7 +4,7 @@ import itertools
 import math
 
 from hdsp.detailed.search.interpolation import PUT_OFF
-from tests.naive import CELL, rotated
+from tests.naive_ground import CELL, rotated
 
 INF = math.inf
 FALLING = 8  # cells; farthest look ahead for falling costs-to-go

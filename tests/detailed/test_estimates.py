@@ -25,7 +25,8 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import CATEGORIES, random_map
 from tests.detailed.instances import blocky, near_edges, successor_arrays, toy, valid_states
-from tests.naive import Naive, dijkstra, turned
+from tests.naive import Naive, dijkstra
+from tests.naive_ground import turned
 from tests.naive_relaxed import relaxed_edges
 
 costs = st.floats(0.01, 3.0)

@@ -14,7 +14,8 @@ from hdsp.robot.lattice import HEADINGS
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from tests.detailed.instances import FIXED_WHEELS, SHORT_ARCS, toy
-from tests.naive import CELL, INF, MOVES, Naive
+from tests.naive import Naive
+from tests.naive_ground import CELL, INF, MOVES
 
 REACH = 7  # cells
 AHEAD_SHIFTS = toy(base_shift={"backward": False})

@@ -19,7 +19,7 @@ from hdsp.robot.robot import Robot
 from hdsp.robot.shape import Rectangle
 from hdsp.terrain.height_map import HeightMap
 from tests.detailed.instances import toy
-from tests.naive import rectangle_offsets
+from tests.naive_ground import rectangle_offsets
 
 
 @pytest.mark.parametrize("shape", [(65537, 1), (1, 65537)])

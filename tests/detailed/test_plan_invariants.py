@@ -25,7 +25,8 @@ from tests.detailed.instances import (
     toy,
     valid_states,
 )
-from tests.naive import Naive, dijkstra, rotated
+from tests.naive import Naive, dijkstra
+from tests.naive_ground import rotated
 
 HALF_DIAGONAL = math.sqrt(0.5) + 1e-9  # a cell is at most this far from the point it was rounded from
 

@@ -22,7 +22,8 @@ from hdsp.terrain.height_map import HeightMap
 from tests.detailed.instances import NIMBLE, action_tuple, costs_to_go
 from tests.detailed.small_scenes import SCENES, by_scene, exact_costs, small_scene, some_goals
 from tests.detailed.test_search import inconsistent
-from tests.naive import INF, Naive, dijkstra
+from tests.naive import Naive, dijkstra
+from tests.naive_ground import INF
 from tests.naive_relaxed import relaxed_edges
 
 #: Costs in the store have single precision.
