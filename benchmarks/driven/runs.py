@@ -15,6 +15,7 @@ from benchmarks.driven.ways import joined, make_ways
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.base.files import replacing
 from hdsp.planning.answers.plans import Plan
+from hdsp.planning.margin import DRIVEN_MARGIN
 from hdsp.planning.planner import Planner
 from hdsp.robot.robot import Robot
 
@@ -108,7 +109,7 @@ def solve(task: Task, robot: Robot, through: Sequence[Pose] = ()) -> Plan | None
         through: poses on the way.
     """
     try:
-        planner = Planner(task.map, robot, "manual")
+        planner = Planner(task.map, robot, "manual", margin=DRIVEN_MARGIN)
         plans: list[Plan] = []
         for goal in (*through, task.goal):
             start = plans[-1].states[-1] if plans else task.start

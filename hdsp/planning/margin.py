@@ -8,6 +8,9 @@ from hdsp.planning.arguments import number
 from hdsp.robot.robot import Robot
 from hdsp.robot.shape import Box
 
+#: m; half the diagonal of a cell, and the centimetre by which a robot leaves its motion (docs/driving.md).
+DRIVEN_MARGIN = 0.03
+
 
 def with_margin(robot: Robot, margin: float) -> Robot:
     """Returns the robot with a body wider by a margin (m) on all sides, and lower by as much as it leans over it.

@@ -15,6 +15,7 @@ from hdsp.planning.commands.json_documents import map_fields, plan_fields
 from hdsp.planning.commands.map_file_commands import add_cell_size, add_map_reading
 from hdsp.planning.commands.plan_command import prepared_planner
 from hdsp.planning.commands.plan_options import TIME, WEIGHT, goal_pose, start_pose, tolerance_of
+from hdsp.planning.margin import DRIVEN_MARGIN
 from hdsp.terrain.height_map import HeightMap
 
 if TYPE_CHECKING:
@@ -57,7 +58,11 @@ def add_drive(commands) -> None:
         "--weight", type=float, default=WEIGHT, metavar="W", help=f"how much speed counts (default: {WEIGHT})"
     )
     parser.add_argument(
-        "--margin", type=float, default=0.0, metavar="M", help="m that the body keeps clear of obstacles (default: 0)"
+        "--margin",
+        type=float,
+        default=DRIVEN_MARGIN,
+        metavar="M",
+        help=f"m that the body keeps clear of obstacles (default: {DRIVEN_MARGIN:g})",
     )
     parser.add_argument(
         "--time", type=float, default=TIME, metavar="S", help=f"seconds for the search (default: {TIME:g})"

@@ -51,8 +51,8 @@ class _Drive:
     def __init__(self, motion: Motion, ground: HeightMap | Scene, seed: int):
         self._motion, self._ground = motion, ground
         self._sim = sim = SimulatedRobot(motion.robot, ground)
-        self._place()
         self._reference = Reference(motion, sim.size.radius)
+        self._place()
         self._follower = Follower(sim, self._reference, np.random.default_rng(seed))
         self._period = _STEPS * sim.time_step
         self._time, self._energy, self._margin = 0.0, 0.0, np.inf
@@ -62,13 +62,13 @@ class _Drive:
 
     def _place(self) -> None:
         """Places the robot so that no wheel is in the ground."""
-        base, feet = self._motion.base[0].copy(), self._motion.feet[0].copy()
+        base, feet, lowest = self._motion.base[0].copy(), self._reference.feet[0].copy(), self._motion.feet[0]
         highest = _DROP
         if isinstance(self._ground, HeightMap):
             true = np.asarray(self._ground.height_at(feet[:, 0], feet[:, 1]), float)
         else:
             true = self._ground.heights_at(feet[:, 0], feet[:, 1]).astype(float)
-        highest += float(np.nan_to_num(true - feet[:, 2]).max())
+        highest += float(np.nan_to_num(true - lowest[:, 2]).max())
         base[2] += highest
         feet[:, 2] += highest
         self._sim.place(base, feet)

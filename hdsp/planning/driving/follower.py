@@ -40,6 +40,8 @@ _RESERVE = 0.02  # m, beyond the robot's own margin, before a foot leaves the gr
 _MOST_SHIFT = 0.08  # m
 _UNSAFE = 0.01  # m; a foot leaves the ground when no more of the margin is lacking,
 _PATIENCE = 4.0  # s, or after so long
+_GRIP = 0.85  # of the friction coefficient, that slope and accelerations together may take
+_STEEP_RATE = 0.3  # least speed of the motion on steep ground, as a share of its own
 _SLOWEST = 0.03  # m/s; slower wheels do not correct lateral errors by steering
 
 
@@ -270,7 +272,15 @@ class Follower:
         if self._sim.size.steers and wanted.moves.any():
             off = np.abs(_half_turn(wanted.steering - self._sim.steering()))[wanted.moves].max()
             share = min(share, _share(off, 0.15, 0.4))
+        share = min(share, self._grip_rate(wanted))
         return float(np.clip(share, self._rate - _SLOW_DOWN * elapsed, self._rate + _SPEED_UP * elapsed))
+
+    def _grip_rate(self, wanted: Wanted) -> float:
+        """Speed of the motion at which its largest acceleration takes the friction that the slope leaves."""
+        size, robot = self._sim.size, self._sim.robot
+        slope = np.arctan(np.hypot(*np.tan(wanted.base[3:5])))
+        left = GRAVITY * (_GRIP * size.friction * np.cos(slope) - np.sin(slope))
+        return float(np.sqrt(np.clip(left / robot.accelerations.drive, _STEEP_RATE**2, 1.0)))
 
     def _spring_forces(self, pose: BasePose, push: np.ndarray) -> np.ndarray:
         """Ground forces that answer the push of the slides along and across the base, float64 [4, 3], N."""
