@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.driven.tasks import map_of
 from hdsp import HeightMap, InputError, Planner, Robot
 from hdsp.planning.cli import main
 from hdsp.planning.commands.drive_command import FAILED
@@ -21,6 +22,7 @@ from hdsp.planning.driving.ground_model import rectangles
 from hdsp.planning.driving.reference import Reference
 from hdsp.planning.driving.robot_model import Dimensions, robot_mjcf
 from hdsp.planning.driving.simulated_robot import SimulatedRobot
+from hdsp.planning.margin import DRIVEN_MARGIN
 from hdsp.terrain.obstacles import Block, Ramp, Scene
 
 os.environ.setdefault("MUJOCO_GL", "egl")  # read when MuJoCo is imported
@@ -43,6 +45,11 @@ def plan(robot: str, goal: tuple[float, float, float], height: float = 0.0):
     found = Planner(block(height), robot, "geometric").plan(START, goal, weight=2, refinable=True, polish=0)
     assert found.solved
     return found
+
+
+def with_pitch(robot: Robot, more: float) -> Robot:
+    """The robot with a larger limit of pitch, because cells round the slope of the ground."""
+    return replace(robot, slope=replace(robot.slope, max_pitch=robot.slope.max_pitch + more))
 
 
 def headed(run) -> float:
@@ -109,6 +116,38 @@ def test_unknown_ground_ends_the_drive_with_its_cause():
     assert run.cause.startswith("the body touched the ground at (") and "in action" in run.cause
     assert run.facts()["ending"] == "body_touched"
     json.dumps(run.facts(), allow_nan=False)
+
+
+def test_the_margin_covers_the_half_cell_that_a_map_hides():
+    """The true wall begins 7 mm inside a body that the planner, with the centres of cells, believes free."""
+    half = Robot.load("momaro").body.boxes[-2].half_width
+    edge = START[1] + half - 0.007
+    wall = Scene((Block(1.75, edge + 0.2, 0.0, 0.1, 0.4, 1.0),))
+    terrain = map_of(wall, (4.0, 2.5))
+    rooms = []
+    for margin in (0.0, DRIVEN_MARGIN):
+        found = Planner(terrain, "momaro", "geometric", margin=margin).plan(
+            START, (2.3, *START[1:]), weight=2, refinable=True, polish=0
+        )
+        x, y, heading = found.refine().base[:, [0, 1, 5]].T
+        along, across = np.cos(heading), np.sin(heading)
+        dx, dy = np.array([[1.7], [1.75], [1.8]]) - x, edge - y
+        outside = np.maximum(np.abs(dx * along + dy * across) - 0.4375, dy * along - dx * across - half)
+        rooms.append(outside.min())
+        if not margin:
+            assert found.drive(wall).ending is Ending.BODY_TOUCHED
+    assert rooms[0] < 0 and rooms[1] > 0.01  # a robot leaves its motion by up to a centimetre
+
+
+def test_a_robot_brakes_on_the_steepest_ground_that_it_plans():
+    robot = Robot.load("go2w")
+    ramp = Scene((Ramp(2.5, 1.5, 0.0, 5.0, 3.0, 5.0 * math.tan(robot.slope.max_pitch)),))
+    down = (3.0, 1.5, math.pi), (2.5, 1.5, math.pi)
+    terrain = map_of(ramp, (5.0, 3.0))
+    found = Planner(terrain, with_pitch(robot, 0.02), "geometric").plan(*down, weight=2, refinable=True, polish=0)
+    run = found.drive(ramp)
+    assert run.success, run.cause
+    assert run.slip.max() < 0.02
 
 
 def test_a_missing_step_is_told():

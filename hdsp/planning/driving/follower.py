@@ -332,7 +332,9 @@ class Follower:
         speed = self._rate * (wanted.feet_velocity * ahead).sum(axis=1) + correction
         heading = np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0])
         off = _whole_turn(wanted.base[5] - heading)
-        if not size.steers and wanted.moves.all():
+        if not wanted.moves.all():
+            self._scrub = 0.0  # what one drive needed to turn would skid the wheels of the next one
+        elif not size.steers:
             self._scrub = float(np.clip(self._scrub + 6.0 * off * elapsed, -1.0, 1.0))
             arm = sim.robot.feet.neutral_y * np.array([-1.0, -1.0, 1.0, 1.0])
             lever = np.hypot(sim.robot.feet.neutral_x, sim.robot.feet.neutral_y) / sim.robot.feet.neutral_y
