@@ -314,8 +314,9 @@ class Query:
     def inquiry(self, status: Status, reached: Reached | None) -> Inquiry:
         """Returns the inquiry into the reasons for a search that ended without a plan."""
         return Inquiry(
-            self.terrain, self.robot, self.wider, self.start, self.goal, status, reached, measured=self.measured
-        )
+            self.terrain, self.robot, self.wider, self.start, self.goal, status, reached, measured=self.measured,
+            seconds=self.limits.time,
+        )  # fmt: skip
 
     def out_of_time(self, plan: Plan) -> Plan:
         """Returns the answer where the time ended before a plan was refined: no plan, with the effort so far."""

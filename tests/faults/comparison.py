@@ -6,11 +6,8 @@ import csv
 import json
 from pathlib import Path
 
-#: Values by name that differ from run to run: times, and numbers of runs in MLflow.
-VOLATILE = (
-    "seconds", "begun", "begun_at", "created", "time", "stamp", "run", "model_id", "edges_seconds", "seconds_mean",
-    "seconds_median", "speedup", "polished_seconds", "first_plan", "time_to_best",
-)  # fmt: skip
+#: Values by name that differ from run to run, beside all seconds: times, and numbers of runs in MLflow.
+VOLATILE = "begun", "begun_at", "created", "time", "stamp", "run", "model_id", "speedup", "first_plan", "time_to_best"
 #: Files and folders by name: records of runs with their times and folders; MLflow's database; pictures of times; places
 #: for temporary files of libraries.
 LEFT_OUT = {
@@ -50,5 +47,9 @@ def _read(path: Path) -> object:
 
 def _lasting(value: object) -> object:
     if isinstance(value, dict):
-        return {key: _lasting(own) for key, own in value.items() if key not in VOLATILE}
+        return {key: _lasting(own) for key, own in value.items() if not _differs(key)}
     return [_lasting(own) for own in value] if isinstance(value, list) else value
+
+
+def _differs(name: str) -> bool:
+    return name in VOLATILE or "seconds" in name.split("_")

@@ -19,8 +19,9 @@ ALL = (*KINDS, "clock", "two")
 #: Options of the network `compact` that train in seconds, and a search that ends by its expansions.
 NETWORK = ("model.options.widths=[4,4]", "model.options.blocks=[1,1]", "model.options.map_features=4")
 SEARCH = (
-    "planner.heuristics=[manual]", "planner.weights=[2.0]", "planner.repeats=1", "planner.random.arenas=0",
-    "planner.limits.expansions=20000", "planner.limits.time=100",
+    "planner.heuristics=[manual]", "planner.weights=[2.0]", "planner.repeats=1", "planner.random.arenas=1",
+    "planner.random.tasks=1", "planner.random.expansions=2000", "planner.limits.expansions=20000",
+    "planner.limits.time=100",
 )  # fmt: skip
 #: Modules that a process loads once, for all of its copies.
 LOADED = (
@@ -153,7 +154,8 @@ def faults_of(
     inputs = inputs / "project" if name == "repro" else inputs
     inputs.mkdir(exist_ok=True)
     prepare(name, inputs, heard)
-    whole = _copy(inputs, work / "whole")
+    # The same folder as that of all other runs, since reports name what lies in none.
+    whole = _copy(inputs, work / "run")
     writes = Writes(whole)
     status = run_apart(stage_in(name, whole, words), writes, heard)
     assert status == 0, heard.read_text()

@@ -73,7 +73,7 @@ def test_a_folder_is_the_former_or_the_new_one_after_a_fault_at_any_moment(tmp_p
 
 
 def test_what_differs_by_nature_is_left_out(tmp_path):
-    (tmp_path / "a.json").write_text('{"seconds": 1, "cost": [{"time": 2, "value": 3}]}')
+    (tmp_path / "a.json").write_text('{"seconds": 1, "cost": [{"search_seconds": 2, "time": 2, "value": 3}]}')
     (tmp_path / "a.csv").write_text("epoch,seconds\n1,2\n")
     (tmp_path / "tmp").mkdir()
     (tmp_path / "tmp/b").write_text("")

@@ -2,6 +2,7 @@
 
 import math
 import re
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,9 @@ from hdsp import HeightMap, Planner
 from hdsp.detailed.causes import Kind
 from hdsp.detailed.relaxed.proofs import is_foot_stopped
 from hdsp.detailed.search.outcome import Status
+from hdsp.planning.answers.findings import Findings
 from hdsp.planning.ends.location import locate
+from hdsp.planning.heuristics import AbstractHeuristic
 from hdsp.robot.robot import Robot
 
 MOMARO = Robot.load("momaro")
@@ -126,3 +129,23 @@ def test_a_search_through_everything_names_the_decisive_limit(robot, words, bett
     assert plan.limits == f"{words}; without this limit there is a way"
     assert plan.limits in plan.explain() and plan.causes and plan.nearest is not None
     assert plan_of(better).solved and math.isinf(plan.cost)
+
+
+def test_reasons_take_no_longer_than_the_time_limit(monkeypatch):
+    task = stairs(rise=0.17, tread=0.28, steps=2)
+    robot = with_step(MOMARO, support_margin=0.2)
+    plan = Planner(narrow(task), robot, heuristic="geometric").plan(*task.poses(), weight=3, time=50.0)
+    assert plan.status == Status.INFEASIBLE and plan.inquiry.seconds == 50.0
+
+    steps = []
+
+    def slow(self, goals, groups=None):
+        while len(steps) < 1000:
+            steps.append(time.sleep(0.01))
+            yield
+
+    monkeypatch.setattr(AbstractHeuristic, "steps_to", slow)
+    assert replace(plan.inquiry, seconds=0.5).limits(Findings()) is None and len(steps) <= 50
+    late = replace(plan, inquiry=replace(plan.inquiry, seconds=0.0))
+    assert late.explain().endswith("; the reasons take longer than the time limit")
+    assert late.causes == () and late.limits is None

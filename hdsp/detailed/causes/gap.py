@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hdsp.base.gradual import Steps, finished
 from hdsp.base.jit import njit
 from hdsp.base.short_repr import short_repr
 from hdsp.detailed.actions.state_costs import feet_cells
@@ -100,14 +101,31 @@ def find_obstacle(
         reached: uint64 [nx, ny], the headings in reach at each cell, as bits; without the goal.
         rules: restrictions of the search.
     """
-    around_goal = np.bitwise_or.reduce(PoseFlood(world, rules or Rules()).reached_from(goal, drive_only=True))
+    return finished(obstacle_steps(world, grid, robot, start, goal, reached, rules))
+
+
+def obstacle_steps(
+    world: World,
+    grid: Grid,
+    robot: Robot,
+    start: np.ndarray,
+    goal: np.ndarray,
+    reached: np.ndarray,
+    rules: Rules | None = None,
+) -> Steps[Obstacle]:
+    """Like ``find_obstacle``, in short steps."""
+    flood = yield from PoseFlood(world, rules or Rules()).steps_from(goal, drive_only=True)
+    around_goal = np.bitwise_or.reduce(flood)
+    yield
     way = _turn_at(reached, goal)
     obstacle = _first_obstacle(world, grid, robot, way, reached, around_goal) if way is not None else None
     if obstacle is not None:
         theta = float(heading_angle(goal[2]))
         heading = Cause(Kind.HEADING, place_of(grid, goal[:2]), theta)
         return obstacle._replace(causes=(heading, *obstacle.causes))
+    yield
     way = _way_of_least_resistance(world, start, goal, reached, around_goal)
+    yield
     return _first_obstacle(world, grid, robot, way, reached, around_goal) or Obstacle((), None)
 
 

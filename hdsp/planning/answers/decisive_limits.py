@@ -7,7 +7,6 @@ all of them, and gets back each limit under which a plan remains.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import reduce
@@ -15,9 +14,10 @@ from functools import reduce
 import numpy as np
 
 from hdsp.abstract.manual import ManualCosts
+from hdsp.base.gradual import Gradual, now
 from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.search.weighted_astar import solve
-from hdsp.detailed.world.world import build_world
+from hdsp.detailed.world.world import World, build_world
 from hdsp.planning.heuristics import AbstractHeuristic
 from hdsp.robot.action_limits import LONGEST_STEP
 from hdsp.robot.lattice import metres
@@ -47,13 +47,17 @@ def decisive_limits(
     Returns:
         A phrase; None if the plan fails for another reason, or if the time does not suffice.
     """
-    ends = time.perf_counter() + seconds
+    ends, longest = now() + seconds, 0.0
 
     def passes(removals: Sequence[Removal]) -> bool:
-        left = ends - time.perf_counter()
-        return left > 0 and _has_plan(
-            terrain, reduce(lambda bot, remove: remove(bot), removals, robot), start, goal, left
-        )
+        nonlocal longest
+        began = now()
+        if began + longest >= ends:
+            return False
+        bot = reduce(lambda bot, remove: remove(bot), removals, robot)
+        world, costs = build_world(terrain, bot), ManualCosts(bot)
+        longest = max(longest, now() - began)
+        return _has_plan(world, AbstractHeuristic(world, terrain, costs), start, goal, ends)
 
     limits = _limits_of(robot)
     for words, remove in limits.items():
@@ -69,18 +73,19 @@ def decisive_limits(
     return f"{', and '.join(removed)}; without these limits there is a way"
 
 
-def _has_plan(terrain: HeightMap, robot: Robot, start: np.ndarray, goal: np.ndarray, seconds: float) -> bool:
-    world = build_world(terrain, robot)
-    estimate = AbstractHeuristic(world, terrain, ManualCosts(robot)).set_goal(goal)
+def _has_plan(world: World, heuristic: AbstractHeuristic, start: np.ndarray, goal: np.ndarray, ends: float) -> bool:
+    preparation = Gradual(heuristic.steps_to(goal[None]))
+    if not preparation.run(ends):
+        return False
     found = solve(
         world,
         start,
         goal,
-        estimate,
+        preparation.result,
         weight=_WEIGHT,
         admissible=False,
         reopen=False,
-        limits=Limits(expansions=_EXPANSIONS, time=seconds),
+        limits=Limits(expansions=_EXPANSIONS, time=max(ends - now(), 0.0)),
         paths=False,
     )
     return found.status == [Status.SOLVED]

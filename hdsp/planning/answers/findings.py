@@ -1,20 +1,20 @@
 """Why a query ended without a plan: causes at their places, the nearest pose in reach, and advice.
 
-The findings take from a tenth of a second to some seconds, limits of the robot up to half a minute. They are therefore
-computed when a plan is first asked for them.
+The findings take from a tenth of a second to some seconds, limits of the robot up to half a minute, and both together
+at most the query's ``time``. They are therefore computed when a plan is first asked for them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from hdsp.base.gradual import Gradual, Steps, now
 from hdsp.base.short_repr import short_repr
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.causes import Cause, Gap, Kind, Obstacle, find_obstacle
-from hdsp.detailed.causes.gap import obstacle_of_foot
+from hdsp.detailed.causes import Cause, Gap, Kind, Obstacle
+from hdsp.detailed.causes.gap import obstacle_of_foot, obstacle_steps
 from hdsp.detailed.relaxed.heading_masks import PoseFlood
 from hdsp.detailed.relaxed.proofs import FOOT, Unreachable
 from hdsp.detailed.search.estimate import geometric_estimate
@@ -34,6 +34,7 @@ from hdsp.terrain.height_map import HeightMap
 REASON_SECONDS, BESIDE_CAUSES = 30.0, 15.0
 _EXPANSIONS = 50_000  # of the search for a pose in reach that is nearer to the goal
 _NEARER = 0.05  # m; less is not worth this search
+_LATE = "the reasons take longer than the time limit"
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +47,7 @@ class Findings:
         nearest: the pose in reach that is nearest to the goal; None without a search.
         reached: bool [nx, ny], cells of the base that the search or a proof found in reach; None without a search.
         advice: changes that would or may help, in words.
+        seconds: time that they took.
     """
 
     causes: tuple[Cause, ...] = ()
@@ -53,6 +55,7 @@ class Findings:
     nearest: Nearest | None = None
     reached: np.ndarray | None = None
     advice: tuple[str, ...] = ()
+    seconds: float = 0.0
 
     def __repr__(self) -> str:
         return short_repr(self)
@@ -72,6 +75,7 @@ class Inquiry:
         reached: states that the search reached.
         proof: proof of infeasibility; None without one.
         measured: the planner's map, without changes under the start; None if it is conditioned.
+        seconds: time for all reasons together, the query's limit.
     """
 
     terrain: HeightMap
@@ -83,23 +87,37 @@ class Inquiry:
     reached: Reached | None
     proof: Unreachable | None = None
     measured: HeightMap | None = None
+    seconds: float = np.inf
 
     def __call__(self) -> Findings:
-        """Finds the reasons."""
-        world = build_world(self.terrain, self.wider)
-        grid = Grid(self.terrain.origin, self.terrain.shape)
-        reached = self._reached(world)
-        obstacle = self._obstacle(world, grid, reached)
-        nearest = None if self.reached is None else self._nearest(world, grid, reached)
+        """Finds the reasons, or as much as the time allows."""
+        began = now()
+        ends = began + self.seconds
+        looking = Gradual(self._obstacle_steps())
+        if not looking.run(ends):
+            return Findings(advice=(_LATE,), seconds=now() - began)
+        world, reached, obstacle = looking.result
+        nearest = None if self.reached is None else self._nearest(world, reached, ends)
         return Findings(
             causes=obstacle.causes,
             gap=obstacle.gap,
             nearest=nearest,
             reached=reached != 0,
             advice=advice_for(self.terrain, self.measured, self.robot, self.wider, obstacle.causes, nearest),
+            seconds=now() - began,
         )
 
-    def _reached(self, world: World) -> np.ndarray:
+    def _obstacle_steps(self) -> Steps[tuple[World, np.ndarray, Obstacle]]:
+        """Finds the obstacle, in short steps; also returns the headings in reach at each cell, as bits."""
+        world, grid = build_world(self.terrain, self.wider), Grid(self.terrain.origin, self.terrain.shape)
+        yield
+        reached = yield from self._reached_steps(world)
+        if self.proof is not None and self.proof.proof == FOOT:
+            return world, reached, obstacle_of_foot(self.proof, world, grid, self.wider)
+        found = yield from obstacle_steps(world, grid, self.wider, self.start, self.goal, reached)
+        return world, reached, found
+
+    def _reached_steps(self, world: World) -> Steps[np.ndarray]:
         """Headings in reach at each cell, as bits: those searched; for a proof also those of a relaxed problem."""
         if self.reached is None:
             reached = np.zeros((world.nx, world.ny), np.uint64)
@@ -108,35 +126,31 @@ class Inquiry:
             reached = self.reached.headings
         if self.proof is not None:
             # After a proof for one foot, the relaxed problem of poses may reach the goal. Driving alone does not.
-            flood = PoseFlood(world, Rules()).reached_from(self.start, drive_only=self.proof.proof == FOOT)
+            drive_only = self.proof.proof == FOOT
+            flood = yield from PoseFlood(world, Rules()).steps_from(self.start, drive_only)
             reached = reached | np.bitwise_or.reduce(flood)
         return reached
 
-    def _obstacle(self, world: World, grid: Grid, reached: np.ndarray) -> Obstacle:
-        if self.proof is not None and self.proof.proof == FOOT:
-            return obstacle_of_foot(self.proof, world, grid, self.wider)
-        return find_obstacle(world, grid, self.wider, self.start, self.goal, reached)
-
-    def limits(self, causes: Sequence[Cause]) -> str | None:
+    def limits(self, findings: Findings) -> str | None:
         """Returns the limits of the robot that keep it from the goal, in words.
 
         Args:
-            causes: the causes found. Limits are sought where they are edges, over which other robots step.
+            findings: the reasons found. Limits are sought where the causes are edges, over which other robots step.
 
         Returns:
             The words; None where the ground alone is the cause, nothing is proved, or the time does not suffice.
         """
+        causes = findings.causes
         ground_alone = bool(causes) and all(cause.kind != Kind.EDGE for cause in causes)
         if self.status != Status.INFEASIBLE or ground_alone:
             return None
         if self.proof is not None and self.proof.proof == FOOT:
             line = np.concatenate([[self.proof.from_start], self.proof.blocked, [self.proof.from_goal]])
             return stopping_limits(self.terrain, self.wider, self.start, self.goal, line)
-        return decisive_limits(
-            self.terrain, self.wider, self.start, self.goal, BESIDE_CAUSES if causes else REASON_SECONDS
-        )
+        seconds = min(BESIDE_CAUSES if causes else REASON_SECONDS, self.seconds - findings.seconds)
+        return decisive_limits(self.terrain, self.wider, self.start, self.goal, seconds)
 
-    def _nearest(self, world: World, grid: Grid, reached: np.ndarray) -> Nearest:
+    def _nearest(self, world: World, reached: np.ndarray, ends: float) -> Nearest:
         assert self.reached is not None
         state = self.reached.nearest
         nearer = _nearest_pose(reached, self.goal)
@@ -144,11 +158,12 @@ class Inquiry:
             # A relaxed problem may reach more than the robot.
             found = solve(
                 world, self.start, nearer, geometric_estimate(world, nearer), weight=3.0, admissible=False,
-                reopen=False, limits=Limits(expansions=_EXPANSIONS), paths=False,
+                reopen=False, limits=Limits(expansions=_EXPANSIONS, time=max(ends - now(), 0.0)), paths=False,
             )  # fmt: skip
             if found.status == [Status.SOLVED]:
                 state = nearer
         away = metres(float(np.hypot(*(state[:2] - self.goal[:2]))))
+        grid = Grid(self.terrain.origin, self.terrain.shape)
         pose = tuple(float(value) for value in grid.to_world(state))
         return Nearest(pose, away, abs(float(heading_angle(state[2] - self.goal[2]))))
 

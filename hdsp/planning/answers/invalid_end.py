@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from hdsp.detailed.causes import Cause
 from hdsp.detailed.search.reached import METRES_PER_RADIAN
 from hdsp.detailed.world.world import World
 from hdsp.planning.answers.findings import Findings
@@ -52,5 +50,5 @@ class InvalidEnd:
         feet = ", on displaced feet" if state[3:].any() else ""
         return Findings(advice=(f"the nearest pose that works is {where}{feet}",))
 
-    def limits(self, causes: Sequence[Cause]) -> None:
+    def limits(self, findings: Findings) -> None:
         """Limits of the robot; here none, because the causes name them."""

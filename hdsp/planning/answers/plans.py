@@ -118,7 +118,8 @@ class Plan:
         """Describes the plan, or the reason for its absence, in one line for an operator.
 
         Without a plan, the line names the causes at their places, the nearest pose that the search reached, and changes
-        that would help. The first call computes them (``findings``, ``limits``).
+        that would help. The first call computes them (``findings``, ``limits``) within half a minute,
+        and within the query's ``time``.
         """
         if self.solved:
             words = explain_plan(self.terrain, self.robot, self.states, self.actions, self.action_costs)
@@ -146,9 +147,9 @@ class Plan:
     def limits(self) -> str | None:
         """The robot's limits without which there would be a plan, in words; None if none are known.
 
-        The first use may need searches, at most half a minute.
+        The first use may need searches, at most half a minute, and with ``findings`` at most the query's ``time``.
         """
-        return self.inquiry.limits(self.findings.causes) if self.inquiry is not None else None
+        return self.inquiry.limits(self.findings) if self.inquiry is not None else None
 
     def refine(self) -> Motion:
         """Returns the motion that follows the plan: base and feet in each configuration, all checked.
