@@ -10,6 +10,7 @@ import json
 import os
 import sys
 import time
+from itertools import groupby
 from pathlib import Path
 
 # Before Numba and hypothesis are imported: plain Python, and the same examples each time.
@@ -23,7 +24,7 @@ os.environ |= {
 from tests import ROOT
 from tests.mutants.changes import Mutant
 from tests.mutants.results import Results, summary, write_page
-from tests.mutants.targets import TARGETS, Target
+from tests.mutants.targets import TARGETS
 from tests.mutants.trials import SURVIVED, run_tests, tried
 
 #: A mutant hangs if it takes this many times the CPU time of its tests without a change, and so many seconds more.
@@ -47,7 +48,10 @@ def main(argv: list[str] | None = None) -> dict:
             continue
         sample, total = target.sample(chosen.count, chosen.seed, chosen.only)
         if not chosen.so_far:
-            _try(target, [each for each in sample if _is_open(results, each, chosen.again)], results)
+            waiting = [each for each in sample if _is_open(results, each, chosen.again)]
+            waiting.sort(key=lambda each: target.tests_of(each.file))
+            for tests, mutants in groupby(waiting, key=lambda each: target.tests_of(each.file)):
+                _try(tests, list(mutants), results)
         found[name] = total, [(each, trial) for each in sample if (trial := results.of(each)) is not None]
     result = summary(found, chosen.seed)
     if chosen.page:
@@ -62,16 +66,14 @@ def _is_open(results: Results, mutant: Mutant, again: bool) -> bool:
     return trial is None or (again and trial.result == SURVIVED)
 
 
-def _try(target: Target, mutants: list[Mutant], results: Results) -> None:
-    if not mutants:
-        return
-    if not run_tests(target.tests):
-        sys.exit(f"error: the tests of {target.path} fail without any change")
+def _try(tests: list[str], mutants: list[Mutant], results: Results) -> None:
+    if not run_tests(tests):
+        sys.exit(f"error: {', '.join(tests)} fail without any change")
     began = time.process_time()
-    run_tests(target.tests)  # once more: now maps and textbook results are at hand
+    run_tests(tests)  # once more: now maps and textbook results are at hand
     seconds = time.process_time() - began
     for i, mutant in enumerate(mutants):
-        trial = tried(mutant, target.tests, _LONGER * seconds + _MORE)
+        trial = tried(mutant, tests, _LONGER * seconds + _MORE)
         results.add(mutant, trial)
         print(f"{i + 1}/{len(mutants)} {trial.result} ({trial.seconds:.1f} s): {mutant.name}", flush=True)
 

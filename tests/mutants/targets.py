@@ -12,10 +12,16 @@ class Target(NamedTuple):
     Attributes:
         path: from the root of the checkout.
         tests: tests on small maps, quick ones first.
+        own: tests of single files, which take their place.
     """
 
     path: str
     tests: list[str]
+    own: tuple[tuple[str, list[str]], ...] = ()
+
+    def tests_of(self, file: str) -> list[str]:
+        """Tests that should notice a change in a file."""
+        return dict(self.own).get(file.rpartition("/")[2], self.tests)
 
     def files(self) -> list[str]:
         place = ROOT / self.path
@@ -33,7 +39,11 @@ class Target(NamedTuple):
 TARGETS = {
     target.path: target
     for target in (
-        Target("hdsp/detailed/search", ["tests/detailed/test_small_searches.py", "tests/detailed/test_store.py"]),
+        Target(
+            "hdsp/detailed/search",
+            ["tests/detailed/test_small_searches.py", "tests/detailed/test_store.py"],
+            own=(("free_space.py", ["tests/detailed/test_free_space.py"]),),
+        ),
         Target("hdsp/detailed/actions", ["tests/detailed/test_small_actions.py"]),
         Target("hdsp/abstract/dijkstra.py", ["tests/abstract/test_bucket_ring.py"]),
     )
