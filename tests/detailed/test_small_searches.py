@@ -174,6 +174,18 @@ def test_a_multi_heuristic_search_keeps_its_bound(name):
     assert result.status == [Status.INFEASIBLE] and result.seen == len(scene.graph)
 
 
+def test_ends_without_standing_are_told_before_any_search():
+    scene, (goal, *_) = small_scene("nimble"), some_goals("nimble")
+    outside, anchor = (0, 0, 0, 0, 0, 0, 0), geometric_estimate(scene.world, np.array(goal))
+    for ends, status in (((outside, goal), Status.INVALID_START), ((scene.start, outside), Status.INVALID_GOAL)):
+        start, end = map(np.array, ends)
+        (improved,) = improve(scene.world, start, end, (2.0, 1.0), anchor)
+        together = solve_multi(scene.world, start, end, anchor, [anchor])
+        for result in (solve(scene.world, start, end, anchor), improved.result, together):
+            assert result.status == [status] and result.expansions == result.seen == 0
+        assert improved.ended == status
+
+
 @pytest.mark.parametrize("name", ["forward", "short arcs"])
 def test_the_backward_search_finds_the_relaxed_costs(name):
     """Exact costs-to-go over poses, in both layers; `tests.naive_relaxed` has the same problem in plain Python."""

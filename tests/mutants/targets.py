@@ -42,7 +42,10 @@ TARGETS = {
         Target(
             "hdsp/detailed/search",
             ["tests/detailed/test_small_searches.py", "tests/detailed/test_store.py"],
-            own=(("free_space.py", ["tests/detailed/test_free_space.py"]),),
+            own=(
+                ("free_space.py", ["tests/detailed/test_free_space.py"]),
+                ("interpolation.py", ["tests/detailed/test_interpolation.py::test_the_kernel_equals_its_twin"]),
+            ),
         ),
         Target("hdsp/detailed/actions", ["tests/detailed/test_small_actions.py"]),
         Target("hdsp/abstract/dijkstra.py", ["tests/abstract/test_bucket_ring.py"]),
