@@ -12,6 +12,7 @@ from safetensors.numpy import load_file
 import hdsp
 from hdsp.base.errors import InputError
 from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts
+from hdsp.learning.inference import cell_layer
 from hdsp.learning.inference.dense_layers import LARGEST_WEIGHT, Graph
 from hdsp.learning.inference.footprint_engine import FootprintEngine, engine_options
 from hdsp.learning.loading import shipped
@@ -213,3 +214,15 @@ def _model(settings):
     from hdsp.base.settings import load_settings
 
     return load_settings(hdsp.learning.ModelSettings, settings, "model")
+
+
+def test_a_layer_pauses_every_few_products(monkeypatch):
+    monkeypatch.setattr(cell_layer, "VALUES", 20)
+    monkeypatch.setattr(cell_layer, "PRODUCTS", 2)
+    values, result = np.arange(100, dtype=np.float32).reshape(100, 1), np.zeros((100, 1), np.float32)
+    layer = cell_layer.Layer(np.ones((2, 1), np.float32), np.zeros(1, np.float32))
+    # Ten cells in a product: the first pause comes behind twenty.
+    steps = layer.convolve(values, np.arange(99), np.array([0, 1]), 1, result)
+    next(steps)
+    assert (result[:20, 0] == 2 * np.arange(20) + 1).all() and not result[20:].any()
+    assert len(list(steps)) == 4 and (result[:99, 0] == 2 * np.arange(99) + 1).all()

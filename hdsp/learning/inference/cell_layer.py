@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from hdsp.base.gradual import Steps
 from hdsp.learning.inference.dense_layers import Graph
 from hdsp.learning.inference.gather_kernels import gather, store, store_codes
 
 #: Values in the rows of one product; they stay in the cache of a core.
 VALUES = 1 << 17
+#: Products in a step of a computation, which takes some milliseconds.
+PRODUCTS = 32
 
 
 class Layer:
@@ -32,8 +35,8 @@ class Layer:
         run: int,
         result: np.ndarray,
         code: float | None = None,
-    ) -> None:
-        """Computes features at some cells.
+    ) -> Steps[None]:
+        """Computes features at some cells, in short steps.
 
         Args:
             values: float32 [cells of the map, channels].
@@ -46,7 +49,7 @@ class Layer:
         flat, channels = values.reshape(-1), values.shape[1]
         most = max(VALUES // self._width, 1)
         rows = np.empty((min(len(cells), most), self._width), np.float32)
-        for start in range(0, len(cells), most):
+        for number, start in enumerate(range(0, len(cells), most), 1):
             part = cells[start : start + most]
             inputs = rows[: len(part)]
             gather(flat, channels, part, offsets, run * channels, inputs)
@@ -55,3 +58,5 @@ class Layer:
                 store_codes(features, part, np.float32(code), result)
             else:
                 store(features, part, result)
+            if number % PRODUCTS == 0:
+                yield

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.gradual import Steps, finished
 from hdsp.base.settings import load_settings
 from hdsp.learning.footprint_geometry import (
     GROUND_RADIUS,
@@ -61,6 +62,8 @@ from hdsp.terrain.scenes import CATEGORIES, random_map
 MARGIN = PATCH_CENTER
 #: Poses judged at once.
 POSES_AT_ONCE = 192
+#: Such parts in a step.
+PARTS = 8
 #: Largest feature with a code of its own, relative to the largest one on random ground of all published categories.
 CLIPPED = 1.25
 #: Bases whose goals are judged together.
@@ -147,7 +150,7 @@ class FootprintEngine:
         needed, local = self._needed(side, bases, self.table.context, known), known.local
         for category in CATEGORIES:
             channels = self._ground(random_map(1, category, 0, cells=side).heights)[1]
-            self._near_and_local(channels, needed, side, local)
+            finished(self._near_and_local(channels, needed, side, local))
             largest = max(largest, float(local[needed.local[-1]].max()))
         # Rounded, because the last bits of the features depend on the processor.
         return max(math.ceil(16 * CLIPPED * largest), 1) / 16 / 255
@@ -170,8 +173,8 @@ class FootprintEngine:
             place: place of the window in a map whose features are kept; None = none are kept.
 
         Yields:
-            None after each layer of the whole window. Then, for each group of bases, its slice of ``bases``, and the
-            judgements, [m, G].
+            None some times in each layer of the whole window. Then, for each group of bases, its slice of ``bases``,
+            and the judgements, [m, G].
         """
         to = self._known(goals)
         across = heights.shape[1]
@@ -181,12 +184,12 @@ class FootprintEngine:
         maps, channels = self._ground(heights)
 
         yield None
-        near = self._near_and_local(channels, needed, across, known.local)
+        near = yield from self._near_and_local(channels, needed, across, known.local)
         yield None
         line_offsets = numbers(square(LINE_RADIUS), across)[:: 2 * LINE_RADIUS + 1]
-        self.layers.line.convolve(near, needed.line, line_offsets, 2 * LINE_RADIUS + 1, known.line)
+        yield from self.layers.line.convolve(near, needed.line, line_offsets, 2 * LINE_RADIUS + 1, known.line)
         yield None
-        self._poses(known.local, maps, needed.poses, self.table.straight(across), known.poses)
+        yield from self._poses(known.local, maps, needed.poses, self.table.straight(across), known.poses)
         if place is not None:
             place.keep(across, (needed.local[-1], needed.line, needed.poses), known)
         yield None
@@ -299,24 +302,31 @@ class FootprintEngine:
         flat = (np.ascontiguousarray(values.ravel(), np.float32) for values in (rough, barred, is_barred))
         return GroundMaps(height.ravel(), np.stack(nearby, axis=-1).reshape(-1, len(nearby)), *flat), channels
 
-    def _near_and_local(self, channels: np.ndarray, needed: _Needed, across: int, result: np.ndarray) -> np.ndarray:
+    def _near_and_local(
+        self, channels: np.ndarray, needed: _Needed, across: int, result: np.ndarray
+    ) -> Steps[np.ndarray]:
         """Computes the last local features, or their codes; returns features of the first convolution."""
         offsets = numbers(square(NEAR_RADIUS), across)[:: 2 * NEAR_RADIUS + 1]
         size, last = len(channels), len(self.layers.local) - 1
         local = near = np.empty((size, self.options.width), np.float32)
-        self.layers.near.convolve(channels, needed.near, offsets, 2 * NEAR_RADIUS + 1, near)
+        yield from self.layers.near.convolve(channels, needed.near, offsets, 2 * NEAR_RADIUS + 1, near)
         for k, (layer, dilation) in enumerate(zip(self.layers.local, self.options.dilations, strict=True)):
             to = result if k == last else np.empty_like(near)
-            layer.convolve(local, needed.local[k], numbers(square(dilation, dilation), across), 1, to, self.code)
+            yield
+            yield from layer.convolve(
+                local, needed.local[k], numbers(square(dilation, dilation), across), 1, to, self.code
+            )
             local = to
         return near
 
-    def _poses(self, local: np.ndarray, maps: GroundMaps, at: np.ndarray, cells: PoseCells, poses: np.ndarray) -> None:
+    def _poses(
+        self, local: np.ndarray, maps: GroundMaps, at: np.ndarray, cells: PoseCells, poses: np.ndarray
+    ) -> Steps[None]:
         """Computes features of the poses with the start heading at some cells, float32 [cells, features]."""
         taps, channels = cells.taps[0], local.shape[1]
         words = local.reshape(-1).view(np.uint64) if local.dtype == np.uint8 and channels % 8 == 0 else None
         rows, ground = self._pose_rows(min(len(at), POSES_AT_ONCE), local.dtype)
-        for start in range(0, len(at), POSES_AT_ONCE):
+        for number, start in enumerate(range(0, len(at), POSES_AT_ONCE), 1):
             part = at[start : start + POSES_AT_ONCE]
             inputs = rows[: len(part)]
             if words is None:
@@ -325,6 +335,8 @@ class FootprintEngine:
                 gather_words(words, channels // 8, part, taps, inputs.view(np.uint64))
             ground_rows(part, maps, cells, ground[: len(part)])
             store_poses(self._judged_poses(inputs, ground[: len(part)]), ground, part, poses)
+            if number % PARTS == 0:
+                yield
 
     def _turned(
         self,
