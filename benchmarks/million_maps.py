@@ -1,20 +1,22 @@
 """Labels and a streamed epoch at the scale of a million maps: memory, restarts, rates, and what ten million need.
 
-    python -m benchmarks.million_maps --maps 1000000 --workers 2
+    python -m benchmarks.million_maps --maps 1000000 --workers 2 [--page docs/pipeline.md]
     python -m benchmarks.million_maps --maps 20000        # minutes
 
-A true label takes a large part of a second, so only `--recorded` maps are labelled truly; their rate is printed. The
-label run then has a stand-in for the detailed planner, which gives these labels again, map by map, and never drops a
-map. All the rest is that of a true run: workers, shards, index, restarts. Each part works in its own process:
+True labels take nearly all the time, so only `--recorded` maps are labelled truly; their rate is printed. The label run
+then has a stand-in for the detailed planner, which gives these labels again, map by map, and never drops a map. All the
+rest is that of a true run: workers, shards, index, restarts. Each part works in its own process:
 
 1. `label_split` on a tenth of the maps, and on all of them. The second run is killed (SIGKILL) in its middle and
    started again. `restart_s` is the time from the start of a process to the list of missing shards, after the kill and
-   when nothing is missing; the larger counts. `restart_cpu_s` is the same in processor time.
+   when nothing is missing; the larger counts. `restart_cpu_s` is the same in processor time, `load` the number of
+   processes that wanted a core meanwhile (mean over a minute).
 2. One epoch of a small network, streamed from the shards. It is killed in the middle and started again; `resume_s` is
    the time from the start of the process to its first batch, `maps_per_s` the rate afterwards.
 
 `memory_gb` is the largest peak of a process. `ten_million` extrapolates along lines through the measured points of a
-tenth and of all maps; `true_core_hours` counts the true labels, `epoch_hours` the small network. The last line is JSON.
+tenth and of all maps; `true_core_hours` counts the true labels, `epoch_hours` the small network. The last line is JSON;
+`--page` writes the figures into the page.
 """
 
 import argparse
@@ -35,6 +37,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.page import table, write_block
 from hdsp.base.files import replacing
 from hdsp.base.workers import peak_memory
 from hdsp.labels.run.split_run import ClusterSettings, label_split
@@ -90,8 +93,10 @@ def main(argv=None) -> dict[str, Any]:
     parser.add_argument("--readers", type=int, default=1, help="processes that read shards for the training")
     parser.add_argument("--maps-per-shard", type=int, default=90)
     parser.add_argument("--folder", type=Path, help="place for the shards, which are removed afterwards")
+    parser.add_argument("--page", type=Path, help="docs page to update")
     parser.add_argument("--part", choices=PARTS, help=argparse.SUPPRESS)
     arguments = parser.parse_args(argv)
+    page = vars(arguments).pop("page")
     if arguments.part:
         result = PARTS[arguments.part](arguments)
         print(json.dumps(result))
@@ -103,7 +108,30 @@ def main(argv=None) -> dict[str, Any]:
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     print(json.dumps(result))
+    if page:
+        write_block(page, "benchmarks.million_maps", text(result))
     return result
+
+
+def text(result: dict[str, Any]) -> str:
+    """Formats the result for the page."""
+    far, epoch = result["ten_million"], round(result["maps"] / result["maps_per_s"] / 3600, 2)
+    rows = [
+        ["largest memory of a process, GB", result["memory_gb"], far["memory_gb"]],
+        ["restart of the labels, processor s", result["restart_cpu_s"], far["restart_cpu_s"]],
+        [f"restart of the labels, s at a load of {result['load']:.1f}", result["restart_s"], ""],
+        ["restart of the epoch until its first batch, s", result["resume_s"], ""],
+        ["an epoch of the small network, hours", epoch, far["epoch_hours"]],
+        ["true labels, core hours", "", far["true_core_hours"]],
+        ["disk, GB", result["disk_gb"], far["disk_gb"]],
+    ]
+    rates = (
+        f"The epoch read {result['maps_per_s']:,.0f} maps per second, and the stand-in's labels were written at "
+        f"{result['shards_of_stand_in_maps_per_s']:,.0f} maps per second; one core labels "
+        f"{result['true_labels_maps_per_s_and_core']:,.1f} maps truly per second, {os.cpu_count()} cores were there."
+    )
+    head = ["", f"{result['maps']:,} maps", "ten million, extrapolated"]
+    return f"{table(head, rows)}\n\n{rates}"
 
 
 def measured(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -129,6 +157,7 @@ def measured(arguments: argparse.Namespace) -> dict[str, Any]:
         "memory_gb": max(memory.values()),
         "restart_s": max(restarts),
         "restart_cpu_s": max(after_kill["restart_cpu_s"], again["restart_cpu_s"]),
+        "load": max(after_kill["load"], again["load"]),
         "resume_s": trained["resume_s"],
         "memory_by_process_gb": memory,
         "memory_growth_in_the_epoch_gb": trained["growth_gb"],
@@ -233,6 +262,7 @@ def label(arguments: argparse.Namespace) -> dict[str, Any]:
     return {
         "restart_s": round(known[0][0], 2),
         "restart_cpu_s": round(known[0][1], 2),
+        "load": round(os.getloadavg()[0], 1),
         "memory_gb": round(peak_memory() / 1e9, 3),
         "worker_gb": round(record.get("peak_memory", 0) / 1e9, 3),
         "maps_per_s": round(record.get("tasks_per_second", 0) / 22, 1),
