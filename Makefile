@@ -27,7 +27,7 @@ PLAIN_TESTS := tests/detailed/test_store.py tests/detailed/test_geometry.py test
 # Half of the test maps: they run all kernels.
 KERNEL_MAPS := not (cuboid_2 or cuboid_3 or wall_2 or staircase_wall or staircase_focused)
 
-.PHONY: help install repro demo tables experiments publish docs docs-links test test-checked warm-checked nightly mutants fuzz audit sbom hashes lint format params clean
+.PHONY: help install repro demo tables experiments runs publish docs docs-links test test-checked warm-checked nightly mutants fuzz audit sbom hashes lint format params clean
 
 help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
@@ -48,6 +48,10 @@ tables: $(STAMP)  ## print the tables of the last run
 
 experiments: $(STAMP)  ## one line per experiment of DVC: the parameters and results that differ
 	dvc exp show --only-changed --no-pager
+
+runs: $(STAMP)  ## all trainings side by side in the browser, in MLflow, until Ctrl-C
+	@echo "http://127.0.0.1:5000/#/experiments/1/runs?viewStateShareKey=results&workflowType=machine_learning"
+	mlflow ui --backend-store-uri sqlite:///mlflow.db --workers 1
 
 publish: $(STAMP)  ## write the tables of the last run into README.md and docs/results.md
 	python -m pipeline.publish_pages

@@ -36,7 +36,9 @@ class RunLogger(Logger):
 
     @rank_zero_only
     def log_metrics(self, metrics: Mapping[str, float], step: int | None = None) -> None:
-        values = {name: float(value) for name, value in metrics.items() if name != "epoch"}
+        # The page of a run shows the last step of a metric; `seconds` is that of the whole training.
+        own = {"seconds": "epoch_seconds"}
+        values = {own.get(name, name): float(value) for name, value in metrics.items() if name != "epoch"}
         self.mlflow.log_metrics(values, step=step)
 
     @rank_zero_only

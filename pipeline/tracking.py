@@ -21,6 +21,7 @@ from hdsp.base.files import replacing
 
 from .config import parse_overrides
 from .folders import Folders, in_short, project_root
+from .run_view import show_results
 from .started_by import has_ended, this_process
 
 EXPERIMENT = "hdsp"
@@ -73,7 +74,7 @@ def connect() -> Any:
         if mlflow.get_experiment_by_name(EXPERIMENT) is None:
             # A server chooses its own artifact location.
             mlflow.create_experiment(EXPERIMENT, (root / "mlartifacts").as_uri() if local else None)
-    mlflow.set_experiment(EXPERIMENT)
+    show_results(mlflow, mlflow.set_experiment(EXPERIMENT))
     return mlflow
 
 

@@ -1,14 +1,16 @@
 """Training as a user starts it: tracking, output files and sweeps."""
 
+import base64
 import json
 import math
 import os
+import zlib
 
 import numpy as np
 import pytest
 import yaml
 
-from pipeline import tracking
+from pipeline import run_view, tracking
 from pipeline.started_by import this_process
 from tests.pipeline.conftest import run_python, tiny
 
@@ -41,7 +43,8 @@ def test_a_training_is_tracked_with_everything(chain, mlflow):
     assert run.info.run_name.startswith("compact profile=tiny widths=[4, 4] blocks=[1, 1] map_features=4")
     assert len(run.data.tags["data.train"]) == 64
     assert {"git.commit", "git.dirty", "data.val", "data.random"} <= set(run.data.tags)
-    assert {"parameters", "maps", "best_epoch", "seconds"} <= set(run.data.metrics)
+    assert {"parameters", "maps", "best_epoch"} <= set(run.data.metrics)
+    assert run.data.metrics["seconds"] > run.data.metrics["epoch_seconds"] > 0  # of the training, of its last epoch
 
     client = mlflow.MlflowClient()
     whole = yaml.safe_load(mlflow.artifacts.load_text(f"{run.info.artifact_uri}/config.yaml"))
@@ -54,6 +57,21 @@ def test_a_training_is_tracked_with_everything(chain, mlflow):
         assert [metric.step for metric in history] == [0, 1], name
         assert all(math.isfinite(metric.value) for metric in history), name
     assert {"cost_error/val", "cost_error/random"} <= set(run.data.metrics)
+
+
+def test_the_table_of_runs_has_a_view_with_metrics_that_users_may_change(chain, mlflow):
+    client = mlflow.MlflowClient()
+    experiment = client.get_experiment_by_name("hdsp")
+    assert experiment.tags["mlflow.experimentKind"] == "custom_model_development"
+    view = json.loads(experiment.tags[run_view.VIEW_TAG])
+    state = json.loads(zlib.decompress(base64.b64decode(view["state"].removeprefix("deflate;"))))
+    (run,) = runs(mlflow, lambda run: "sweep" not in run.data.tags and "mlflow.parentRunId" not in run.data.tags)
+    assert view["name"] == "results" and state["orderByKey"] == "metrics.`best/score`"
+    assert {name.removeprefix("metrics.").strip("`") for name in state["selectedColumns"]} <= run.data.metrics.keys()
+
+    client.set_experiment_tag(experiment.experiment_id, run_view.VIEW_TAG, "changed by a user")
+    run_view.show_results(mlflow, client.get_experiment(experiment.experiment_id))
+    assert client.get_experiment(experiment.experiment_id).tags[run_view.VIEW_TAG] == "changed by a user"
 
 
 def test_data_model_and_later_stages_belong_to_the_run(chain, mlflow):
