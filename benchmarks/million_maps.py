@@ -115,9 +115,11 @@ def main(argv=None) -> dict[str, Any]:
 
 def text(result: dict[str, Any]) -> str:
     """Formats the result for the page."""
-    far, epoch = result["ten_million"], round(result["maps"] / result["maps_per_s"] / 3600, 2)
+    far, memory = result["ten_million"], result["memory_by_process_gb"]
+    grown, epoch = result["memory_growth_in_the_epoch_gb"], round(result["maps"] / result["maps_per_s"] / 3600, 2)
     rows = [
-        ["largest memory of a process, GB", result["memory_gb"], far["memory_gb"]],
+        ["memory of the label run, GB", memory["label"], max(memory["label"], far["memory_gb"])],
+        ["memory of the training, GB", memory["train"], f"grew by {grown} in the epoch"],
         ["restart of the labels, processor s", result["restart_cpu_s"], far["restart_cpu_s"]],
         [f"restart of the labels, s at a load of {result['load']:.1f}", result["restart_s"], ""],
         ["restart of the epoch until its first batch, s", result["resume_s"], ""],
