@@ -128,7 +128,9 @@ def stages_run(project) -> list[str]:
     return re.findall("Running stage '(.+)'", run_dvc("repro", cwd=project))
 
 
+@pytest.mark.nightly
 def test_a_killed_label_stage_continues_to_the_same_shards(tmp_path):
+    """By day, tests/labels/run kills the same run without DVC around it."""
     from hdsp.labels.shards import read_shard, shard_paths
 
     more = ["labelling.splits.val.maps_per_category=3", "labelling.splits.val.maps_per_shard=3", "runtime.workers=1"]
