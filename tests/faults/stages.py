@@ -165,7 +165,7 @@ def faults_of(
         numbers = writes.numbers("kill" if kind == "clock" else kind)
         wanted = most if kind != "clock" else min(most or 3, 3)
         if wanted is not None and wanted < len(numbers):
-            numbers = [numbers[k * (len(numbers) - 1) // max(wanted - 1, 1)] for k in range(wanted)]
+            numbers = [numbers[(2 * k + 1) * len(numbers) // (2 * wanted)] for k in range(wanted)]
         for number in numbers:
             folder = _copy(inputs, work / "run")
             broken = Writes(folder, number, "kill" if kind == "clock" else kind)
