@@ -16,6 +16,7 @@ from hdsp import HeightMap, InputError, Planner, Robot
 from hdsp.planning.cli import main
 from hdsp.planning.commands.drive_command import FAILED
 from hdsp.planning.driving.contact_forces import ContactForces
+from hdsp.planning.driving.drive_film import glass_walls
 from hdsp.planning.driving.driven_run import Ending
 from hdsp.planning.driving.follower import Follower
 from hdsp.planning.driving.ground_model import rectangles
@@ -114,6 +115,9 @@ def test_unknown_ground_ends_the_drive_with_its_cause():
     run = found.drive(wall)
     assert run.ending is Ending.BODY_TOUCHED and not run.success
     assert run.cause.startswith("the body touched the ground at (") and "in action" in run.cause
+    sim = SimulatedRobot(run.motion.robot, wall)
+    assert glass_walls(sim, run) and (sim.model.geom_rgba[sim.model.geom_bodyid == 0, 3] < 1).sum() == 1
+    assert not glass_walls(SimulatedRobot(run.motion.robot, block(0.2)), run)
     assert run.facts()["ending"] == "body_touched"
     json.dumps(run.facts(), allow_nan=False)
 

@@ -1,12 +1,13 @@
 """A drive as GIF or MP4, with pictures by MuJoCo.
 
-The camera looks at the robot from its right and from above, and follows it. Legs are drawn with knees, as in
+The camera looks at the robot from its right and from above, and follows it. Between walls, which are drawn as glass, it
+looks from behind and from higher up. Legs are drawn with knees, as in
 `hdsp.viz.viewer.robot_pose`; the simulated legs are slides. Bars over the wheels show the ground forces.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,10 @@ from hdsp.viz.viewer.robot_pose import parts
 
 _SHOWN = 12.0  # s; a film without a given speed lasts no longer
 _SIDE, _ELEVATION = 25.0, -18.0  # degrees, of the view against the way of the robot, and over the horizon
-_SMOOTH = 1.0  # s, of the camera's way
+_BEHIND, _HIGH = -20.0, -42.0  # degrees, the same between walls, against the heading
+_WALL = 0.5  # m, above the highest foothold
+_GLASS = 0.3  # opacity
+_SMOOTH, _SMOOTH_TURN = 1.0, 2.5  # s, of the camera's way and direction
 _LINK = np.array([0.68, 0.71, 0.75, 1.0])
 _FORCE = np.array([0.0, 0.62, 0.45, 0.9])
 
@@ -53,29 +57,40 @@ def save_film(
         from hdsp.viz.recordings.animation import write_frames
     except ModuleNotFoundError as error:
         raise InputError("animations need Pillow: pip install 'hdsp[record]'") from error
-    return write_frames(path, _pictures(run, speed, fps, (width, height)), fps)
+    moments = np.arange(0.0, run.duration, speed / fps) / max(run.duration, 1e-9) * (len(run.motion) - 1)
+    rows = np.append(moments, len(run.motion) - 1).astype(int)
+    return write_frames(path, pictures(run, rows.tolist(), (width, height), speed), fps)
 
 
-def _pictures(run: Any, speed: float, fps: float, size: tuple[int, int]) -> Iterator[Any]:
+def pictures(run: Any, rows: Sequence[int], size: tuple[int, int], speed: float = 1.0) -> Iterator[Any]:
+    """Draws states of a drive as Pillow images.
+
+    Args:
+        run: the drive.
+        rows: numbers of the states.
+        size: width and height, pixels.
+        speed: simulated seconds per second, for the label.
+
+    Raises:
+        InputError: no rendering on this machine.
+    """
     from PIL import Image
 
     mujoco = import_mujoco()
     sim = SimulatedRobot(run.motion.robot, run.ground)
     camera = mujoco.MjvCamera()
     places = _smoothed(run)
-    first, last = run.motion.base[[0, -1]]
-    way = last[:2] - first[:2]
-    along = np.degrees(np.arctan2(way[1], way[0]) if np.linalg.norm(way) > 0.3 else first[5])
-    camera.azimuth, camera.elevation = along + 90.0 - _SIDE, _ELEVATION
+    walls = glass_walls(sim, run)
+    directions, camera.elevation = _directions(run, walls)
     camera.distance = 4.6 * max(run.motion.robot.stance.base_height, run.motion.robot.feet.neutral_x)
-    rows = np.arange(0.0, run.duration, speed / fps) / max(run.duration, 1e-9) * (len(run.motion) - 1)
     try:
         with mujoco.Renderer(sim.model, size[1], size[0]) as renderer:
-            for row in np.append(rows, len(run.motion) - 1).astype(int).tolist():
+            for row in rows:
                 sim.data.qpos[:] = run.positions[row]
                 mujoco.mj_forward(sim.model, sim.data)
-                camera.lookat[:] = places[row]
+                camera.lookat[:], camera.azimuth = places[row], directions[row]
                 renderer.update_scene(sim.data, camera)
+                renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = not walls  # large shadows are coarse
                 _draw_extras(mujoco, renderer.scene, run, row)
                 picture = Image.fromarray(renderer.render())
                 _label(picture, run, row, speed)
@@ -84,13 +99,36 @@ def _pictures(run: Any, speed: float, fps: float, size: tuple[int, int]) -> Iter
         raise InputError(f"MuJoCo cannot draw here ({error}); try another MUJOCO_GL: egl, osmesa or glfw") from error
 
 
+def glass_walls(sim: SimulatedRobot, run: Any) -> bool:
+    """Turns walls to glass; returns whether there are any."""
+    mujoco, model = import_mujoco(), sim.model
+    boxes = (model.geom_bodyid == 0) & (model.geom_type == mujoco.mjtGeom.mjGEOM_BOX)
+    tops = model.geom_pos[:, 2] + model.geom_size[:, 2]
+    walls = boxes & (tops > run.motion.feet[..., 2].max() + _WALL)
+    model.geom_rgba[walls, 3] = _GLASS
+    return bool(walls.any())
+
+
+def _directions(run: Any, walls: bool) -> tuple[np.ndarray, float]:
+    """Azimuths of the view in each state, float64 [n], and its elevation, degrees."""
+    if walls:
+        return np.degrees(_filtered(run, np.unwrap(run.motion.base[:, 5]), _SMOOTH_TURN)) - _BEHIND, _HIGH
+    first, last = run.motion.base[[0, -1]]
+    way = last[:2] - first[:2]
+    along = np.degrees(np.arctan2(way[1], way[0]) if np.linalg.norm(way) > 0.3 else first[5])
+    return np.full(len(run.motion), along + 90.0 - _SIDE), _ELEVATION
+
+
 def _smoothed(run: Any) -> np.ndarray:
     """Way of the camera's target, float64 [n, 3], without the robot's sway."""
+    return _filtered(run, run.motion.base[:, :3], _SMOOTH) - (0.0, 0.0, 0.4 * run.motion.robot.stance.base_height)
+
+
+def _filtered(run: Any, values: np.ndarray, seconds: float) -> np.ndarray:
     from scipy.ndimage import gaussian_filter1d
 
     step = run.motion.moments[1] - run.motion.moments[0] if len(run.motion) > 1 else 1.0
-    places = gaussian_filter1d(run.motion.base[:, :3], _SMOOTH / step, axis=0, mode="nearest")
-    return places - (0.0, 0.0, 0.4 * run.motion.robot.stance.base_height)
+    return gaussian_filter1d(values, seconds / step, axis=0, mode="nearest")
 
 
 def _draw_extras(mujoco: Any, scene: Any, run: Any, row: int) -> None:
