@@ -183,18 +183,19 @@ def test_ends_without_standing_are_told_before_any_search():
         together = solve_multi(scene.world, start, end, anchor, [anchor])
         for result in (solve(scene.world, start, end, anchor), improved.result, together):
             assert result.status == [status] and result.expansions == result.seen == 0
-        assert improved.ended == status
+        assert improved.ended == status and improved.weight == 2.0 and improved.result.lower_bound >= 0
 
 
-@pytest.mark.parametrize("name", ["forward", "short arcs"])
-def test_the_backward_search_finds_the_relaxed_costs(name):
+@pytest.mark.parametrize("name", ["fixed wheels", "forward", "short arcs"])
+@pytest.mark.parametrize("turned", [0, 30])
+def test_the_backward_search_finds_the_relaxed_costs(name, turned):
     """Exact costs-to-go over poses, in both layers; `tests.naive_relaxed` has the same problem in plain Python."""
     scene, goal = small_scene(name), some_goals(name)[-2]
     world = scene.world
     e = grid_estimate(world, np.array(goal), np.zeros(1, int), 1 << 28)
     follow, to_go = e.back.follow, relaxed_costs(name, goal, e.back.follow)
     back = new_backward(world, np.array([goal, goal]), e.distance, e.turn, follow, 1 << 28)
-    begin_toward(world, back, *scene.start[:3])
+    begin_toward(world, back, *scene.start[:2], (scene.start[2] + turned) % 64)
     left = follow * (sum(goal[3:]) - 4 * world.tables.lowest)
     asked_for = sorted(to_go)[:: len(to_go) // 60 + 1]
     for node in [(0, *scene.start[:3]), *asked_for]:
@@ -203,6 +204,24 @@ def test_the_backward_search_finds_the_relaxed_costs(name):
             settle(world, back, *node, 20)
             assert before <= lower_bound(world, back, *node) <= to_go[node] + left + 1e-9
         assert lower_bound(world, back, *node) == pytest.approx(to_go[node] + left, rel=1e-5, abs=1e-6), node
+
+
+@pytest.mark.parametrize("name", WITHOUT_FREE_SPACE)
+def test_a_guide_that_comes_later_counts_from_its_expansion_on(name):
+    scene, goal = small_scene(name), some_goals(name)[-2]
+    alone, least = asked(name, goal), exact_costs(name, goal)[scene.start]
+
+    def guided(after, **options):
+        guide = grid_estimate(scene.world, np.array(goal), np.zeros(1, int), 1 << 28)
+        return asked(name, goal, guide=guide, guide_from=after, **options)
+
+    ends = [guided(after).expansions for after in (0, alone.expansions // 2, alone.expansions)]
+    assert ends == sorted(ends) and ends[0] < ends[-1] == alone.expansions
+    for after in (0, 5, alone.expansions // 2):
+        found = guided(after)
+        assert found.cost[0] == pytest.approx(least, rel=1e-5, abs=1e-6) and found.bound == 1
+        assert_legal(scene, found.paths[0], goal)
+        assert guided(after, limits=Limits(cost=0.99 * least)).status == [Status.COST_LIMIT]
 
 
 @cache

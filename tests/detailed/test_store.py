@@ -49,7 +49,9 @@ def test_a_long_heap_gives_its_entries_in_order_after_it_was_shortened(monkeypat
     shortened = 0
     for node, f in enumerate(values):
         if not open_list.list_has_room(entries):
+            more, before = open_list.growth_nbytes(entries, closed, 160), entries
             entries = open_list.with_room(entries, closed, 160)
+            assert more == sum(a.nbytes for a, b in zip(entries, before, strict=True) if len(a) > len(b))
             shortened += entries.counts[open_list.FAR] > 0
         open_list.push(entries, f, node)
     popped = []
