@@ -141,7 +141,7 @@ def test_anytime_rounds_end_with_the_optimum_and_valid_bounds(name):
             assert [each.ended for each in found] == [None] * (len(found) - 1) + [Status.SOLVED]
             assert found[-1].result.bound == 1 and found[-1].result.cost[0] <= least * NEARLY
             for each in found:
-                assert each.result.lower_bound <= lower * NEARLY
+                assert 0 <= each.result.lower_bound <= lower * NEARLY
                 assert each.result.cost[0] <= each.result.bound * lower * NEARLY or each.result.paths == [None]
 
 

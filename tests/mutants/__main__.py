@@ -23,7 +23,7 @@ os.environ |= {
 
 from tests import ROOT
 from tests.mutants.changes import Mutant
-from tests.mutants.results import Results, summary, write_page
+from tests.mutants.results import Results, equivalent, summary, write_page
 from tests.mutants.targets import TARGETS
 from tests.mutants.trials import SURVIVED, run_tests, tried
 
@@ -37,7 +37,7 @@ def main(argv: list[str] | None = None) -> dict:
     parser.add_argument("--count", type=int, default=60, help="mutants of each target")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
     parser.add_argument("--so-far", action="store_true", help="try none; count the results so far")
-    parser.add_argument("--again", action="store_true", help="try survivors again")
+    parser.add_argument("--again", action="store_true", help="try survivors without a judgement again")
     parser.add_argument("--only", default="", help="mutants with this text in their names; all of them, not a sample")
     parser.add_argument("--results", type=Path, default=ROOT / "build" / "mutants.jsonl", help="file with all results")
     parser.add_argument("--page", type=Path, help="docs page to update")
@@ -63,7 +63,7 @@ def main(argv: list[str] | None = None) -> dict:
 def _is_open(results: Results, mutant: Mutant, again: bool) -> bool:
     """Whether a mutant is still to be tried."""
     trial = results.of(mutant)
-    return trial is None or (again and trial.result == SURVIVED)
+    return trial is None or (again and trial.result == SURVIVED and mutant.name not in equivalent())
 
 
 def _try(tests: list[str], mutants: list[Mutant], results: Results) -> None:
