@@ -42,8 +42,8 @@ def block(height: float, begin: float = 1.8) -> HeightMap:
 
 
 @lru_cache
-def plan(robot: str, goal: tuple[float, float, float], height: float = 0.0):
-    found = Planner(block(height), robot, "geometric").plan(START, goal, weight=2, refinable=True, polish=0)
+def plan(robot: str, goal: tuple[float, float, float], height: float = 0.0, weight: float = 2.0):
+    found = Planner(block(height), robot, "geometric").plan(START, goal, weight=weight, refinable=True, polish=0)
     assert found.solved
     return found
 
@@ -92,9 +92,11 @@ def test_a_robot_turns(robot):
     assert headed(run) == pytest.approx(math.pi / 2, abs=0.1)
 
 
-@pytest.mark.parametrize(("robot", "height"), [("momaro", 0.2), ("anymal_wheels", 0.15)])
-def test_a_robot_steps_up(robot, height):
-    found = plan(robot, (2.5, 1.25, 0.0), height)
+@pytest.mark.parametrize(
+    ("robot", "height", "weight"), [("momaro", 0.2, 2.0), ("anymal_wheels", 0.15, 2.0), ("go2w", 0.15, 1.2)]
+)
+def test_a_robot_steps_up(robot, height, weight):
+    found = plan(robot, (2.5, 1.25, 0.0), height, weight)
     run = found.drive(Scene((Block(4.8, 1.25, 0.0, 6.0, 2.5, height),)))
     assert run.success, run.cause
     assert found.steps >= 4
