@@ -155,8 +155,8 @@ def test_the_motion_plays_and_pauses(tab, viewer):
     first = viewer.scene.body.placed[0].copy()  # position and quaternion of the base
     tab.page.get_by_role("button", name="Play").click()
     tab.page.get_by_role("button", name="Pause").wait_for()
-    until(lambda: viewer.playback.time > 0.3)
-    assert np.linalg.norm(viewer.scene.body.placed[0] - first) > 0.02
+    until(lambda: np.linalg.norm(viewer.scene.body.placed[0] - first) > 0.02)
+    assert viewer.playback.time > 0
     tab.page.get_by_role("button", name="Pause").click()
     until(lambda: not viewer.playback.playing)
     stopped = viewer.playback.time
