@@ -34,6 +34,8 @@ def summarise(robot: str, seed: int, results: dict[str, list[dict[str, Any]]]) -
         "robot": robot,
         "seed": seed,
         "tasks": {kind: len(found) for kind, found in single.items()},
+        # Tasks without a plan are replaced by further ones.
+        "without_plan": {kind: found[-1]["number"] + 1 - len(found) for kind, found in single.items() if found},
         "driven": {kind: _share(found) for kind, found in single.items()},
         "all": _share(tasks),
         "causes": {
@@ -74,12 +76,18 @@ def _share(results: list[dict[str, Any]]) -> float | None:
 def text(summary: dict[str, Any], picture: str) -> str:
     """Formats the result for the page."""
     rows = [
-        [kind, summary["tasks"][kind], share, ", ".join(f"{n} {end}" for end, n in summary["causes"][kind].items())]
+        [
+            kind,
+            summary["tasks"][kind],
+            share,
+            ", ".join(f"{n} {end}" for end, n in summary["causes"][kind].items()),
+            summary["without_plan"].get(kind),
+        ]
         for kind, share in summary["driven"].items()
     ]
-    rows.append(["all", sum(summary["tasks"].values()), summary["all"], ""])
+    rows.append(["all", sum(summary["tasks"].values()), summary["all"], "", sum(summary["without_plan"].values())])
     parts = [f"{summary['robot']}, tasks of seed {summary['seed']}:"]
-    parts.append(table(["ground", "tasks", "arrived", "other ends"], rows))
+    parts.append(table(["ground", "tasks", "arrived", "other ends", "further tasks without a plan"], rows))
     parts.append(f"Simulation: {summary['realtime']} times as fast as real time on one core.")
     if summary["pairs"]:
         by_sort = ", ".join(f"{sort} {value}" for sort, value in summary["rank_correlation_by_sort"].items())

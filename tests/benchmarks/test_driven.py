@@ -56,14 +56,15 @@ def test_kinds_take_turns(tmp_path, monkeypatch):
     assert [result["number"] for result in found["flat"]] == [0, 2] and not found["doors"]
 
 
-def result(energy: float, cost: float, ending="arrived"):
-    made = {"success": ending == "arrived", "ending": ending, "energy": energy, "cost": cost}
+def result(energy: float, cost: float, ending="arrived", number=1):
+    made = {"number": number, "success": ending == "arrived", "ending": ending, "energy": energy, "cost": cost}
     return made | {"duration": 10.0, "cpu": 2.0}
 
 
 def test_the_summary_counts_and_ranks(tmp_path):
     results = {
-        "flat": [result(10, 1)] * 2, "stairs": [result(50, 3), result(0, 1, "slipped")],
+        "flat": [result(10, 1, number=n) for n in range(2)],
+        "stairs": [result(50, 3), result(0, 1, "slipped", number=4)],
         "ways": [
             {"sort": "rough", "ways": [result(10, 1), result(20, 2)]},
             {"sort": "rough", "ways": [result(30, 4), result(10, 1)]},
@@ -74,13 +75,14 @@ def test_the_summary_counts_and_ranks(tmp_path):
     }  # fmt: skip
     found = summary.summarise("momaro", 7, results)
     assert found["driven"] == {"flat": 1.0, "stairs": 0.5} and found["all"] == 0.75
+    assert found["without_plan"] == {"flat": 0, "stairs": 3}
     assert found["causes"]["stairs"] == {"slipped": 1} and found["realtime"] == 5.0
     assert found["pairs"] == 3 and found["rank_correlation"] == pytest.approx(1 / 3, abs=0.01)
     assert found["rank_correlation_by_sort"] == {"obstacle": None, "rough": 1.0, "stairs": -1.0, "sideways": None}
     found["slope"] = {"momaro": {"pitch": {"planned": 15.5, "driven": 30.0, "below": True, "ends": ["slipped"]}}}
     text = summary.text(found, "x.png")
     assert text.startswith("momaro, tasks of seed 7:")
-    assert "| stairs | 2 | 0.5 | 1 slipped |" in text and "| momaro | pitch | 15.5 | 30 | slipped |" in text
+    assert "| stairs | 2 | 0.5 | 1 slipped | 3 |" in text and "| momaro | pitch | 15.5 | 30 | slipped |" in text
     summary.draw(results, tmp_path / "x.png")
     assert (tmp_path / "x.png").stat().st_size > 5000
 
