@@ -122,12 +122,14 @@ class PlanCases:
         if start is None:
             return "limit"
         least = dijkstra(Naive(heights, robot), tuple(start.tolist()), most=1500).cost
-        goals, costs, _ = task_costs(world, start, LabelSettings(), 2.0, kind=CostKind.PLANNING)
+        limit = 2.0
+        goals, costs, _ = task_costs(world, start, LabelSettings(), limit, kind=CostKind.PLANNING)
         compared = [
             (cost, least[goal]) for goal, cost in zip(map(tuple, goals.tolist()), costs, strict=True) if goal in least
         ]
         for cost, expected in compared:
-            assert math.isclose(cost, expected, rel_tol=1e-5), (cost, expected)
+            within = expected if expected <= limit else math.inf
+            assert math.isclose(cost, within, rel_tol=1e-5), (cost, expected)
         return "compared" if compared else "limit"
 
 
