@@ -50,7 +50,7 @@ experiments: $(STAMP)  ## one line per experiment of DVC: the parameters and res
 	dvc exp show --only-changed --no-pager
 
 runs: $(STAMP)  ## all trainings side by side in the browser, in MLflow, until Ctrl-C
-	@echo "http://127.0.0.1:5000/#/experiments/1/runs?viewStateShareKey=results&workflowType=machine_learning"
+	@python -c "from pipeline.run_view import ADDRESS; print(f'http://127.0.0.1:5000/{ADDRESS}')"
 	mlflow ui --backend-store-uri sqlite:///mlflow.db --workers 1
 
 publish: $(STAMP)  ## write the tables of the last run into README.md and docs/results.md

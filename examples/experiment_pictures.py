@@ -22,11 +22,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
+from pipeline.run_view import ADDRESS
 
 MAPS = {"train": 24, "val": 6, "random": 6}  # of each category
 SWEEP = ["model=compact,swept", "trainer.optimizer.lr=0.003,0.001", "trainer.epochs=8"]
-VIEW = "#/experiments/1/runs?viewStateShareKey=results&workflowType=machine_learning"
 WIDTH, HEIGHT = 1600, 560
 SECONDS = 120  # of patience
 
@@ -79,6 +80,8 @@ def served(folder: Path) -> Iterator[str]:
                 break
             except OSError:
                 time.sleep(0.5)
+        else:
+            raise InputError(f"MLflow's page does not answer at {address} within {SECONDS} s")
         yield address
     finally:
         server.terminate()
@@ -92,13 +95,13 @@ def pictures(address: str, folder: Path, chromium: str | None) -> list[Path]:
         browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
         page.set_default_timeout(1000 * SECONDS)
-        page.goto(f"{address}/{VIEW}")
+        page.goto(f"{address}/{ADDRESS}")
         page.wait_for_selector(".ag-row")
         page.get_by_label("Close", exact=True).first.click()  # the panel of MLflow's assistant
         made = [picture(page, folder / "mlflow_runs.png")]
         page.goto("about:blank")
         page.set_viewport_size({"width": WIDTH, "height": 1130})
-        page.goto(f"{address}/{VIEW}&compareRunsMode=CHART")
+        page.goto(f"{address}/{ADDRESS}&compareRunsMode=CHART")
         page.get_by_placeholder("Search metric charts").fill("accuracy/val")
         page.wait_for_selector(".js-plotly-plot")
         made.append(picture(page, folder / "mlflow_curves.png"))

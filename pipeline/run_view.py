@@ -1,8 +1,7 @@
 """View of MLflow's run table with the results of trainings: metrics as columns, the best run first.
 
 The table has no metrics unless a view asks for them. A view is a tag of the experiment; MLflow's page lists it under
-"Views" and opens it by its address, for the first experiment of a database
-``#/experiments/1/runs?viewStateShareKey=results&workflowType=machine_learning``.
+"Views" and opens it by its address.
 """
 
 from __future__ import annotations
@@ -15,6 +14,8 @@ from typing import Any
 
 VIEW = "results"
 VIEW_TAG = f"mlflow.sharedViewState.{VIEW}"
+#: Place of the view on MLflow's page, for the first experiment of a database.
+ADDRESS = f"#/experiments/1/runs?viewStateShareKey={VIEW}&workflowType=machine_learning"
 #: Widths of the columns in pixels; the first ones are MLflow's own.
 _OWN = {"attributes.`Run Name`": 260, "runDateAndNestInfo": 150, "duration": 80}
 _METRICS = {

@@ -7,9 +7,10 @@ import numpy as np
 from hdsp.abstract.flat_table import cost_limit
 from hdsp.abstract.oracle import LabelSettings, task_costs
 from hdsp.abstract.transform import feet_at
+from hdsp.base.gradual import finished
 from hdsp.base.short_repr import short_repr
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.causes import Cause, Obstacle, faults_of, find_obstacle
+from hdsp.detailed.causes import Cause, Obstacle, faults_of, obstacle_steps
 from hdsp.detailed.causes.gap import obstacle_of_foot
 from hdsp.detailed.relaxed.heading_masks import PoseFlood
 from hdsp.detailed.relaxed.proofs import FOOT, why_unreachable
@@ -112,4 +113,4 @@ def _obstacle(
     if proof.proof == FOOT:
         return obstacle_of_foot(proof, world, grid, robot), restricted
     reached = np.bitwise_or.reduce(PoseFlood(world, rules).reached_from(start, drive_only=False))
-    return find_obstacle(world, grid, robot, start, goal, reached, rules), restricted
+    return finished(obstacle_steps(world, grid, robot, start, goal, reached, rules)), restricted

@@ -8,7 +8,7 @@ from hdsp.planning.arguments import number
 from hdsp.robot.robot import Robot
 from hdsp.robot.shape import Box
 
-#: m; half the diagonal of a cell, and the centimetre by which a robot leaves its motion (docs/driving.md).
+#: m; half the diagonal of a cell, and the noise with which a robot knows its pose (docs/driving.md).
 DRIVEN_MARGIN = 0.03
 
 

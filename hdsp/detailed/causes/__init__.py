@@ -6,7 +6,7 @@
 """
 
 from hdsp.detailed.causes.cause import Cause, Kind
-from hdsp.detailed.causes.gap import Gap, Obstacle, find_obstacle
+from hdsp.detailed.causes.gap import Gap, Obstacle, obstacle_steps
 from hdsp.detailed.causes.state_faults import faults_of
 
-__all__ = ["Cause", "Gap", "Kind", "Obstacle", "faults_of", "find_obstacle"]
+__all__ = ["Cause", "Gap", "Kind", "Obstacle", "faults_of", "obstacle_steps"]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hdsp.base.gradual import Steps, finished
+from hdsp.base.gradual import Steps
 from hdsp.base.jit import njit
 from hdsp.base.short_repr import short_repr
 from hdsp.detailed.actions.state_costs import feet_cells
@@ -82,28 +82,6 @@ class Obstacle(NamedTuple):
         return short_repr(self)
 
 
-def find_obstacle(
-    world: World,
-    grid: Grid,
-    robot: Robot,
-    start: np.ndarray,
-    goal: np.ndarray,
-    reached: np.ndarray,
-    rules: Rules | None = None,
-) -> Obstacle:
-    """Finds the obstacle between the poses in reach and a goal.
-
-    Args:
-        world: terrain and robot, compiled.
-        grid: place of the terrain in the world.
-        robot: its limits.
-        start, goal: int64 [7], valid states in lattice units.
-        reached: uint64 [nx, ny], the headings in reach at each cell, as bits; without the goal.
-        rules: restrictions of the search.
-    """
-    return finished(obstacle_steps(world, grid, robot, start, goal, reached, rules))
-
-
 def obstacle_steps(
     world: World,
     grid: Grid,
@@ -113,7 +91,16 @@ def obstacle_steps(
     reached: np.ndarray,
     rules: Rules | None = None,
 ) -> Steps[Obstacle]:
-    """Like ``find_obstacle``, in short steps."""
+    """Finds the obstacle between the poses in reach and a goal, in short steps.
+
+    Args:
+        world: terrain and robot, compiled.
+        grid: place of the terrain in the world.
+        robot: its limits.
+        start, goal: int64 [7], valid states in lattice units.
+        reached: uint64 [nx, ny], the headings in reach at each cell, as bits; without the goal.
+        rules: restrictions of the search.
+    """
     flood = yield from PoseFlood(world, rules or Rules()).steps_from(goal, drive_only=True)
     around_goal = np.bitwise_or.reduce(flood)
     yield

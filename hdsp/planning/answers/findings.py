@@ -13,8 +13,8 @@ import numpy as np
 from hdsp.base.gradual import Gradual, Steps, now
 from hdsp.base.short_repr import short_repr
 from hdsp.detailed.actions.successors import Rules
-from hdsp.detailed.causes import Cause, Gap, Kind, Obstacle
-from hdsp.detailed.causes.gap import obstacle_of_foot, obstacle_steps
+from hdsp.detailed.causes import Cause, Gap, Kind, Obstacle, obstacle_steps
+from hdsp.detailed.causes.gap import obstacle_of_foot
 from hdsp.detailed.relaxed.heading_masks import PoseFlood
 from hdsp.detailed.relaxed.proofs import FOOT, Unreachable
 from hdsp.detailed.search.estimate import geometric_estimate
