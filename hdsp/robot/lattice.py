@@ -54,7 +54,8 @@ Lengths = TypeVar("Lengths", bound=Any)
 
 def heading_angle(index, headings: int = HEADINGS):
     """Returns the angle in radians, in [-pi, pi), for heading ``index`` (scalar or array) out of ``headings``."""
-    turned = np.mod(np.asarray(index) + headings // 2, headings) - headings // 2
+    # Signed: an unsigned index would wrap round where the angle is negative.
+    turned = np.mod(np.asarray(index).astype(np.int64) + headings // 2, headings) - headings // 2
     return turned * (2 * math.pi / headings)
 
 

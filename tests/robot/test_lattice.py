@@ -26,6 +26,16 @@ def test_headings_survive_the_way_to_radians_and_back(index, headings):
     assert lattice.heading_index(angle + 0.49 * 2 * math.pi / headings, headings) == index % headings
 
 
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.int8, np.uint64])
+@pytest.mark.parametrize("headings", [HEADINGS, ABSTRACT_HEADINGS])
+def test_headings_of_any_kind_of_integer_have_the_same_angles(kind, headings):
+    indices = np.arange(headings)
+    np.testing.assert_array_equal(
+        lattice.heading_angle(indices.astype(kind), headings), lattice.heading_angle(indices, headings)
+    )
+    assert lattice.heading_angle(kind(headings - 1), headings) == -2 * math.pi / headings
+
+
 @given(grids, st.data())
 def test_cells_survive_the_way_to_the_world_and_back(grid, data):
     cell = data.draw(st.tuples(st.integers(0, grid.shape[0] - 1), st.integers(0, grid.shape[1] - 1)))
