@@ -1,6 +1,7 @@
 """Planning: queries and their answers.
 
 - `planner`: `Planner`, the entry point; `arguments`: checks of its arguments
+- `shared_ground`: everything that follows from a planner's map, in one object
 - `measured_map`, `map_changes`: the conditioned map of a planner; changed cells between two maps
 - `heuristics`: the contract `Heuristic`; geometric and abstract heuristics
 - `ends`: states at which a plan may begin and end

@@ -37,7 +37,7 @@ RULES = {
     "goal": "an admissible heuristic is 0 at the goal",
     "admissible": "an admissible heuristic never exceeds the cost of the best way to the goal",
     "consistent": "no action lowers a consistent heuristic by more than its cost",
-    "update": "after update, estimates are those of a new heuristic for the new terrain",
+    "update": "after update, estimates are those of a new heuristic for the new terrain; other copies keep theirs",
 }
 
 #: Rounding of sums and of tables in float32, relative and absolute.
@@ -243,8 +243,11 @@ def _check_update(
         world = build_world(after, robot)
         sampled = _standing_states(world, random, states)
         heuristic, new = make(old_world, terrain), make(world, after)
-        heuristic.set_goal(_standing_states(old_world, random, 2)[0])
-        heuristic.update(world, after, where)
+        former, known = heuristic, _standing_states(old_world, random, states)
+        former.set_goal(known[0])
+        values = former(known)
+        heuristic = former.updated(world, after, where)
+        contract.require_equal("update", former(known), values, "estimates of a heuristic after an update of its copy")
         contract.require_error("life", InputError, lambda h=heuristic, s=sampled: h(s), "a call after update")
         for goal in sampled[:2]:
             heuristic.set_goal(goal)

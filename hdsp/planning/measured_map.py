@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
 from hdsp.abstract.abstract_costs import Region
@@ -20,7 +22,7 @@ _CHANGE = 0.5
 
 
 class MeasuredMap:
-    """A measured map and the map on which a planner plans.
+    """A measured map and the map on which a planner plans. A change makes another object.
 
     Args:
         measured: the map as measured.
@@ -44,12 +46,17 @@ class MeasuredMap:
         self._take(measured)
 
     @property
+    def exact(self) -> bool:
+        """Whether the map for planning is the map as measured, without conditioning."""
+        return self._stages is None
+
+    @property
     def report(self) -> ConditioningReport | None:
         """Report on the conditioning; None without conditioning."""
         return self._stages.report if self._stages is not None else None
 
-    def update(self, measured: HeightMap, region: Region | None = None) -> Region | None:
-        """Takes over a changed map, and conditions the part that changed.
+    def updated(self, measured: HeightMap, region: Region | None = None) -> tuple[MeasuredMap, Region | None]:
+        """Returns the maps after a change, for which only the changed part is conditioned again.
 
         The noise stays as estimated, until twice as much ground is known, or half of the ground changes at once. A map
         that is conditioned already, after one that is not, or the reverse, is taken over as a whole.
@@ -60,11 +67,15 @@ class MeasuredMap:
                 None: the change may be anywhere.
 
         Returns:
-            Rectangle in cells of ``terrain`` with all its changes; None: they may be anywhere.
+            The maps, and a rectangle in cells of ``terrain`` with all its changes; None: they may be anywhere.
 
         Raises:
             InputError: as at construction, or a region beyond the map.
         """
+        result = copy(self)
+        return result, result._follow(measured, region)
+
+    def _follow(self, measured: HeightMap, region: Region | None) -> Region | None:
         same = measured.resolution == self.measured.resolution
         changed = changed_cells(self.measured, measured, region) if same else None
         settled = is_conditioned(measured.frame.notes) == is_conditioned(self.measured.frame.notes)
@@ -77,6 +88,7 @@ class MeasuredMap:
         cells = np.argwhere(changed)
         if len(cells):
             low, high = cells.min(axis=0).tolist(), (cells.max(axis=0) + 1).tolist()
+            self._stages = copy(self._stages)  # the maps before the change keep theirs
             x, y = self._stages.update(measured.heights, (slice(low[0], high[0]), slice(low[1], high[1])))
             found = x.start, y.start, x.stop, y.stop
         else:

@@ -16,35 +16,27 @@ from hdsp.base.messages import shown
 from hdsp.detailed.search.life_cycle import Hopeless, Progress
 from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.search.reached import METRES_PER_RADIAN
-from hdsp.detailed.world.world import build_world
-from hdsp.detailed.world.world_update import updated_world
+from hdsp.detailed.world.world import World
 from hdsp.planning.answers.plans import Plan
 from hdsp.planning.arguments import (
     callback,
     choice,
     falling_weights,
-    lattice_state,
     limits_of,
     number,
-    pose_values,
     whole,
 )
 from hdsp.planning.compiled import compile_for
-from hdsp.planning.ends.arrival import Tolerance, several, with_heading
-from hdsp.planning.ends.location import locate
-from hdsp.planning.ends.nearby import can_leave, nearest_to_leave
+from hdsp.planning.ends.arrival import Tolerance, several
 from hdsp.planning.heuristics import Heuristic
-from hdsp.planning.heuristics.heuristic_choice import heuristic_of
 from hdsp.planning.improving import improving_plans
-from hdsp.planning.map_changes import changed_cells
-from hdsp.planning.margin import with_margin
-from hdsp.planning.measured_map import MeasuredMap
 from hdsp.planning.memory import least_memory, memory_limit
 from hdsp.planning.polish import DEFAULT, Polish, polish_seconds, weight_and_polish
 from hdsp.planning.query import Query
-from hdsp.planning.query_start import Asked, SharedGround, begin_query, without_search
+from hdsp.planning.query_start import Asked, begin_query, without_search
 from hdsp.planning.query_turns import QueryTurns
 from hdsp.planning.refinable import refinable_plan
+from hdsp.planning.shared_ground import SharedGround
 from hdsp.robot.lattice import Grid
 from hdsp.robot.robot import Robot
 from hdsp.terrain.conditioning import ConditioningReport
@@ -97,23 +89,43 @@ class Planner:
         conditioning: ConditioningSettings | bool | None = True,
     ):
         terrain = as_height_map(terrain, resolution)
-        self.robot = Robot.load(robot)
-        self._wider = with_margin(self.robot, margin)
-        self._map = MeasuredMap(terrain, conditioning)
-        self.terrain = self._map.terrain
-        self.grid = Grid(self.terrain.origin, self.terrain.shape)
-        self.world = build_world(self.terrain, self._wider)
-        self.heuristic = heuristic_of(heuristic, self.world, self.terrain, self.robot, self._map.measured)
+        self._ground = SharedGround.made(terrain, Robot.load(robot), heuristic, margin, conditioning)
         self._queries = QueryTurns()
         compile_for(self.robot, self.heuristic)
 
     def __repr__(self) -> str:
-        return f"Planner({self.robot.name}, heuristic {self.heuristic.name}, {self.terrain})"
+        ground = self._ground
+        return f"Planner({ground.robot.name}, heuristic {ground.heuristic.name}, {ground.terrain})"
+
+    @property
+    def robot(self) -> Robot:
+        """The robot, without the margin."""
+        return self._ground.robot
+
+    @property
+    def terrain(self) -> HeightMap:
+        """The map on which the planner plans: the conditioned terrain."""
+        return self._ground.terrain
+
+    @property
+    def grid(self) -> Grid:
+        """The lattice of the map."""
+        return self._ground.grid
+
+    @property
+    def world(self) -> World:
+        """Terrain and robot, compiled, with the margin."""
+        return self._ground.world
+
+    @property
+    def heuristic(self) -> Heuristic:
+        """The heuristic for the map; an update makes another one."""
+        return self._ground.heuristic
 
     @property
     def conditioning(self) -> ConditioningReport | None:
         """Report on the conditioning of the terrain; None without conditioning."""
-        return self._map.report
+        return self._ground.map.report
 
     def prepare(self) -> Planner:
         """Computes the map-wide part of the heuristic now instead of at the first query; returns the planner."""
@@ -127,7 +139,7 @@ class Planner:
         The update computes only the parts that the changed cells touch: conditioned heights (with the noise estimated
         at construction), terrain costs, and places to stand. The next query computes abstract edges and costs-to-go
         that depend on them. A map with another shape or origin needs everything. A query in another thread keeps its
-        map: the update waits for its end (``cancel`` shortens it).
+        map: the update waits for its end (``cancel`` shortens it). After an error, the planner has the map from before.
 
         Args:
             terrain: the whole height map after the change.
@@ -140,14 +152,7 @@ class Planner:
         if not isinstance(terrain, HeightMap):
             raise InputError(f"terrain is a {type(terrain).__name__}; need a HeightMap")
         with self._queries.lock:
-            before, region = self.terrain, self._map.update(terrain, region)
-            self.terrain = terrain = self._map.terrain
-            changed = changed_cells(before, terrain, region)
-            if changed is None:
-                self.grid, self.world = Grid(terrain.origin, terrain.shape), build_world(terrain, self._wider)
-            else:
-                self.world = updated_world(self.world, terrain, self._wider, changed)
-            self.heuristic.update(self.world, terrain, region)
+            self._ground = self._ground.updated(terrain, region)
         return self
 
     def cancel(self) -> None:
@@ -164,9 +169,10 @@ class Planner:
         For measurements: the next query takes as long as a first query.
         """
         with self._queries.lock:
-            self.world.base[:] = 0
-            self.world.level_ground[:] = 0
-            self.heuristic.clear()
+            ground = self._ground
+            ground.world.base[:] = 0
+            ground.world.level_ground[:] = 0
+            ground.heuristic.clear()
 
     def valid(self, pose) -> bool:
         """Whether the robot can stand at a world pose (x, y, theta) with some feet, or in a state with 7 values.
@@ -176,7 +182,7 @@ class Planner:
         Raises:
             InputError: a value is not finite, or the pose lies off the map.
         """
-        return not locate(self.world, self.grid, self._wider, pose, "pose")[1]
+        return not self._ground.located(pose)[1]
 
     def can_leave(self, pose) -> bool:
         """Whether the robot can stand at a pose and get away from it, to a base position as far away as it is long.
@@ -190,8 +196,7 @@ class Planner:
         Raises:
             InputError: as from ``valid``.
         """
-        state, faults = locate(self.world, self.grid, self._wider, pose, "pose")
-        return not faults and can_leave(self.world, self._wider, state)
+        return self._ground.can_leave(pose)
 
     def nearest(self, pose, radius: float = 1.0, *, per_radian: float = METRES_PER_RADIAN) -> np.ndarray | None:
         """Returns the nearest state that the robot can leave, float64 [7], a start or goal for ``plan``.
@@ -217,12 +222,7 @@ class Planner:
             >>> bool(planner.valid((2.0, 2.0, 0.0))), planner.nearest((2.0, 2.0, 0.0)).round(2)[:3].tolist()
             (False, [1.54, 1.99, 0.0])
         """
-        posed, free = with_heading(pose)
-        values = pose_values(posed, "pose", self._wider)
-        lattice_state(self.grid, values, "pose")
-        asked = number("radius", radius, 0.0), number("per_radian", per_radian, 0.0)
-        found = nearest_to_leave(self.world, self.grid, self._wider, values[:3], free, *asked)
-        return None if found is None else self.grid.to_world(found[0])
+        return self._ground.nearest(pose, number("radius", radius, 0.0), number("per_radian", per_radian, 0.0))
 
     def plan(
         self,
@@ -292,7 +292,7 @@ class Planner:
 
         def answer() -> Plan:
             began = now()
-            query = begin_query(self._ground(), asked)
+            query = begin_query(self._ground, asked)
             if isinstance(query, Plan):
                 return query
             prepared = now() - began
@@ -391,7 +391,7 @@ class Planner:
 
         def timed_query() -> tuple[Query | Plan, float]:
             began = now()
-            query = begin_query(self._ground(), asked)
+            query = begin_query(self._ground, asked)
             return query, now() - began
 
         query, prepared = self._queries.answer(timed_query, lambda: (cancelled(), 0.0))
@@ -403,13 +403,9 @@ class Planner:
 
     def _memory(self, asked: int) -> int:
         """Limit of a query's memory in bytes; see ``memory_limit``."""
-        return memory_limit(whole("memory", asked), self.heuristic.needed_memory() + least_memory(self.world))
+        ground = self._ground
+        return memory_limit(whole("memory", asked), ground.heuristic.needed_memory() + least_memory(ground.world))
 
     def _cancelled(self, weight: float, asked: tuple) -> Callable[[], Plan]:
         """Makes the answer to a cancelled query."""
-        return partial(without_search, self._ground(), Status.CANCELLED, weight, now(), asked)
-
-    def _ground(self) -> SharedGround:
-        return SharedGround(
-            self.terrain, self.world, self.grid, self.robot, self._wider, self.heuristic, self.conditioning is None
-        )
+        return partial(without_search, self._ground, Status.CANCELLED, weight, now(), asked)

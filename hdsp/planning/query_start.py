@@ -24,30 +24,7 @@ from hdsp.planning.ends.departure import Departure, departure_steps
 from hdsp.planning.heuristics import GridHeuristic, Heuristic
 from hdsp.planning.memory import least_memory, own_memory
 from hdsp.planning.query import Query
-from hdsp.robot.lattice import Grid
-from hdsp.robot.robot import Robot
-from hdsp.terrain.height_map import HeightMap
-
-
-class SharedGround(NamedTuple):
-    """Shared by all queries to a planner until its next update.
-
-    Attributes:
-        terrain: the conditioned terrain.
-        world: terrain and robot, with the planner's margin.
-        grid: the terrain's lattice.
-        robot, wider: the robot without and with the margin.
-        heuristic: the planner's heuristic.
-        exact: whether the terrain is taken as given, without conditioning.
-    """
-
-    terrain: HeightMap
-    world: World
-    grid: Grid
-    robot: Robot
-    wider: Robot
-    heuristic: Heuristic
-    exact: bool
+from hdsp.planning.shared_ground import SharedGround
 
 
 class Asked(NamedTuple):

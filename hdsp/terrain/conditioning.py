@@ -171,26 +171,26 @@ class Stages:
             after[target] = apply(results[-1][source])[within(target, source)]
             part = changed_part(before, after, target)
             results.append(after)
-        self._results = results
+        result = self.result
         if is_detailed(self.resolution):
-            self.result = results[-1]
-        if is_detailed(self.resolution) or part[0].start == part[0].stop:
-            return part
-        reach = 2 * math.ceil(max(self.scale, 1 / self.scale)) + 2
-        target, source = (widened(part, n * reach, heights.shape) for n in (1, 2))
-        cells, around = self._result_cells(target), self._result_cells(source)
-        result = self.result.copy()
-        result[cells] = self._resampled(results[-1], around)[within(cells, around)]
-        self.result = result
-        return cells
+            result = results[-1]
+        elif part[0].start != part[0].stop:
+            reach = 2 * math.ceil(max(self.scale, 1 / self.scale)) + 2
+            target, source = (widened(part, n * reach, heights.shape) for n in (1, 2))
+            part, around = self._result_cells(target), self._result_cells(source)
+            result = self.result.copy()
+            result[part] = self._resampled(results[-1], around)[within(part, around)]
+        self._results, self.result = results, result
+        return part
 
     def _stages(self) -> list[tuple[int, Callable[[np.ndarray], np.ndarray]]]:
         """Reach in cells, and function, for each stage on the measured cells."""
-        noise, settings = self.noise, self.settings
-        hole = closing_radius(settings.hole, self.resolution)
+        # The functions hold no stages, since copies share them.
+        noise, settings, resolution = self.noise, self.settings, self.resolution
+        hole = closing_radius(settings.hole, resolution)
         return [
             (6 + noise.spike_cells, lambda heights: without_spikes(heights, noise, settings)),
-            (5 * hole + 2, lambda heights: without_holes(heights, self.resolution, noise, settings)),
+            (5 * hole + 2, lambda heights: without_holes(heights, resolution, noise, settings)),
             (2 * noise.window + 1 + noise.spike_cells, lambda heights: without_noise(heights, noise, settings)),
         ]
 

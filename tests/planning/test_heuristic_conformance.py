@@ -139,11 +139,30 @@ def test_a_heuristic_that_ignores_updates_is_caught():
     caught(lambda world, terrain: IgnoresUpdates(world, terrain, costs), "update")
 
 
-def caught(make, rule):
+class WritesIntoItsArrays(GeometricHeuristic):
+    """Counts updates in an array that its copies share."""
+
+    def __init__(self, world):
+        super().__init__(world)
+        self.updates = np.zeros(1)
+
+    def __call__(self, states):
+        return super().__call__(states) / (1 + self.updates[0])
+
+    def update(self, world, terrain, region=None):
+        super().update(world, terrain, region)
+        self.updates += 1
+
+
+def test_a_heuristic_whose_update_changes_its_former_self_is_caught():
+    caught(lambda world, terrain: WritesIntoItsArrays(world), "update", "after an update of its copy")
+
+
+def caught(make, rule, words=""):
     with pytest.raises(ConformanceError) as error:
         check_heuristic(make)
     assert error.value.rule == rule
-    assert RULES[rule] in str(error.value)
+    assert RULES[rule] in str(error.value) and words in str(error.value)
     assert "\n" not in str(error.value)
 
 

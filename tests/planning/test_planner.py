@@ -308,6 +308,50 @@ def test_after_an_update_plans_are_those_of_a_new_planner(heuristic):
         planner.update(HeightMap(heights, resolution=0.5))
 
 
+def fails(*_, **__):
+    raise MemoryError("no memory is left")
+
+
+@pytest.mark.parametrize(
+    ("place", "error"),
+    [
+        (None, InputError),  # a map too long for a planner
+        ("hdsp.planning.shared_ground.build_world", MemoryError),
+        ("hdsp.planning.shared_ground.updated_world", MemoryError),
+        ("hdsp.planning.heuristics.abstract.uneven_cells", MemoryError),
+        ("hdsp.terrain.conditioning.sampled", MemoryError),
+        ("hdsp.terrain.conditioning.interpolated", MemoryError),
+    ],
+)
+def test_a_failed_update_leaves_the_planner_as_it_was(place, error, monkeypatch):
+    start, goal = (0.9, 0.9, 0.0), (1.7, 1.0, 0.0)
+    cell = 0.05 if place and "interpolated" in place else 0.0125 if place and "sampled" in place else RESOLUTION
+    nx, ny = round(2.5 / cell), round(2 / cell)
+    before, heights = np.zeros((nx, ny), np.float32), np.zeros((nx, ny), np.float32)
+    heights[nx // 2 : nx // 2 + round(0.1 / cell), ny // 4 : 3 * ny // 4] = 0.02
+    after = HeightMap(heights, (1.0 if place and "build" in place else 0.0, 0.0), cell)
+    costs = Counting("momaro")  # with manual costs beside it
+    planner = Planner(HeightMap(before, resolution=cell), heuristic=costs)
+    expected = planner.plan(start, goal, 1.25, polish=0.0)
+    next(iter(planner.heuristic.others())).prepare()
+    terrain = planner.terrain
+    with monkeypatch.context() as patch:
+        if place:
+            patch.setattr(place, fails)
+        for _ in range(2):
+            with pytest.raises(error):
+                planner.update(after if place else HeightMap(np.zeros((70000, 4))))
+    found = planner.plan(start, goal, 1.25, polish=0.0)
+    assert planner.terrain is found.terrain is terrain and planner.grid.shape == terrain.shape
+    assert found.cost == expected.cost
+    np.testing.assert_array_equal(found.states, expected.states)
+    ends = [(x + after.origin[0], y, theta) for x, y, theta in (start, goal)]
+    changed = planner.update(after).plan(*ends, 1.25, polish=0.0)
+    fresh = Planner(after, heuristic=Counting("momaro")).plan(*ends, 1.25, polish=0.0)
+    assert changed.cost == fresh.cost != expected.cost
+    np.testing.assert_array_equal(changed.states, fresh.states)
+
+
 def test_valid_tells_where_the_robot_can_stand(flat):
     assert flat.valid(START) and flat.valid((*START, 0.1, 0, 0, 0))
     assert not flat.valid((0.1, 0.1, 0.0))

@@ -12,6 +12,7 @@ import pytest
 
 from hdsp import HeightMap, Planner
 from hdsp.abstract.abstract_costs import AbstractCosts
+from hdsp.planning import shared_ground
 from tests import ROOT
 
 START, GOAL = (0.9, 1.5, 0.0), (3.0, 1.5, 0.0)
@@ -81,6 +82,31 @@ def test_the_checker_knows_which_maps_were_current():
     assert current_during(0.2, 0.8, updates) == {0}
     assert current_during(0.5, 1.5, updates) == {0, 1} == current_during(1.2, 1.3, updates)
     assert current_during(3.0, 4.0, updates) == {1} and current_during(7.0, 8.0, updates) == {2}
+
+
+@pytest.mark.parametrize(
+    ("question", "amid"),
+    [("valid", "locate"), ("can_leave", "locate"), ("nearest", "pose_values"), ("nearest", "nearest_to_leave")],
+)
+def test_an_answer_about_a_pose_belongs_to_one_map_though_another_thread_updates_amid_it(question, amid, monkeypatch):
+    pose, boxed = (1.51, 1.51, 0.0), np.zeros((120, 120), np.float32)
+    boxed[38:82, 41:43] = boxed[38:82, 77:79] = boxed[38:40, 41:79] = boxed[80:82, 41:79] = 1.0
+    planner = Planner(HeightMap.flat((120, 120)), conditioning=None)
+    before, other = getattr(planner, question)(pose), HeightMap(boxed, (0.3, 0.0))
+    step = getattr(shared_ground, amid)
+
+    def interrupted(*arguments):
+        thread = threading.Thread(target=planner.update, args=(other,))
+        thread.start()
+        thread.join()
+        return step(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(shared_ground, amid, interrupted)
+        answer = getattr(planner, question)(pose)
+    assert planner.terrain is other
+    np.testing.assert_array_equal(answer, before)
+    assert not np.array_equal(getattr(planner, question)(pose), before)
 
 
 def test_two_planners_share_one_learned_model_at_once():

@@ -10,6 +10,7 @@ from hdsp.abstract import FlatCosts
 from hdsp.detailed.search.life_cycle import GuideTurn
 from hdsp.detailed.search.outcome import Limits
 from hdsp.detailed.search.weighted_astar import solve
+from hdsp.detailed.world.world import build_world
 from hdsp.planning import query
 from hdsp.planning.heuristics import AbstractHeuristic
 from hdsp.robot.robot import Robot
@@ -36,8 +37,8 @@ def bag():
 
 
 def test_the_manual_abstraction_leads_out_of_a_bag(bag, monkeypatch):
-    alone = Planner(bag, conditioning=None)
-    alone.heuristic = AbstractHeuristic(alone.world, bag, Blind(MOMARO))
+    blind = AbstractHeuristic(build_world(bag, MOMARO), bag, Blind(MOMARO))
+    alone = Planner(bag, heuristic=blind, conditioning=None)
     manual, turned = (Planner(bag, heuristic=costs, conditioning=None) for costs in ("manual", Blind(MOMARO)))
     monkeypatch.setattr(query, "TURN", 1000)
     monkeypatch.setattr(query, "HARD", 10**9)

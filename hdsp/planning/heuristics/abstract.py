@@ -264,23 +264,25 @@ class AbstractHeuristic(Heuristic):
         ``LocalCosts`` name the states that a change touches. Only their edges are evaluated again, when a query needs
         them, and the costs-to-go for the last goal that depend on them. Other costs start from nothing.
         """
-        if self._other is not None:
-            self._other.update(world, terrain, region)
-        changed, before = changed_cells(self.terrain, terrain, region), self.world
+        changed = changed_cells(self.terrain, terrain, region)
+        other = None if self._other is None else self._other.updated(world, terrain, region)
+        if changed is None or changed.any():
+            self._update_edges(world, terrain, changed)
         super().update(world, terrain, region)
-        self.terrain, self._foothold_regions, self._preparation = terrain, None, None
-        if changed is not None and not changed.any():
-            return
-        known, former = None, self._known
+        self.terrain, self._other, self._foothold_regions, self._preparation = terrain, other, None, None
+
+    def _update_edges(self, world: World, terrain: HeightMap, changed: np.ndarray | None) -> None:
+        """Takes over the edges of a changed map; all of them are new for changes None, which may be anywhere."""
+        known, former, outdated = None, self._known, self._outdated
         if former is not None and changed is not None:
-            feet = updated_standing(before, world, self._feet)
+            feet = updated_standing(self.world, world, self._feet)
             known = former.updated(terrain, feet >= 0, changed)
-        self._known = known
         if known is None or former is None:
-            self._reached = self._outdated = None
+            self._known = self._reached = self._outdated = None
             self._feet = np.empty(0, np.int32)
             return
-        self._feet, self._uneven = feet, uneven_cells(world)
+        uneven = uneven_cells(world)
         if self._reached is not None:
-            outdated = (known.evaluated != former.evaluated) | (known.standing != former.standing)
-            self._outdated = outdated if self._outdated is None else self._outdated | outdated
+            others = (known.evaluated != former.evaluated) | (known.standing != former.standing)
+            outdated = others if outdated is None else outdated | others
+        self._known, self._feet, self._uneven, self._outdated = known, feet, uneven, outdated

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from copy import copy
+from typing import Self
 
 import numpy as np
 
@@ -132,8 +134,17 @@ class Heuristic(ABC):
         """Forgets the last goal; results for the whole map stay."""
         self._estimate = None
 
+    def updated(self, world: World, terrain: HeightMap, region: Region | None = None) -> Self:
+        """Returns the heuristic for a changed terrain; arguments as for ``update``. This one stays as it is."""
+        result = copy(self)
+        result.update(world, terrain, region)
+        return result
+
     def update(self, world: World, terrain: HeightMap, region: Region | None = None) -> None:
         """Takes over a changed terrain and forgets the goal.
+
+        A planner updates a shallow copy, and drops it after an error. A subclass therefore assigns new objects to its
+        attributes, and leaves those that it has unchanged.
 
         Args:
             world: the terrain, compiled.
