@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import logging
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,7 @@ from torch import Tensor, nn
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing, writable_file
+from hdsp.base.quiet import quiet_thread
 from hdsp.learning.calibration import MINIMUM_COST
 from hdsp.robot.lattice import PATCH_CELLS, robot_frame_goals
 
@@ -87,8 +87,8 @@ def _traced(judging: _Judging) -> bytes:
     level = log.level
     log.setLevel(logging.ERROR)
     try:
-        with warnings.catch_warnings(), torch.no_grad():
-            warnings.simplefilter("ignore")  # the exporter by tracing needs one package instead of three
+        # The exporter by tracing, of which torch warns, needs one package instead of three.
+        with quiet_thread(), torch.no_grad():
             torch.onnx.export(
                 judging,
                 (patches, goals),

@@ -178,7 +178,17 @@ def test_m7_ascii_grids_of_every_spelling_are_read(tmp_path, text):
 
 
 @pytest.mark.parametrize(
-    "body", ["1 x 3\n4 5 6", "1 2 3\n4 5", "1 2 3\n4 5 6 7", "1 2 3\n4 5.5.5 6", "1;2;3\n4;5;6", ""]
+    "body",
+    [
+        "1 x 3\n4 5 6",
+        "1 2 3\n4 5",
+        "1 2 3\n4 5 6 7",
+        "1 2 3\n4 5.5.5 6",
+        "1;2;3\n4;5;6",
+        "",
+        "1 2-3\n4 5 6",
+        "1 2 3\n4 5_0 6",
+    ],
 )
 def test_ascii_grids_with_words_amid_or_too_few_numbers_are_refused(tmp_path, body):
     (tmp_path / "a.asc").write_text(HEAD + body)

@@ -9,8 +9,6 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-import sys
-import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -20,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.quiet import quiet_thread
 from hdsp.terrain.map_formats.fields import (
     MapFields,
     MissingOption,
@@ -146,7 +145,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
     with ExitStack() as stack:
         stack.enter_context(rasterio.Env())
-        stack.enter_context(_quiet())
+        stack.enter_context(quiet_thread())  # a message of GDAL that cites damaged bytes has a traceback printed
         driver, encoding = _DRIVERS[path.suffix.lower()], None
         if path.suffix.lower() in (".asc", ".dem"):
             encoding = _marked_encoding(path)
@@ -170,21 +169,6 @@ def _check_files(path: Path, raster: Any) -> None:
             raise InputError(f"it refers to {name}, outside its folder")
 
 
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silences rasterio, which prints a traceback where a message of GDAL cites damaged bytes."""
-    before = sys.excepthook, sys.unraisablehook
-
-    def silent(*_: Any) -> None:
-        """Prints nothing."""
-
-    sys.excepthook = sys.unraisablehook = silent
-    try:
-        yield
-    finally:
-        sys.excepthook, sys.unraisablehook = before
-
-
 def _marked_encoding(path: Path) -> str | None:
     with path.open("rb") as file:
         begin = file.read(3)
@@ -198,13 +182,11 @@ def _ascii_heights(path: Path, raster: Any) -> Any:
     """
     lines = path.read_text(_marked_encoding(path) or "latin-1").splitlines()
     begin = next((k for k, line in enumerate(lines) if _IS_BODY.match(line)), len(lines))
-    text = " ".join(lines[begin:]).replace(",", ".").replace("*", "nan")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # numpy warns of a word that is no number, and stops there
-            heights = np.fromstring(text, sep=" ")
-    except (DeprecationWarning, ValueError):
+        rows = [_numbers(line) for line in lines[begin:]]
+    except ValueError:
         raise InputError("its heights have a word that is no number") from None
+    heights = np.concatenate([np.empty(0), *rows])
     if heights.size != raster.width * raster.height:
         raise InputError(f"it has {heights.size} heights for {raster.width} x {raster.height} cells")
     heights = heights.reshape(raster.height, raster.width)
@@ -212,6 +194,17 @@ def _ascii_heights(path: Path, raster: Any) -> Any:
         return np.ma.masked_array(heights)
     unknown = (heights == raster.nodata) | (heights.astype(np.float32) == np.float32(raster.nodata))
     return np.ma.masked_array(heights, mask=unknown)
+
+
+def _numbers(line: str) -> np.ndarray:
+    """Numbers in a line, float64 [n].
+
+    Raises:
+        ValueError: a word is no number.
+    """
+    if not line.isascii() or "_" in line:  # Python's numbers have underscores, and digits of all scripts
+        raise ValueError
+    return np.array(line.replace(",", ".").replace("*", "nan").split(), float)
 
 
 def _band(raster: Any, layer: str | int | None) -> int:

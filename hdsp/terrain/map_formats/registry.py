@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -20,6 +19,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file, replacing
+from hdsp.base.quiet import quiet_thread
 from hdsp.terrain.map_formats.archives import (
     hdf5_bytes,
     hdf5_contents,
@@ -190,8 +190,7 @@ def write_map(path: str | os.PathLike, fields: MapFields) -> None:
 def _guarded(path: Path, form: MapFormat, work: Callable):
     """Result of a reader; its errors of any type as one line that names the file."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # file libraries warn of their own affairs
+        with quiet_thread():  # file libraries warn of their own affairs
             return work()
     except MissingOption as error:
         raise MissingOption(f"height map {path}: {error}") from None
