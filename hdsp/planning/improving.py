@@ -14,6 +14,7 @@ from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
 from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.planning.answers.plan_statistics import PlanStatistics
 from hdsp.planning.answers.plans import Plan
+from hdsp.planning.cost_limit import judged, within_rounding
 from hdsp.planning.memory import proof_memory
 from hdsp.planning.polish import Polish
 from hdsp.planning.query import Query, ReachedStates
@@ -97,7 +98,7 @@ def _rounds(
     while True:
         limits = query.limits
         memory = limits.memory - (proof_memory(world) if query.may_prove else 0)
-        left = Limits(limits.cost, limits.expansions - spent, memory, query.time_left())
+        left = Limits(within_rounding(query).cost, limits.expansions - spent, memory, query.time_left())
         rounds = anytime.improve(
             world,
             query.start,
@@ -113,6 +114,7 @@ def _rounds(
         )
         for found in rounds:
             plan = query.plan_of(found.result, PlanStatistics(query.heuristic.name, float(found.weight)), reached)
+            plan = judged(query, plan)
             spent_now = {
                 "expansions": plan.stats.expansions + spent,
                 "search_seconds": now() - began - proof.seconds,
@@ -125,12 +127,13 @@ def _rounds(
                     weights = weights[weights.index(found.weight) :]
                     break
                 if refused.undecided:
-                    yield query.out_of_time(plan), Status.TIME_LIMIT
+                    yield query.without_path(plan, Status.TIME_LIMIT), Status.TIME_LIMIT
                     return
                 cost = plan.cost
             if found.ended == Status.INFEASIBLE and not plan.solved and query.may_prove and not refused.words:
                 proof.succeeds_by(query.ends)
                 plan = query.without_way(plan, proof.found)
-            yield plan, found.ended
+            costly = found.ended == Status.SOLVED and not plan.solved
+            yield plan, Status.COST_LIMIT if costly else found.ended
         else:
             return

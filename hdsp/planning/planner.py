@@ -27,6 +27,7 @@ from hdsp.planning.arguments import (
     whole,
 )
 from hdsp.planning.compiled import compile_for
+from hdsp.planning.cost_limit import at_most
 from hdsp.planning.ends.arrival import Tolerance, several
 from hdsp.planning.heuristics import Heuristic
 from hdsp.planning.improving import improving_plans
@@ -297,14 +298,14 @@ class Planner:
                 return query
             prepared = now() - began
 
-            def search(query: Query, hopeless: Hopeless | None = None) -> Plan:
+            def search(query: Query, hopeless: Hopeless | None) -> Plan:
                 if anchored is None or query.admissible:
                     return query.guided(weight, hopeless)
                 return query.anchored(weight, anchored, hopeless)
 
-            plan = query.search_or_prove(search)
+            plan = query.search_or_prove(at_most(search))
             if refinable:
-                plan = refinable_plan(query, search, plan, Polish(polish, second=True))
+                plan = refinable_plan(query, at_most(search), plan, Polish(polish, second=True))
             else:
                 plan = Polish(polish, second=True).of(query, plan)
             spent = {"heuristic_seconds": prepared + plan.stats.heuristic_seconds, "seconds": now() - began}

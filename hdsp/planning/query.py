@@ -318,11 +318,16 @@ class Query:
             seconds=self.limits.time,
         )  # fmt: skip
 
-    def out_of_time(self, plan: Plan) -> Plan:
-        """Returns the answer where the time ended before a plan was refined: no plan, with the effort so far."""
+    def without_path(self, plan: Plan, status: Status) -> Plan:
+        """Returns the answer where a plan breaks a limit: no plan, with the effort so far.
+
+        Args:
+            plan: a plan that costs too much, or that was not refined in time.
+            status: the limit.
+        """
         path: dict[str, Any] = {"states": np.empty((0, 7)), "actions": (), "action_costs": np.empty(0)}
-        inquiry = self.inquiry(Status.TIME_LIMIT, None)
-        return replace(plan, status=Status.TIME_LIMIT, cost=np.inf, bound=np.inf, inquiry=inquiry, **path)
+        inquiry = self.inquiry(status, None)
+        return replace(plan, status=status, cost=np.inf, bound=np.inf, goal_index=None, inquiry=inquiry, **path)
 
     def search_or_prove(self, search: Solver) -> Plan:
         """Searches; a search that takes long shares its time with a proof of infeasibility.

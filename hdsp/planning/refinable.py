@@ -8,6 +8,7 @@ import numpy as np
 
 from hdsp.base.errors import RefinementError
 from hdsp.detailed.motion.refinement import ban, last_step
+from hdsp.detailed.search.outcome import Status
 from hdsp.planning.answers.plans import Plan
 from hdsp.planning.polish import Polish
 from hdsp.planning.query import Query, Solver
@@ -70,7 +71,7 @@ def refinable_plan(query: Query, search: Solver, plan: Plan, polish: Polish | No
         expansions += plan.stats.expansions
         seconds += plan.stats.search_seconds
     if refused.undecided:
-        plan = query.out_of_time(plan)
+        plan = query.without_path(plan, Status.TIME_LIMIT)
     elif polish is not None:
         plan = polished_and_refinable(without(query, refused.banned), plan, polish)
     return plan.renewed({"expansions": expansions, "search_seconds": seconds}, refused=tuple(refused.words))

@@ -16,7 +16,7 @@ from tests.fuzz.report import write_page
 from tests.fuzz.supervisor import Supervisor
 
 #: Share of the time for each group.
-_TIME = {"files": 0.1, "plans": 0.39, "updates": 0.51}
+_TIME = {"files": 0.16, "plans": 0.37, "updates": 0.47}
 
 
 def main(arguments: list[str] | None = None) -> dict:

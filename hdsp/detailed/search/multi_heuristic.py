@@ -172,7 +172,7 @@ class _MultiSearch(Search):
         if status == Status.INFEASIBLE:
             return np.inf
         if status == Status.COST_LIMIT:
-            return float(self.limits.cost)
+            return self.limits.cost * max(0.0, 1 - rounding(self.world) * self.limits.cost)
         least = self.least_cost(self._anchor)
         if not self._proves or not np.isfinite(least):
             return least

@@ -120,4 +120,4 @@ def _enter_bounds(result: SearchResult, world: World, bound: float, limits: Limi
     elif status == Status.INFEASIBLE:
         result.lower_bound = np.inf
     elif status == Status.COST_LIMIT:
-        result.lower_bound = limits.cost
+        result.lower_bound = limits.cost * max(0.0, 1 - rounding(world) * limits.cost)
