@@ -12,6 +12,7 @@ from hdsp.learning.learning_settings import TrainerSettings
 from pipeline.compare import SECTIONS, differences
 from pipeline.config import CONF, compose, flatten, typed
 from pipeline.train import part_of
+from tests import ROOT
 from tests.labels.task_sets import random_tasks
 
 NAMES = sorted(path.stem for path in (CONF / "experiment/ablation").glob("*.yaml"))
@@ -33,6 +34,15 @@ def test_an_ablation_differs_from_the_base_in_what_its_file_says(name, base):
     assert config.profile == "beyond" and config.runtime.inputs == "outputs/beyond"
     typed(config).model.checked_options()
     assert set(differences(base, flat(config))) == (set() if name == "base" else told(name))
+
+
+@pytest.mark.parametrize("removed", ["blocked", "courses", "sensed"])
+def test_an_ablation_trains_on_splits_of_the_base_and_its_commands_make_them(removed, base):
+    all_splits, config = base["trainer.splits"], compose([f"experiment=ablation/no_{removed}"])
+    assert list(config.trainer.splits) == [split for split in all_splits if removed not in split]
+    words = (CONF / "experiment/ablation/base.yaml").read_text().partition("for split in ")[2].partition(";")[0].split()
+    assert set(words) == {*all_splits, "val", "val_sensed", "random"} - {"courses"}
+    assert f"for split in {' '.join(words)};" in (ROOT / "docs/architectures.md").read_text()
 
 
 def told(name):
