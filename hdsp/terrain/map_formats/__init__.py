@@ -2,7 +2,7 @@
 
 - `fields`: contents of a file before validation, options for reading, the frame as text
 - `archives`: .npz, HDF5 and bare .npy arrays
-- `rasters`: GeoTIFF and other rasters of geographic information systems
+- `rasters`, `raster_units`: GeoTIFF and other rasters of geographic information systems; units of their CRS and heights
 - `images`: PNG and PGM with grey values as heights
 - `grid_map_bags`: grid_map messages in ROS bags
 - `registry`: format for each suffix, and the one place where a file is read or written

@@ -27,6 +27,7 @@ from hdsp.terrain.map_formats.fields import (
     frame_text,
 )
 from hdsp.terrain.map_formats.file_checksum import check_file, with_checksum
+from hdsp.terrain.map_formats.raster_units import check_crs, height_units
 from hdsp.terrain.map_frame import MapFrame
 
 #: Drivers by suffix. Drivers whose files refer to other files or addresses are left out.
@@ -37,24 +38,11 @@ _TEXTS = {
     "GRASSASCIIGrid": ("north", "south", "east", "west", "rows", "cols"),
 }
 
-#: Metres per vertical unit.
-_METRES = {
-    **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
-    **dict.fromkeys(("ft", "foot", "feet", "international foot"), 0.3048),
-    **dict.fromkeys(("us survey foot", "us-ft", "ftus", "us_survey_foot", "foot_us", "us survey feet"), 1200 / 3937),
-    **dict.fromkeys(("cm", "centimetre", "centimeter", "centimetres", "centimeters"), 0.01),
-    **dict.fromkeys(("mm", "millimetre", "millimeter", "millimetres", "millimeters"), 0.001),
-    **dict.fromkeys(("dm", "decimetre", "decimeter", "decimetres", "decimeters"), 0.1),
-    **dict.fromkeys(("km", "kilometre", "kilometer", "kilometres", "kilometers"), 1000.0),
-}
-
 #: Tag with the frame of a map that this package wrote.
 _TAG = "HDSP_FRAME"
 #: Tag with a checksum over heights and transform, for files whose last line (`file_checksum`) is lost.
 _DIGEST = "HDSP_SHA256"
 _CHANGED = "it differs from its checksum: changed by another program, or damaged"
-
-_REPROJECT = "reproject it to metres, e.g. gdalwarp -t_srs EPSG:25832 IN OUT"
 
 #: A line of numbers, not of the header, in an ASCII grid.
 _IS_BODY = re.compile(r"\s*([-+.,0-9*]|nan\b|inf\b)", re.IGNORECASE)
@@ -71,9 +59,9 @@ def read_raster(path: Path, options: ReadOptions) -> MapFields:
         kind = np.dtype(raster.dtypes[band - 1]).kind
         if kind not in "iuf":
             raise InputError(f"band {band} has the type {raster.dtypes[band - 1]}; need numbers")
-        _check_crs(raster.crs)
+        check_crs(raster.crs)
         rows = _ascii_heights(path, raster) if raster.driver in _TEXTS else raster.read(band, masked=True)
-        scale, offset, notes = _units(raster, band)
+        scale, offset, notes = height_units(raster, band)
         written = raster.tags().get(_TAG, "")
         changed = raster.tags().get(_DIGEST, "") not in ("", _digest(rows, raster.transform, written))
         notes += [_CHANGED] if changed else []
@@ -222,37 +210,6 @@ def _band(raster: Any, layer: str | int | None) -> int:
     if layer is None:
         raise MissingOption(f"it has {raster.count} bands: {listed}; name one with the option layer")
     raise InputError(f"option layer is {layer!r}; need a band: {listed}")
-
-
-def _check_crs(crs: Any) -> None:
-    if not crs:
-        return
-    if crs.is_geographic:
-        raise InputError(f"its CRS {_short(crs)} is in degrees; {_REPROJECT}")
-    unit, factor = "metre", 1.0
-    if crs.is_projected:
-        unit, factor = crs.linear_units_factor
-    if not math.isclose(factor, 1.0):
-        raise InputError(f"its CRS {_short(crs)} is in units of {unit}; {_REPROJECT}")
-
-
-def _short(crs: Any) -> str:
-    text = crs.to_string()
-    return text if len(text) < 60 else text[:57] + "..."
-
-
-def _units(raster: Any, band: int) -> tuple[float, float, list[str]]:
-    """Scale and offset to metres by the scale, offset and units of the band, and notes."""
-    scale, offset, notes = raster.scales[band - 1], raster.offsets[band - 1], []
-    if (scale, offset) != (1.0, 0.0):
-        notes.append(f"heights times {scale:g} plus {offset:g}, as the band says")
-    unit = str(raster.units[band - 1] or "").strip()
-    factor = _METRES.get(unit.lower())
-    if factor is None:
-        notes.append(f"unknown vertical units {unit!r}, taken as metres")
-    elif factor != 1.0:
-        notes.append(f"heights converted from {unit} to metres")
-    return scale * (factor or 1.0), offset * (factor or 1.0), notes
 
 
 def _placed(heights: np.ndarray, transform: Any, crs: str, notes: tuple[str, ...]) -> MapFields:

@@ -1,0 +1,90 @@
+"""Units of rasters: coordinates have to be metres on a plane, heights are converted to metres."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from hdsp.base.errors import InputError
+
+#: Metres per vertical unit.
+_METRES = {
+    **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("ft", "foot", "feet", "international foot"), 0.3048),
+    **dict.fromkeys(("us survey foot", "us-ft", "ftus", "us_survey_foot", "foot_us", "us survey feet"), 1200 / 3937),
+    **dict.fromkeys(("cm", "centimetre", "centimeter", "centimetres", "centimeters"), 0.01),
+    **dict.fromkeys(("mm", "millimetre", "millimeter", "millimetres", "millimeters"), 0.001),
+    **dict.fromkeys(("dm", "decimetre", "decimeter", "decimetres", "decimeters"), 0.1),
+    **dict.fromkeys(("km", "kilometre", "kilometer", "kilometres", "kilometers"), 1000.0),
+}
+
+_REPROJECT = "reproject it to metres, e.g. gdalwarp -t_srs EPSG:25832 IN OUT"
+
+
+def check_crs(crs: Any) -> None:
+    """Refuses a CRS whose coordinates are not metres on a plane; None is welcome.
+
+    Raises:
+        InputError: the CRS is geographic or geocentric, or has another unit.
+    """
+    if not crs:
+        return
+    if crs.is_geographic:
+        raise InputError(f"its CRS {_short(crs)} is in degrees; {_REPROJECT}")
+    if any(str(axis.get("direction", "")).startswith("geocentric") for axis in _axes(crs)):
+        raise InputError(f"its CRS {_short(crs)} is geocentric; need metres on a plane")
+    unit, factor = crs.units_factor
+    if not math.isclose(factor, 1.0):
+        advice = _REPROJECT if crs.is_projected else "scale its transform to metres, and name a CRS in metres"
+        raise InputError(f"its CRS {_short(crs)} is in units of {unit}; {advice}")
+
+
+def height_units(raster: Any, band: int) -> tuple[float, float, list[str]]:
+    """Scale and offset to metres by the scale, offset and units of a band, and notes.
+
+    Units of a band that names none are those of the heights in the CRS.
+    """
+    scale, offset, notes = raster.scales[band - 1], raster.offsets[band - 1], []
+    if (scale, offset) != (1.0, 0.0):
+        notes.append(f"heights times {scale:g} plus {offset:g}, as the band says")
+    unit, in_crs = str(raster.units[band - 1] or "").strip(), _vertical_unit(raster.crs)
+    factor = _METRES.get(unit.lower())
+    if in_crs is not None and unit.lower() in ("", in_crs[0].lower()):
+        unit, factor = in_crs
+    if factor is None:
+        notes.append(f"unknown vertical units {unit!r}, taken as metres")
+    elif not math.isclose(factor, 1.0):
+        notes.append(f"heights converted from {unit} to metres")
+    return scale * (factor or 1.0), offset * (factor or 1.0), notes
+
+
+def _vertical_unit(crs: Any) -> tuple[str, float] | None:
+    """Name of the unit of heights in a CRS, and metres in it; None for a CRS without heights."""
+    for axis in _axes(crs) if crs else []:
+        if axis.get("direction") in ("up", "down"):
+            unit = axis.get("unit", "metre")
+            if isinstance(unit, dict):
+                return str(unit.get("name", "")), float(unit.get("conversion_factor", 1.0))
+            return str(unit), 1.0  # only metres have no factor
+    return None
+
+
+def _axes(crs: Any) -> list[dict[str, Any]]:
+    """All axes of a CRS, as in PROJJSON; none for a CRS that PROJ cannot describe."""
+    from rasterio.errors import CRSError
+
+    try:
+        return _axes_in(crs.to_dict(projjson=True))
+    except CRSError:
+        return []
+
+
+def _axes_in(described: dict[str, Any]) -> list[dict[str, Any]]:
+    parts = [*described.get("components", []), *([described["source_crs"]] if "source_crs" in described else [])]
+    own = described.get("coordinate_system", {}).get("axis", [])
+    return [*own, *(axis for part in parts for axis in _axes_in(part))]
+
+
+def _short(crs: Any) -> str:
+    text = crs.to_string()
+    return text if len(text) < 60 else text[:57] + "..."
