@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.messages import shown
 from hdsp.base.notebook import html_of, png_of
 from hdsp.base.short_repr import short_repr
 from hdsp.robot import lattice
@@ -235,19 +236,25 @@ class HeightMap:
         cell = [float(nearest_cell(value)) for value in base]
         shift = [value - whole if abs(value - whole) > TIE else 0.0 for value, whole in zip(base, cell, strict=True)]
         dx, dy = patch_offsets(theta, checked_side(cells), *shift)
-        return self._patch(gather(self.heights, cell[0] + dx, cell[1] + dy))
+        return self._patch(gather(self.heights, cell[0] + dx, cell[1] + dy), (x, y), theta)
 
     def crop_cells(self, ix: int, iy: int, heading: int, cells: int = PATCH_CELLS) -> "HeightMap":
         """Crops as `crop`, for a base at the centre of cell (ix, iy) with one of the 64 detailed headings."""
-        dx, dy = patch_offsets(float(lattice.heading_angle(heading)), checked_side(cells))
-        return self._patch(gather(self.heights, ix + dx, iy + dy))
+        theta = float(lattice.heading_angle(heading))
+        dx, dy = patch_offsets(theta, checked_side(cells))
+        base = np.asarray(self.origin) + (np.array((ix, iy)) + 0.5) * self.resolution
+        return self._patch(gather(self.heights, ix + dx, iy + dy), base, theta)
 
     def rotate(self, angle: float) -> "HeightMap":
         """Rotates the map counter-clockwise by ``angle`` radians about its centre, which keeps its position.
 
         The result contains the whole map; cells without a source are NaN. Multiples of 90 degrees permute cells
-        exactly; at other angles, each cell takes the nearest cell's height.
+        exactly; at other angles, each cell takes the nearest cell's height. The frame leads to the same source.
+
+        Raises:
+            InputError: if the angle is no finite number.
         """
+        (angle,) = _finite("angle", angle, "a finite number of radians", 1)
         quarters = angle / (math.pi / 2)
         if abs(quarters - round(quarters)) < 1e-12:
             heights = np.rot90(self.heights, round(quarters))
@@ -257,8 +264,10 @@ class HeightMap:
             target = np.indices(shape) + 0.5 - np.reshape(shape, (2, 1, 1)) / 2
             source = np.tensordot(lattice.rotation(-angle), target, 1) + np.reshape(self.shape, (2, 1, 1)) / 2
             heights = gather(self.heights, *np.floor(source + TIE))
-        origin = np.asarray(self.center) - np.asarray(heights.shape) / 2 * self.resolution
-        return HeightMap(heights, tuple(origin), self.resolution)
+        center, back = np.asarray(self.center), lattice.rotation(-angle)
+        origin = center - np.asarray(heights.shape) / 2 * self.resolution
+        frame = self.frame.on_axes(back, center - back @ center)
+        return HeightMap(heights, tuple(origin), self.resolution, frame)
 
     def conditioned(self, settings: ConditioningSettings | None = None) -> "Conditioned":
         """Conditions the map for planning: cells of 0.025 m without noise, spikes, and small holes.
@@ -303,9 +312,11 @@ class HeightMap:
         frame = replace(self.frame, notes=(*self.frame.notes, *notes)) if notes else self.frame
         return HeightMap(heights, self.origin, self.resolution if resolution is None else resolution, frame)
 
-    def _patch(self, heights: np.ndarray) -> "HeightMap":
+    def _patch(self, heights: np.ndarray, base, theta: float) -> "HeightMap":
+        """Map in the frame of a robot at a base position."""
         corner = -(len(heights) // 2 + 0.5) * self.resolution
-        return HeightMap(heights, (corner, corner), self.resolution)
+        frame = self.frame.on_axes(lattice.rotation(theta), np.asarray(base))
+        return HeightMap(heights, (corner, corner), self.resolution, frame)
 
 
 def as_height_map(terrain: "HeightMap | np.ndarray | str | os.PathLike", resolution: float | None = None) -> HeightMap:
@@ -376,10 +387,16 @@ def conditioned(terrain: HeightMap, settings: ConditioningSettings | None = None
 
 
 def _pose(pose) -> tuple[float, float, float]:
-    try:
-        x, y, theta = (float(value) for value in pose)
-    except (TypeError, ValueError):
-        raise InputError(f"pose {pose!r}; need three numbers (x, y, theta): metres, metres, radians") from None
-    if not all(math.isfinite(value) for value in (x, y, theta)):
-        raise InputError(f"pose {(x, y, theta)}; need finite x, y and theta")
+    x, y, theta = _finite("pose", pose, "three finite numbers (x, y, theta): metres, metres, radians", 3)
     return x, y, theta
+
+
+def _finite(name: str, given, need: str, count: int) -> list[float]:
+    """Returns finite numbers; an error with name and need for anything else."""
+    try:
+        found = [float(value) for value in (given if count > 1 else [given])]
+    except (TypeError, ValueError, OverflowError):
+        found = []
+    if len(found) != count or not np.isfinite(found).all():
+        raise InputError(f"{name} is {shown(given)}; need {need}")
+    return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -41,6 +41,17 @@ class MapFrame:
     def is_source(self) -> bool:
         """Whether map and source frame are the same."""
         return bool((self.to_source == np.eye(4)).all())
+
+    def on_axes(self, rotation: np.ndarray, origin: np.ndarray) -> MapFrame:
+        """Returns the frame of a map with other axes and the same source.
+
+        Args:
+            rotation: float64 [2, 2], from the new axes to the axes of this map.
+            origin: float64 [2], place of the new origin in this map, m.
+        """
+        motion = np.eye(4)
+        motion[:2, :2], motion[:2, 3] = rotation, origin
+        return replace(self, to_source=self.to_source @ motion)
 
     def points_to_source(self, points: np.ndarray) -> np.ndarray:
         """Moves points [..., 3] (m) from the map frame to the source frame."""

@@ -8,6 +8,7 @@ from hypothesis.extra import numpy as hnp
 
 from hdsp.base.errors import InputError
 from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.map_frame import MapFrame
 from tests import naive_terrain
 
 RESOLUTION = 0.025
@@ -162,10 +163,66 @@ def test_a_patch_at_any_pose_equals_its_definition(x, y, theta):
     assert np.any([np.isclose(patch, each, atol=0, equal_nan=True) for each in expected], axis=0).all()
 
 
-@pytest.mark.parametrize("pose", [(0.0, 0.0), (0.0, math.nan, 0.0), ("a", 0, 0)])
+@pytest.mark.parametrize("pose", [(0.0, 0.0), (0.0, math.nan, 0.0), ("a", 0, 0), (10**400, 0, 0)])
 def test_a_pose_that_is_none_is_refused(pose):
     with pytest.raises(InputError, match="pose"):
         numbered(4, 4).crop(pose)
+
+
+@pytest.mark.parametrize("angle", [math.nan, math.inf, -math.inf, "a", None, 10**400, [1.0, 2.0]])
+def test_an_angle_that_is_none_is_refused(angle):
+    with pytest.raises(InputError, match="; need a finite number of radians"):
+        numbered(4, 4).rotate(angle)
+
+
+def framed():
+    """A map with a frame of its own."""
+    motion = np.eye(4)
+    motion[:2, :2], motion[:3, 3] = [[0.6, -0.8], [0.8, 0.6]], (100.0, -20.0, 3.0)
+    return numbered(31, 23, origin=(1.0, -2.0)), MapFrame("odom", "EPSG:25832", motion, ("a note",))
+
+
+@given(st.floats(-4, 4) | st.integers(-5, 5).map(lambda quarters: quarters * math.pi / 2))
+def test_a_rotated_map_leads_to_the_same_source(angle):
+    plain, frame = framed()
+    for terrain in (plain, HeightMap(plain.heights, plain.origin, plain.resolution, frame)):
+        rotated = terrain.rotate(angle)
+        assert (rotated.frame.name, rotated.frame.crs, rotated.frame.notes) == (
+            terrain.frame.name,
+            terrain.frame.crs,
+            terrain.frame.notes,
+        )
+        c, s = math.cos(angle), math.sin(angle)
+        x, y = np.random.default_rng(2).uniform(-0.3, 0.3, (2, 20))
+        turned = np.column_stack([c * x - s * y, s * x + c * y]) + rotated.center
+        places = np.column_stack([x, y]) + terrain.center
+        np.testing.assert_allclose(
+            rotated.frame.points_to_source(np.column_stack([turned, x])),
+            terrain.frame.points_to_source(np.column_stack([places, x])),
+            atol=1e-9,
+        )
+
+
+def test_a_turned_map_is_not_its_source_until_it_is_turned_back():
+    terrain = numbered(30, 20, origin=(1.0, 2.0))
+    for quarters in (1, 2, 3):
+        turned = terrain.rotate(quarters * math.pi / 2)
+        assert not turned.frame.is_source and turned.rotate(-quarters * math.pi / 2).frame.is_source
+    assert terrain.rotate(2 * math.pi).frame.is_source and terrain.rotate(0).frame.is_source
+
+
+def test_a_patch_leads_to_the_source_of_its_map():
+    plain, frame = framed()
+    terrain = HeightMap(plain.heights, plain.origin, plain.resolution, frame)
+    pose = (1.31, -1.77, 0.7)
+    at_cell = (*np.add(terrain.origin, (12.5 * RESOLUTION, 9.5 * RESOLUTION)), math.pi / 4)
+    for patch, (x, y, theta) in ((terrain.crop(pose, 8), pose), (terrain.crop_cells(12, 9, 8, 8), at_cell)):
+        assert (patch.frame.name, patch.frame.crs, patch.frame.notes) == ("odom", "EPSG:25832", ("a note",))
+        ahead = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.2]])
+        c, s = math.cos(theta), math.sin(theta)
+        in_map = [(x + c * u - s * v, y + s * u + c * v, z) for u, v, z in ahead]
+        expected = terrain.frame.points_to_source(in_map)
+        np.testing.assert_allclose(patch.frame.points_to_source(ahead), expected, atol=1e-12)
 
 
 @given(st.integers(1, 9), st.integers(1, 9), st.integers(-5, 5))
