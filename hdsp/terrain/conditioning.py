@@ -11,7 +11,8 @@ Four stages run one after the other, each on the cells of the measured map until
    edge, and falls into one line between two cells at half of its height. Smaller cells count with their median, thin
    structures with their highest cell.
 
-`hdsp.terrain.map_filters` has the filters.
+`hdsp.terrain.map_filters` has the filters. Cells of 2.5 mm and less join to cells of up to 5 mm before the first stage
+(`hdsp.terrain.fine_cells`).
 
 A map without noise, spikes, and holes, in cells of the planner's size, stays the same to the last bit.
 
@@ -31,7 +32,9 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.base.short_repr import short_repr
 from hdsp.robot.lattice import RESOLUTION, cells, is_detailed
+from hdsp.terrain.fine_cells import joined, joins
 from hdsp.terrain.map_filters import (
+    SPIKE_CELLS,
     ConditioningSettings,
     Noise,
     closing_radius,
@@ -46,6 +49,8 @@ from hdsp.terrain.map_parts import Part, changed_part, widened, within
 
 #: m, largest side of a cell; steps and footholds do not show in coarser maps.
 COARSEST = 0.2
+#: m, smallest side of a cell.
+FINEST = 1e-4
 _MOST_CELLS = 100_000_000  # of a result
 _NOTE = "conditioned: "
 
@@ -55,7 +60,7 @@ class ConditioningReport:
     """Report on a conditioning.
 
     Attributes:
-        measured: side of the measured cells, m.
+        measured: side of the measured cells, m. Where they join, numbers of cells are those of joined ones.
         noise: noise of the measured map, and its filter.
         spikes: number of measured cells in spikes.
         filled: number of unknown measured cells that were filled, spikes included.
@@ -110,7 +115,7 @@ class Stages:
         settings: settings of the conditioning; None = defaults.
 
     Raises:
-        InputError: if the cells are too coarse for planning, or too many result.
+        InputError: if the cells are too coarse or too fine for planning, or too many result.
 
     Attributes:
         noise: noise of the first map; it stays over all changes.
@@ -120,15 +125,20 @@ class Stages:
     def __init__(self, heights: np.ndarray, resolution: float, settings: ConditioningSettings | None = None):
         if not resolution <= COARSEST:
             raise InputError(f"cells of {resolution:g} m; conditioning for planning needs at most {COARSEST:g} m")
+        if resolution < FINEST:
+            raise InputError(f"cells of {resolution:g} m; conditioning for planning needs at least {FINEST:g} m")
         self.resolution, self.settings = float(resolution), settings or ConditioningSettings()
-        self.scale = cells(self.resolution)
-        if np.prod(self.result_shape(heights.shape)) > _MOST_CELLS:
+        self._joins = joins(self.resolution)
+        self._cell = self._joins * self.resolution
+        self._scale = cells(self._cell)
+        self._shape = _result_shape(heights.shape, cells(self.resolution))
+        if np.prod(self._shape) > _MOST_CELLS:
             raise InputError(
                 f"map of {heights.shape[0]} x {heights.shape[1]} cells of {resolution:g} m: more than {_MOST_CELLS:,} "
                 f"cells of {RESOLUTION:g} m"
             )
-        heights = np.asarray(heights, np.float32)
-        self.noise = estimate_noise(heights, self.resolution, self.settings)
+        heights = self._joined(np.asarray(heights, np.float32))
+        self.noise = estimate_noise(heights, self._cell, self.settings)
         self._steps = self._stages()  # before the resampling
         self._results = [heights]
         for _, apply in self._steps:
@@ -146,11 +156,6 @@ class Stages:
             unknown=float(np.isnan(self.result).mean()),
         )
 
-    def result_shape(self, shape: Sequence[int]) -> tuple[int, int]:
-        """Cells of a result for a measured map with ``shape`` cells."""
-        nx, ny = (max(math.floor(count * self.scale + 1e-6), 1) for count in shape)
-        return nx, ny
-
     def update(self, heights: np.ndarray, part: Part) -> Part:
         """Follows a change; the result is then the same as from the stages on the whole map with the same noise.
 
@@ -161,7 +166,8 @@ class Stages:
         Returns:
             Slices that hold all changed cells of ``result``.
         """
-        results = [np.asarray(heights, np.float32)]
+        heights, part = self._after(np.asarray(heights, np.float32), part)
+        results = [heights]
         for (reach, apply), before in zip(self._steps, self._results[1:], strict=True):
             if part[0].start == part[0].stop:
                 results.append(before)
@@ -175,7 +181,7 @@ class Stages:
         if is_detailed(self.resolution):
             result = results[-1]
         elif part[0].start != part[0].stop:
-            reach = 2 * math.ceil(max(self.scale, 1 / self.scale)) + 2
+            reach = 2 * math.ceil(max(self._scale, 1 / self._scale)) + 2
             target, source = (widened(part, n * reach, heights.shape) for n in (1, 2))
             part, around = self._result_cells(target), self._result_cells(source)
             result = self.result.copy()
@@ -183,14 +189,28 @@ class Stages:
         self._results, self.result = results, result
         return part
 
+    def _joined(self, heights: np.ndarray) -> np.ndarray:
+        spike_cells = SPIKE_CELLS if self.settings.spike else 0
+        return joined(heights, self._joins, self.settings.edge, spike_cells)
+
+    def _after(self, heights: np.ndarray, part: Part) -> tuple[np.ndarray, Part]:
+        """A changed measured map in cells of the stages, and the part with all changes in these cells."""
+        if self._joins == 1:
+            return heights, part
+        before, n = self._results[0], self._joins
+        x, y = (slice(cut.start // n, -(-cut.stop // n)) for cut in part)
+        after = before.copy()
+        after[x, y] = self._joined(heights[n * x.start : n * x.stop, n * y.start : n * y.stop])
+        return after, changed_part(before, after, (x, y))
+
     def _stages(self) -> list[tuple[int, Callable[[np.ndarray], np.ndarray]]]:
         """Reach in cells, and function, for each stage on the measured cells."""
         # The functions hold no stages, since copies share them.
-        noise, settings, resolution = self.noise, self.settings, self.resolution
-        hole = closing_radius(settings.hole, resolution)
+        noise, settings, cell = self.noise, self.settings, self._cell
+        hole = closing_radius(settings.hole, cell)
         return [
             (6 + noise.spike_cells, lambda heights: without_spikes(heights, noise, settings)),
-            (5 * hole + 2, lambda heights: without_holes(heights, resolution, noise, settings)),
+            (5 * hole + 2, lambda heights: without_holes(heights, cell, noise, settings)),
             (2 * noise.window + 1 + noise.spike_cells, lambda heights: without_noise(heights, noise, settings)),
         ]
 
@@ -199,10 +219,10 @@ class Stages:
         shape = self._results[0].shape
 
         def span(cut: slice, count: int, end: int) -> slice:
-            first, last = (math.ceil(cell * self.scale - 0.5 - 1e-6) for cell in (cut.start, cut.stop))
+            first, last = (math.ceil(cell * self._scale - 0.5 - 1e-6) for cell in (cut.start, cut.stop))
             return slice(max(first, 0), end if cut.stop == count else min(last, end))
 
-        a, b = (span(*of) for of in zip(part, shape, self.result_shape(shape), strict=True))
+        a, b = (span(*of) for of in zip(part, shape, self._shape, strict=True))
         return a, b
 
     def _resampled(self, heights: np.ndarray, part: Part | None = None) -> np.ndarray:
@@ -211,19 +231,24 @@ class Stages:
             return heights
         from scipy.ndimage import map_coordinates
 
-        whole = self.result_shape(heights.shape)
-        cuts = part or (slice(0, whole[0]), slice(0, whole[1]))
-        x, y = ((np.arange(cut.start, cut.stop) + 0.5) / self.scale - 0.5 for cut in cuts)
+        cuts = part or (slice(0, self._shape[0]), slice(0, self._shape[1]))
+        x, y = ((np.arange(cut.start, cut.stop) + 0.5) / self._scale - 0.5 for cut in cuts)
         # Only the measured cells around the part are read.
         first_x, first_y = (max(math.floor(at[0]) - 1, 0) for at in (x, y))
         measured = heights[first_x : math.ceil(x[-1]) + 2, first_y : math.ceil(y[-1]) + 2]
         grid = np.stack(np.meshgrid(x - first_x, y - first_y, indexing="ij"))
-        if self.scale < 1:
-            fine = sampled(measured, grid, self.scale, self.settings)
+        if self._scale < 1:
+            fine = sampled(measured, grid, self._scale, self.settings)
         else:
-            fine = interpolated(measured, grid, self.scale, self.settings)
+            fine = interpolated(measured, grid, self._scale, self.settings)
         known = map_coordinates(np.isfinite(measured).astype(np.uint8), grid, order=0, mode="nearest") > 0
         return np.where(known, fine, np.float32(np.nan)).astype(np.float32)
+
+
+def _result_shape(shape: Sequence[int], scale: float) -> tuple[int, int]:
+    """Cells of a result for a map with ``shape`` cells, each ``scale`` cells of the result wide."""
+    nx, ny = (max(math.floor(count * scale + 1e-6), 1) for count in shape)
+    return nx, ny
 
 
 def _cells(count: int, kind: str = "") -> str:

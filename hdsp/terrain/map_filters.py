@@ -6,11 +6,15 @@ Convention: heights are float32 arrays [nx, ny] in m, NaN = unknown. Each filter
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from hdsp.base.settings import Natural, NotNegative, Positive, checked
 from hdsp.robot.lattice import cells
+from hdsp.terrain.filling import closed
+from hdsp.terrain.fine_cells import medians_at
 from hdsp.terrain.map_parts import Part
 
 _LEAST_NOISE = 0.0005  # m; maps with less keep their heights
@@ -19,7 +23,7 @@ _NOISE_WINDOW = 9  # cells; the median over it is the ground in estimates of the
 _WINDOWS = 3, 5, 7, 9, 11  # cells, of the median filter
 _TILE, _TILES = 48, 5  # cells, tiles along each axis on which windows are tried
 #: Most cells in a spike. In larger cells than ``_SMALL``, one cell may hold a post.
-_SPIKE_CELLS = 3
+SPIKE_CELLS = 3
 _SMALL = 0.03  # m
 #: Spikes in larger cells are errors of the sensor if they are so many: cells, and their share of all known cells.
 _MANY, _MANY_SHARE = 10, 0.003
@@ -42,7 +46,7 @@ class ConditioningSettings:
     """
 
     spike: NotNegative = 0.05
-    hole: NotNegative = 0.075
+    hole: Annotated[float, Field(ge=0, le=10)] = 0.075
     edge: Positive = 0.05
     roughness: NotNegative = 0.0008
 
@@ -84,7 +88,7 @@ def estimate_noise(heights: np.ndarray, resolution: float, settings: Conditionin
     if settings.spike == 0:
         return Noise(deviation, window, 0)
     if resolution <= _SMALL:
-        return Noise(deviation, window, _SPIKE_CELLS)
+        return Noise(deviation, window, SPIKE_CELLS)
     single = Noise(deviation, window, 1)
     many = max(_MANY, _MANY_SHARE * np.count_nonzero(known))
     spikes = known & np.isnan(without_spikes(heights, single, settings))
@@ -137,8 +141,10 @@ def without_holes(heights: np.ndarray, resolution: float, noise: Noise, settings
     highest = maximum_filter(np.where(known, heights, -np.inf), window, mode="nearest")
     even = settings.edge + 2 * _SIGMAS * noise.deviation + _STEEPEST * window * resolution
     filled = _closed(known, 1) | (_closed(known, radius) & (highest - lowest <= even))
-    around = _median(_everywhere(heights), 2 * radius + 1)
-    return np.where(filled & ~known, around, heights)
+    holes = np.nonzero(filled & ~known)
+    result = heights.copy()
+    result[holes] = medians_at(_everywhere(heights), 2 * radius + 1, holes)
+    return result
 
 
 def without_noise(heights: np.ndarray, noise: Noise, settings: ConditioningSettings) -> np.ndarray:
@@ -211,12 +217,13 @@ def sampled(measured: np.ndarray, places: np.ndarray, scale: float, settings: Co
 
     full = _everywhere(measured)
     window = 2 * round(0.5 / scale) + 1
-    middle = _median(full, window)
     # A median would erase structures that are thinner than half of its window.
     thin = np.where(white_tophat(full, window, mode="nearest") > settings.edge, full, -np.inf)
     highest = maximum_filter(thin, window, mode="nearest")
-    heights = np.where(highest > middle + settings.edge, highest, middle)
-    return map_coordinates(heights, places, order=0, mode="nearest")
+    numbers = np.arange(full.size).reshape(full.shape)
+    nearest = np.unravel_index(map_coordinates(numbers, places, order=0, mode="nearest"), full.shape)
+    middle = medians_at(full, window, tuple(axis.ravel() for axis in nearest)).reshape(places.shape[1:])
+    return np.where(highest[nearest] > middle + settings.edge, highest[nearest], middle)
 
 
 def _with_sharp_edges(
@@ -263,13 +270,8 @@ def _everywhere(heights: np.ndarray) -> np.ndarray:
 
 
 def _closed(known: np.ndarray, radius: int) -> np.ndarray:
-    """Known cells and the holes that a disc closes, bool [nx, ny]."""
-    from scipy.ndimage import binary_closing
-
-    x, y = np.indices((2 * radius + 1,) * 2) - radius
-    # A gap of one cell at the border of the map is closed, too.
-    padded = np.pad(known, radius, mode="edge" if radius == 1 else "constant")
-    return binary_closing(padded, x**2 + y**2 <= radius**2)[radius:-radius, radius:-radius]
+    """Known cells and the holes that a disc closes, bool [nx, ny]; a gap of one cell at the border is closed, too."""
+    return closed(known, radius, "edge" if radius == 1 else "constant")
 
 
 def _bends(heights: np.ndarray, known: np.ndarray) -> np.ndarray:

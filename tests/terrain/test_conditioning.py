@@ -1,16 +1,29 @@
 """Conditioned maps: exact maps stay, noise, spikes and holes go, edges and slopes keep their place."""
 
 import math
+import time
 
 import numpy as np
 import pytest
 import yaml
-from scipy.ndimage import gaussian_filter
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.ndimage import (
+    binary_closing,
+    gaussian_filter,
+    map_coordinates,
+    maximum_filter,
+    median_filter,
+    minimum_filter,
+    white_tophat,
+)
 
 from hdsp.base.errors import InputError
 from hdsp.robot.lattice import RESOLUTION
-from hdsp.terrain import ConditioningSettings, HeightMap, conditioned, random_map, read_arena
+from hdsp.terrain import ConditioningSettings, HeightMap, conditioned, conditioning, map_filters, random_map, read_arena
 from hdsp.terrain.conditioning import Stages
+from hdsp.terrain.fine_cells import joined
 from hdsp.terrain.obstacles import Block, Scene
 
 SIDE = 120  # cells
@@ -220,6 +233,131 @@ def test_small_and_unknown_maps_are_conditioned(shape, cell):
         assert report.unknown == float(np.isnan(result.heights).mean())
 
 
+def closed_by_discs(known, radius):
+    x, y = np.indices((2 * radius + 1,) * 2) - radius
+    padded = np.pad(known, radius, mode="edge" if radius == 1 else "constant")
+    return binary_closing(padded, x**2 + y**2 <= radius**2)[radius:-radius, radius:-radius]
+
+
+def holes_filled_by_filters(heights, resolution, noise, settings):
+    """``without_holes`` with medians and discs over the whole map."""
+    known, radius = np.isfinite(heights), max(round(settings.hole / resolution), 1)
+    if known.all() or not known.any():
+        return heights
+    window = 2 * radius + 3
+    lowest = minimum_filter(np.where(known, heights, np.inf), window, mode="nearest")
+    highest = maximum_filter(np.where(known, heights, -np.inf), window, mode="nearest")
+    even = settings.edge + 10 * noise.deviation + math.tan(math.radians(20)) * window * resolution
+    filled = closed_by_discs(known, 1) | (closed_by_discs(known, radius) & (highest - lowest <= even))
+    around = median_filter(map_filters._everywhere(heights), 2 * radius + 1, mode="nearest")
+    return np.where(filled & ~known, around, heights)
+
+
+def sampled_from_filters(measured, places, scale, settings):
+    """``sampled`` with a median over the whole map."""
+    full, window = map_filters._everywhere(measured), 2 * round(0.5 / scale) + 1
+    middle = median_filter(full, window, mode="nearest")
+    thin = np.where(white_tophat(full, window, mode="nearest") > settings.edge, full, -np.inf)
+    highest = maximum_filter(thin, window, mode="nearest")
+    heights = np.where(highest > middle + settings.edge, highest, middle)
+    return map_coordinates(heights, places, order=0, mode="nearest")
+
+
+def ragged(cell, noise, gaps, seed, shape=(60, 47)):
+    """A block with noise, spikes, and unknown cells in patches of some size."""
+    rng = np.random.default_rng(seed)
+    heights = np.zeros(shape, np.float32)
+    heights[20:40, 10:35] = 0.3
+    heights[50, :30] = 0.5
+    heights += noise * rng.standard_normal(shape)
+    heights[rng.random(shape) < 0.01] += 0.4
+    heights[gaussian_filter(rng.standard_normal(shape), gaps) > 0.6 / (1 + 3 * gaps)] = np.nan
+    return HeightMap(heights, (1.0, -2.0), cell)
+
+
+@pytest.mark.parametrize("cell", [0.003, 0.005, 0.01, 0.0125, 0.025, 0.04])
+@pytest.mark.parametrize("gaps", [0.01, 1.0, 3.0])
+def test_medians_where_they_count_give_the_map_of_medians_everywhere(monkeypatch, cell, gaps):
+    for noise in (0.0, 0.01):
+        terrain = ragged(cell, noise, gaps, seed=round(100 * gaps))
+        result, report = terrain.conditioned()
+        with monkeypatch.context() as patch:
+            patch.setattr(conditioning, "without_holes", holes_filled_by_filters)
+            patch.setattr(conditioning, "sampled", sampled_from_filters)
+            slow, expected = terrain.conditioned()
+        assert result.heights.tobytes() == slow.heights.tobytes() and str(report) == str(expected)
+        assert report.filled
+
+
+@settings(max_examples=40, deadline=None)
+@given(hnp.arrays(bool, hnp.array_shapes(min_dims=2, max_dims=2, max_side=12)), st.integers(1, 9))
+def test_a_closing_by_distances_is_one_by_discs(known, radius):
+    np.testing.assert_array_equal(map_filters._closed(known, radius), closed_by_discs(known, radius))
+
+
+def joined_by_loops(heights, factor, edge, spike_cells):
+    shape = [math.ceil(count / factor) for count in heights.shape]
+    result = np.full(shape, np.nan, np.float32)
+    for x, y in np.ndindex(*shape):
+        block = heights[x * factor : (x + 1) * factor, y * factor : (y + 1) * factor]
+        known = sorted(block[np.isfinite(block)].tolist())
+        if known:
+            middle = np.float32(known[len(known) // 2])
+            high = [each for each in known if np.float32(each) > middle + np.float32(edge)]
+            result[x, y] = known[-1] if len(high) > min(spike_cells, factor - 1) else middle
+    return result
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    hnp.arrays(
+        np.float32,
+        hnp.array_shapes(min_dims=2, max_dims=2, max_side=12),
+        elements=st.sampled_from([0.0, 0.02, 0.25, 1.0, np.nan]),
+    ),
+    st.integers(1, 5),
+    st.integers(0, 3),
+)
+def test_joined_cells_have_their_median_or_their_thin_structure(heights, factor, spike_cells):
+    expected = joined_by_loops(heights, factor, 0.05, spike_cells)
+    np.testing.assert_array_equal(joined(heights, factor, 0.05, spike_cells), expected)
+
+
+@pytest.mark.parametrize("cell", [0.0005, 0.001, 0.002])
+def test_much_finer_cells_give_the_map_of_fine_ones_and_take_no_longer(cell):
+    """Level ground, a kerb, a wall 5 mm thick, noise, spikes, a hole and unknown ground."""
+    count, rng = round(0.6 / cell), np.random.default_rng(0)
+    x, y = (np.indices((count, count)) + 0.5) * cell
+    heights = np.where(x > 0.4, 0.15, 0.0) + np.where(np.abs(y - 0.25) < 0.00251, 0.4, 0.0)
+    heights += 0.005 * rng.standard_normal(heights.shape)
+    heights[rng.random(heights.shape) < 2e-4] += 0.5
+    heights[np.hypot(x - 0.2, y - 0.1) < 0.04] = np.nan
+    heights[y > 0.5] = np.nan
+    began = time.process_time()
+    result, report = HeightMap(heights, resolution=cell).conditioned()
+    assert time.process_time() - began < 2
+    assert result.shape == (24, 24) and report.filled and f"cells of {cell:g} m resampled" in str(report)
+    level, raised = result.heights[:15], result.heights[17:]
+    wall = slice(9, 11)
+    assert (level[:, wall].max(axis=1) > 0.38).all() and (raised[:, wall].max(axis=1) > 0.53).all()
+    for part, height in ((level, 0.0), (raised, 0.15)):
+        away = np.delete(part[:, :20], np.s_[8:12], axis=1)
+        np.testing.assert_allclose(away, height, atol=0.006)
+    assert np.isnan(result.heights[:, 20:]).all()
+
+
+def test_cells_too_fine_are_refused():
+    for cell in (1e-7, 9.9e-5):
+        with pytest.raises(InputError, match=rf"cells of {cell:g} m; conditioning .* at least 0\.0001 m"):
+            HeightMap.flat((60, 60), resolution=cell).conditioned()
+    assert HeightMap.flat((600, 600), resolution=1e-4).conditioned().terrain.shape == (2, 2)
+
+
+def test_a_hole_has_a_largest_size():
+    with pytest.raises(InputError, match=r"hole is 11\.0; need at most 10"):
+        ConditioningSettings(hole=11.0)
+
+
 def test_cells_too_coarse_or_too_many_are_refused():
     with pytest.raises(InputError, match=r"0\.3 m.*0\.2 m"):
         HeightMap.flat((10, 10), resolution=0.3).conditioned()
@@ -229,7 +367,7 @@ def test_cells_too_coarse_or_too_many_are_refused():
         ConditioningSettings(spike=-1.0)
 
 
-@pytest.mark.parametrize("cell", [0.0125, 0.025, 0.04, 0.05])
+@pytest.mark.parametrize("cell", [0.0011, 0.0125, 0.025, 0.04, 0.05])
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_a_change_gives_the_result_of_the_whole_map(cell, noise):
     """Only the neighbourhood of a change is conditioned again, with the noise of the first map."""
