@@ -138,6 +138,16 @@ def test_times_outside_the_motion_are_refused(motion, wrong):
         motion.at(wrong)
 
 
+@pytest.mark.parametrize("wrong", ["soon", {}, 10**400, [[1.0], [1.0, 2.0]]])
+def test_times_and_rates_that_are_no_numbers_are_refused(motion, wrong, tmp_path):
+    with pytest.raises(InputError, match=r"time .*: need numbers from 0 to"):
+        motion.at(wrong)
+    with pytest.raises(InputError, match=r"rate is .*; need a positive number"):
+        motion.save(tmp_path / "motion.csv", rate=wrong)
+    with pytest.raises(InputError, match=r"speed .*, fps .*, width .*; need"):
+        motion.animate(tmp_path / "motion.gif", speed=wrong)
+
+
 def test_faster_limits_make_faster_motions(motion):
     values = MOMARO.to_dict()
     double = {name: {key: 2 * value for key, value in values[name].items()} for name in ("speeds", "accelerations")}

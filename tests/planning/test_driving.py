@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 from dataclasses import replace
 from functools import lru_cache
 
@@ -13,10 +14,11 @@ from hypothesis import strategies as st
 
 from benchmarks.driven.tasks import map_of
 from hdsp import HeightMap, InputError, Planner, Robot
+from hdsp.detailed.motion.motion import Motion
 from hdsp.planning.cli import main
 from hdsp.planning.commands.drive_command import FAILED
 from hdsp.planning.driving.contact_forces import ContactForces
-from hdsp.planning.driving.drive_film import glass_walls
+from hdsp.planning.driving.drive_film import glass_walls, pictures
 from hdsp.planning.driving.driven_run import Ending
 from hdsp.planning.driving.follower import Follower
 from hdsp.planning.driving.ground_model import rectangles
@@ -109,6 +111,70 @@ def test_a_drive_is_a_function_of_its_seed():
     first, again, other = (found.drive(seed=seed) for seed in (3, 3, 4))
     assert np.array_equal(first.positions, again.positions) and first.energy == again.energy
     assert not np.array_equal(first.positions[: len(other.positions)], other.positions[: len(first.positions)])
+
+
+FAR = np.array([412345.678, 5654321.123])  # single precision has steps of half a metre there
+
+
+def far(terrain: HeightMap) -> HeightMap:
+    return replace(terrain, origin=tuple(FAR + terrain.origin))
+
+
+@pytest.mark.parametrize("natural", [False, True])
+def test_ground_of_a_projected_map_lies_in_its_place(natural):
+    heights = block(0.2).heights + (0.002 * np.random.default_rng(0).random((160, 100)) if natural else 0.0)
+    near, robot = HeightMap(heights, (-3.0, 2.0)), Robot.load("momaro")
+    one, other = SimulatedRobot(robot, near).model, SimulatedRobot(robot, far(near), tuple(FAR)).model
+    assert one.nhfield == natural
+    np.testing.assert_allclose(other.geom_pos, one.geom_pos, atol=1e-6)
+    np.testing.assert_allclose(other.geom_size, one.geom_size, atol=1e-9)
+
+
+def test_a_drive_on_a_projected_map_is_the_drive_near_zero(tmp_path):
+    terrain, goal = block(0.2, 2.4), (1.5, 1.25, 0.0)
+    near = plan("momaro", goal).drive(terrain)
+    start, goal = ((*(FAR + pose[:2]), pose[2]) for pose in (START, goal))
+    found = Planner(far(block(0.0)), "momaro", "geometric").plan(start, goal, weight=2.0, refinable=True, polish=0)
+    run = found.drive(far(terrain))
+    assert near.success and run.success, (near.cause, run.cause)
+    assert run.place == tuple(FAR) and near.place == (0.0, 0.0)
+    np.testing.assert_allclose(run.positions[-1], near.positions[-1], atol=0.02)
+    np.testing.assert_allclose(run.motion.base[0] - (*FAR, 0, 0, 0, 0), near.motion.base[0], atol=1e-3)
+    np.testing.assert_allclose(run.motion.feet[-1] - (*FAR, 0), near.motion.feet[-1], atol=0.02)
+    assert run.energy == pytest.approx(near.energy, rel=0.1)
+    wall = Scene((Block(FAR[0] + 1.7, FAR[1] + 1.25, 0.0, 0.1, 2.0, 1.0),))
+    hit = found.drive(wall)
+    assert hit.ending is Ending.BODY_TOUCHED and re.search(r"at \(41234\d\.\d\d, 565432\d\.\d\d\) m", hit.cause)
+    try:
+        shown = [next(pictures(each, [0], (160, 120))) for each in (run, near)]
+    except InputError as error:
+        pytest.skip(str(error))
+    one, other = (np.asarray(picture.convert("RGB"), float) for picture in shown)
+    assert np.abs(one - other).mean() < 2 and one.std() > 10
+
+
+def test_a_drive_that_ends_at_once_is_a_motion(tmp_path):
+    found = plan("momaro", (1.5, 1.25, 0.0))
+    run = found.drive(Scene((Block(1.0, 1.25, 0.0, 2.0, 2.0, 0.5), Block(1.0, 1.25, 0.0, 0.2, 0.2, 1.5))))
+    assert len(run.motion) == 1 and run.duration == 0 and not run.success
+    state = run.motion.at([0.0, 0.1])
+    assert not state.base_velocity.any() and not state.feet_velocity.any()
+    np.testing.assert_array_equal(state.base, run.motion.base[[0, 0]])
+    for name in ("run.csv", "run.json", "run.npz", "run.mcap", "bag"):
+        assert run.save(tmp_path / name).exists()
+    assert len(Motion.load(tmp_path / "run.npz")) == 1
+    json.dumps(run.facts(), allow_nan=False)
+    assert repr(run.motion) == "DrivenMotion(momaro: 1 configurations, 1 actions, 0 of them steps)"
+    try:
+        assert run.save(tmp_path / "run.gif").stat().st_size > 1000
+    except InputError as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.parametrize("seed", [None, "3", -1, 1.5, True])
+def test_a_seed_that_is_none_is_refused(seed):
+    with pytest.raises(InputError, match="seed is"):
+        plan("momaro", (1.5, 1.25, 0.0)).drive(seed=seed)
 
 
 def test_unknown_ground_ends_the_drive_with_its_cause():

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps, finished
+from hdsp.base.messages import shown
 from hdsp.base.notebook import html_of, png_of
 from hdsp.detailed.motion.motion_files import animate_motion, read_motion, save_motion_file
 from hdsp.detailed.motion.motion_state import MotionState
@@ -58,8 +59,8 @@ class Motion:
 
     def __repr__(self) -> str:
         steps = int((np.diff(self.phase == PHASES.index("lift"), prepend=0) == 1).sum())
-        actions = len(np.unique(self.action))
-        return f"Motion({self.robot.name}: {len(self)} configurations, {actions} actions, {steps} of them steps)"
+        counts = f"{len(self)} configurations, {len(np.unique(self.action))} actions, {steps} of them steps"
+        return f"{type(self).__name__}({self.robot.name}: {counts})"
 
     def _repr_html_(self) -> str | None:
         return html_of(self)
@@ -98,9 +99,13 @@ class Motion:
             time: s from the start, any shape, [0, ``duration``].
 
         Raises:
-            InputError: a time before the start or after the end; ``numpy.clip(time, 0, motion.duration)`` rests there.
+            InputError: a time before the start or after the end (``numpy.clip(time, 0, motion.duration)`` rests there),
+                or no number.
         """
-        given = np.asarray(time, float)
+        try:
+            given = np.asarray(time, float)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f"time {shown(time)}: need numbers from 0 to {self.duration:.6g} s") from None
         moments = given.ravel()
         outside = ~((moments >= 0) & (moments <= self.duration))
         if outside.any():

@@ -18,6 +18,8 @@ import numpy as np
 from hdsp.base.array_files import npz_arrays
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file, replacing, writable_file
+from hdsp.base.messages import shown
+from hdsp.base.scalars import real
 from hdsp.detailed.motion.motion_state import MotionState
 from hdsp.detailed.motion.phases import PHASES
 from hdsp.robot.robot import FEET, Robot
@@ -44,8 +46,8 @@ _DIGITS = 6
 def save_motion_file(motion: Any, path: str | os.PathLike, rate: float) -> Path:
     """Writes a motion; see ``Motion.save``."""
     path = check_motion_path(path)
-    if not 0 < rate <= 10_000:
-        raise InputError(f"rate is {rate}; need a positive number of states per second, at most 10,000")
+    if not 0 < real(rate) <= 10_000:
+        raise InputError(f"rate is {shown(rate)}; need a positive number of states per second, at most 10,000")
     _WRITERS[path.suffix.lower()](motion, path, rate)
     return path
 

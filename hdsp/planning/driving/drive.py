@@ -8,8 +8,10 @@ import numpy as np
 
 from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.motion.phases import PHASES
+from hdsp.planning.arguments import whole
 from hdsp.planning.driving.driven_run import DrivenMotion, Ending, Run, checked_ground
 from hdsp.planning.driving.follower import Follower
+from hdsp.planning.driving.local_motion import local_place, relative
 from hdsp.planning.driving.reference import Reference
 from hdsp.planning.driving.simulated_robot import SimulatedRobot
 from hdsp.robot.robot import FEET
@@ -40,17 +42,19 @@ def drive(motion: Motion, terrain: Any = None, seed: int = 0) -> Run:
         seed: seed for the noise of the measured pose.
 
     Raises:
-        InputError: MuJoCo or quadprog is missing, or the terrain is something else.
+        InputError: MuJoCo or quadprog is missing, the terrain is something else, or the seed is no whole number >= 0.
     """
-    return _Drive(motion, checked_ground(motion.terrain if terrain is None else terrain), seed).run()
+    ground = checked_ground(motion.terrain if terrain is None else terrain)
+    return _Drive(motion, ground, whole("seed", seed)).run()
 
 
 class _Drive:
     """One drive: simulation, follower, watch and record."""
 
     def __init__(self, motion: Motion, ground: HeightMap | Scene, seed: int):
-        self._motion, self._ground = motion, ground
-        self._sim = sim = SimulatedRobot(motion.robot, ground)
+        self._planned, self._ground, self._origin = motion, ground, local_place(motion.terrain)
+        self._motion = motion = relative(motion, self._origin)
+        self._sim = sim = SimulatedRobot(motion.robot, ground, self._origin)
         self._reference = Reference(motion, sim.size.radius)
         self._place()
         self._follower = Follower(sim, self._reference, np.random.default_rng(seed))
@@ -63,11 +67,11 @@ class _Drive:
     def _place(self) -> None:
         """Places the robot so that no wheel is in the ground."""
         base, feet, lowest = self._motion.base[0].copy(), self._reference.feet[0].copy(), self._motion.feet[0]
-        highest = _DROP
+        highest, (x, y) = _DROP, (feet[:, :2] + self._origin).T
         if isinstance(self._ground, HeightMap):
-            true = np.asarray(self._ground.height_at(feet[:, 0], feet[:, 1]), float)
+            true = np.asarray(self._ground.height_at(x, y), float)
         else:
-            true = self._ground.heights_at(feet[:, 0], feet[:, 1]).astype(float)
+            true = self._ground.heights_at(x, y).astype(float)
         highest += float(np.nan_to_num(true - lowest[:, 2]).max())
         base[2] += highest
         feet[:, 2] += highest
@@ -155,7 +159,7 @@ class _Drive:
 
     def _where(self) -> str:
         phase, action = self._follower.labels
-        x, y = self._sim.base_place()[:2]
+        x, y = self._sim.base_place()[:2] + self._origin
         return f"at ({x:.2f}, {y:.2f}) m, in action {action} ({PHASES[phase]})"
 
     def _run(self, ending: Ending, cause: str) -> Run:
@@ -163,14 +167,16 @@ class _Drive:
             np.array(values) for values in zip(*self._rows, strict=True)
         )
         base[:, 3:] = np.unwrap(base[:, 3:], axis=0)
-        plan = self._motion
+        base[:, :2] += self._origin
+        feet[..., :2] += self._origin
+        plan = self._planned
         driven = DrivenMotion(
             base, feet, carries, action, phase.astype(np.uint8), plan.terrain, plan.robot, moments - moments[0]
         )
         distance, turn = self._from_goal()
         return Run(
             ending, cause, driven, plan, progress, forces, self._slip, self._margin, self._energy, distance, turn,
-            self._ground, positions.astype(np.float32),
+            self._ground, positions.astype(np.float32), self._origin,
         )  # fmt: skip
 
 

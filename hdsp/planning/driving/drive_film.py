@@ -8,6 +8,7 @@ looks from behind and from higher up. Legs are drawn with knees, as in
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,11 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import writable_file
+from hdsp.base.messages import shown
+from hdsp.base.scalars import real
 from hdsp.detailed.motion.motion_files import ANIMATIONS
 from hdsp.detailed.motion.phases import PHASES
+from hdsp.planning.driving.local_motion import relative
 from hdsp.planning.driving.simulated_robot import SimulatedRobot, import_mujoco
 from hdsp.viz.viewer.robot_pose import parts
 
@@ -48,11 +52,10 @@ def save_film(
     """
     path = writable_file(path, "animation", ANIMATIONS)
     speed = max(1.0, run.duration / _SHOWN) if speed is None else speed
-    if not (0 < speed <= 1000 and 0 < fps <= 100 and 64 <= width <= 1920 and 64 <= height <= 1440):
-        raise InputError(
-            f"speed {speed:g}, fps {fps:g}, width {width}, height {height}; need up to 1000, up to 100, 64 to 1920, "
-            "64 to 1440"
-        )
+    fits = 0 < real(speed) <= 1000 and 0 < real(fps) <= 100
+    if not (fits and 64 <= real(width) <= 1920 and 64 <= real(height) <= 1440):
+        given = f"speed {shown(speed)}, fps {shown(fps)}, width {shown(width)}, height {shown(height)}"
+        raise InputError(f"{given}; need up to 1000, up to 100, 64 to 1920, 64 to 1440")
     try:
         from hdsp.viz.recordings.animation import write_frames
     except ModuleNotFoundError as error:
@@ -77,7 +80,8 @@ def pictures(run: Any, rows: Sequence[int], size: tuple[int, int], speed: float 
     from PIL import Image
 
     mujoco = import_mujoco()
-    sim = SimulatedRobot(run.motion.robot, run.ground)
+    sim = SimulatedRobot(run.motion.robot, run.ground, run.place)
+    run = replace(run, motion=relative(run.motion, run.place))
     camera = mujoco.MjvCamera()
     places = _smoothed(run)
     walls = glass_walls(sim, run)

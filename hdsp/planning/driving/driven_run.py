@@ -15,6 +15,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.short_repr import shortened
 from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.motion.motion_state import MotionState
+from hdsp.planning.driving.local_motion import Place
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.obstacles import Scene
 
@@ -32,7 +33,7 @@ class Ending(StrEnum):
     OUT_OF_TIME = "out_of_time"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DrivenMotion(Motion):
     """States that were driven, as a motion: every format of motions records them.
 
@@ -50,6 +51,8 @@ class DrivenMotion(Motion):
 
     @cached_property
     def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
+        if len(self) == 1:  # the drive ended at once
+            return np.zeros_like(self.base), np.zeros_like(self.feet)
         unwrapped = self.base.copy()
         unwrapped[:, 3:] = np.unwrap(unwrapped[:, 3:], axis=0)
         return tuple(np.gradient(values, self.moments, axis=0) for values in (unwrapped, self.feet))  # type: ignore
@@ -57,9 +60,8 @@ class DrivenMotion(Motion):
     def at(self, time: ArrayLike) -> MotionState:
         """Returns the recorded state nearest to each time."""
         given = np.asarray(time, float)
-        row = np.clip(
-            np.searchsorted(self.moments, given - 0.5 * (self.moments[1] - self.moments[0])), 0, len(self) - 1
-        )
+        step = self.moments[1] - self.moments[0] if len(self) > 1 else 0.0
+        row = np.clip(np.searchsorted(self.moments, given - 0.5 * step), 0, len(self) - 1)
         base_velocity, feet_velocity = self._velocities
         return MotionState(
             given, self.base[row], self.feet[row], self.carries[row], self.phase[row], self.action[row],
@@ -89,7 +91,8 @@ class Run:
         energy: mechanical work of the motors, J; braking returns nothing.
         distance, turn: from the end of the planned motion, m and rad.
         ground: the ground that was driven on.
-        positions: float32 [n, number of coordinates], MuJoCo's ``qpos`` in each state.
+        positions: float32 [n, number of coordinates], MuJoCo's ``qpos`` in each state, relative to ``place``.
+        place: world position (x, y) of the simulation's origin, m.
     """
 
     ending: Ending
@@ -105,6 +108,7 @@ class Run:
     turn: float
     ground: HeightMap | Scene = field(repr=False)
     positions: np.ndarray = field(repr=False)
+    place: Place
 
     def __repr__(self) -> str:
         return shortened(f"Run({self.cause}, {self.duration:.1f} s, {self.energy:.0f} J)")

@@ -4,7 +4,7 @@ A height map with few heights becomes boxes, because a height field would turn e
 cells are joined to rectangles of equal height. A map of natural ground becomes a height field with a vertex in each
 cell.
 
-Convention: world coordinates of the map, z up, m.
+Convention: world coordinates of the map relative to the simulation's origin, z up, m.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from hdsp.planning.driving.local_motion import Place
 from hdsp.planning.driving.robot_model import child
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.obstacles import Block, Face, Scene
@@ -72,8 +73,9 @@ class GroundModel:
         field: heights for ``model.hfield_data``, float32, scaled to [0, 1]; None without a height field.
     """
 
-    def __init__(self, root: ElementTree.Element, terrain: HeightMap | Scene):
+    def __init__(self, root: ElementTree.Element, terrain: HeightMap | Scene, place: Place):
         self.field: np.ndarray | None = None
+        self._place = place
         self._world, self._assets = child(root, "worldbody"), child(root, "asset")
         if isinstance(terrain, Scene):
             self._add_scene(terrain)
@@ -89,12 +91,13 @@ class GroundModel:
 
     def _add_face(self, block: Block, face: Face) -> None:
         """Column below a plane piece; inclined pieces are convex meshes."""
+        face = face._replace(x=face.x - self._place[0], y=face.y - self._place[1])
         turn = f"0 0 {face.yaw:.7g}"
         if not face.slope_along and not face.slope_across:
             half = face.height / 2
             self._add(
-                "box", pos=f"{face.x:.7g} {face.y:.7g} {half:.7g}", euler=turn,
-                size=f"{face.length / 2:.7g} {face.width / 2:.7g} {half:.7g}", rgba=_shade(face.height),
+                "box", pos=_text(face.x, face.y, half), euler=turn,
+                size=_text(face.length / 2, face.width / 2, half), rgba=_shade(face.height),
             )  # fmt: skip
             return
         cos, sin = np.cos(face.yaw), np.sin(face.yaw)
@@ -109,7 +112,7 @@ class GroundModel:
     def _add_mesh(self, corners: np.ndarray, color: str) -> None:
         """Convex hull of points [n, 3]; the mesh frame is its centre of inertia, so the world frame is given back."""
         name = f"piece{len(self._assets)}"
-        text = "  ".join(" ".join(f"{value:.7g}" for value in corner) for corner in corners.tolist())
+        text = "  ".join(_text(*corner) for corner in corners.tolist())
         ElementTree.SubElement(self._assets, "mesh", name=name, vertex=text, inertia="convex")
         self._add("mesh", mesh=name, rgba=color)
 
@@ -120,14 +123,14 @@ class GroundModel:
         if found is None:
             self._add_field(terrain, low)
             return
-        colors = height_colors(terrain)[..., :3] / 255.0
+        (x0, y0), colors = self._corner(terrain), height_colors(terrain)[..., :3] / 255.0
         for piece in found:
-            x, y = (piece.x0 + piece.x1) / 2 * cell + terrain.origin[0], (piece.y0 + piece.y1) / 2 * cell
+            x, y = x0 + (piece.x0 + piece.x1) / 2 * cell, y0 + (piece.y0 + piece.y1) / 2 * cell
             half = (piece.height - low + _THICK) / 2
             color = 1 - 0.62 * (1 - colors[piece.x0, piece.y0])
             self._add(
-                "box", pos=f"{x:.7g} {y + terrain.origin[1]:.7g} {piece.height - half:.7g}",
-                size=f"{(piece.x1 - piece.x0) * cell / 2:.7g} {(piece.y1 - piece.y0) * cell / 2:.7g} {half:.7g}",
+                "box", pos=_text(x, y, piece.height - half),
+                size=_text((piece.x1 - piece.x0) * cell / 2, (piece.y1 - piece.y0) * cell / 2, half),
                 rgba=" ".join(f"{value:.3f}" for value in (*color, 1.0)),
             )  # fmt: skip
 
@@ -135,15 +138,24 @@ class GroundModel:
         heights, cell = np.where(np.isnan(terrain.heights), low, terrain.heights), terrain.resolution
         (nx, ny), span = heights.shape, max(float(heights.max()) - low, 1e-3)
         reach = (nx - 1) * cell / 2, (ny - 1) * cell / 2
-        middle = terrain.origin[0] + nx * cell / 2, terrain.origin[1] + ny * cell / 2
-        size = f"{reach[0]:.7g} {reach[1]:.7g} {span:.7g} {_THICK}"
+        x0, y0 = self._corner(terrain)
+        middle = x0 + nx * cell / 2, y0 + ny * cell / 2
+        size = _text(*reach, span, _THICK)
         ElementTree.SubElement(self._assets, "hfield", name="ground", nrow=str(ny), ncol=str(nx), size=size)
-        self._add("hfield", hfield="ground", pos=f"{middle[0]:.7g} {middle[1]:.7g} {low:.7g}", rgba=_GREY)
+        self._add("hfield", hfield="ground", pos=_text(*middle, low), rgba=_GREY)
         self.field = ((heights.T - low) / span).astype(np.float32).ravel()
+
+    def _corner(self, terrain: HeightMap) -> tuple[float, float]:
+        return terrain.origin[0] - self._place[0], terrain.origin[1] - self._place[1]
 
     def _add(self, kind: str, **values: str) -> None:
         fixed = {"type": kind, "contype": "1", "conaffinity": "0", "friction": "0.01 0.005 0.0001"}
         ElementTree.SubElement(self._world, "geom", fixed | values)
+
+
+def _text(*lengths: float) -> str:
+    """Lengths to a hundredth of a millimetre at least, also hundreds of metres."""
+    return " ".join(f"{value:.7g}" if abs(value) < 100 else f"{value:.6f}" for value in lengths)
 
 
 def _shade(height: float) -> str:

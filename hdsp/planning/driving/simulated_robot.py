@@ -10,6 +10,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.planning.driving.ground_model import GroundModel
+from hdsp.planning.driving.local_motion import Place
 from hdsp.planning.driving.robot_model import Dimensions, add_light, add_robot
 from hdsp.robot.robot import FEET, Robot
 from hdsp.robot.urdf import BASE_FRAME, leg_joints, wheel_frame
@@ -34,20 +35,20 @@ def import_mujoco() -> Any:
 class SimulatedRobot:
     """A robot and its ground.
 
-    Convention: world frame of the terrain; feet in the order of ``FEET``. A foot is the point in which a wheel on level
-    ground touches it.
+    Convention: world frame of the terrain, relative to ``place``; feet in the order of ``FEET``. A foot is the point in
+    which a wheel on level ground touches it.
 
     Attributes:
         robot, size: the robot and its values for the simulation.
         model, data: MuJoCo's model and state.
     """
 
-    def __init__(self, robot: Robot, terrain: HeightMap | Scene):
+    def __init__(self, robot: Robot, terrain: HeightMap | Scene, place: Place = (0.0, 0.0)):
         self._mujoco = mujoco = import_mujoco()
         self.robot, self.size = robot, Dimensions.of(robot)
         root = ElementTree.Element("mujoco", model=robot.name)
         add_light(root)
-        ground = GroundModel(root, terrain)
+        ground = GroundModel(root, terrain, place)
         add_robot(root, robot, np.array([0.0, 0.0, 1.0]))
         self.model = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
         if ground.field is not None:

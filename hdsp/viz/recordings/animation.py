@@ -15,6 +15,8 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing, writable_file
+from hdsp.base.messages import shown
+from hdsp.base.scalars import real
 from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.motion.motion_files import ANIMATIONS
 from hdsp.detailed.motion.phases import PHASES
@@ -63,8 +65,9 @@ def save_animation(
     path = writable_file(path, "animation", ANIMATIONS)
     if speed is None:
         speed = max(1.0, motion.duration / _SHOWN)
-    if not (0 < speed <= 1000 and 0 < fps <= 100 and 64 <= width <= 3840):
-        raise InputError(f"speed {speed:g}, fps {fps:g}, width {width}; need up to 1000, up to 100, 64 to 3840")
+    if not (0 < real(speed) <= 1000 and 0 < real(fps) <= 100 and 64 <= real(width) <= 3840):
+        given = f"speed {shown(speed)}, fps {shown(fps)}, width {shown(width)}"
+        raise InputError(f"{given}; need up to 1000, up to 100, 64 to 3840")
     return write_frames(path, _Film(motion, fps / speed, speed, width).frames(), fps)
 
 
