@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -10,9 +11,10 @@ from hypothesis import strategies as st
 
 from hdsp import HeightMap, InputError, Planner, Status
 from hdsp.abstract.transform import feet_at
+from hdsp.base.gradual import finished
 from hdsp.detailed.search.bounds import rounding
 from hdsp.planning.ends import arrival
-from hdsp.robot.lattice import HEADINGS, RESOLUTION, heading_angle
+from hdsp.robot.lattice import HEADINGS, RESOLUTION, Grid, heading_angle
 from tests.detailed.instances import NIMBLE, blocky, valid_states
 from tests.naive import Naive, dijkstra
 
@@ -159,3 +161,50 @@ def test_a_goal_given_twice_or_goals_that_overlap_take_no_longer_search():
     assert (twice.cost, twice.stats.expansions, twice.goal_index) == (alone.cost, alone.stats.expansions, 0)
     both = planner.plan(start, [goal, beside], tolerance=0.1)
     assert both.cost <= alone.cost and both.stats.expansions < 20 * alone.stats.expansions
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    shape=st.tuples(st.integers(1, 30), st.integers(1, 30)),
+    place=st.tuples(st.floats(0, 0.999), st.floats(0, 0.999)),
+    distance=st.sampled_from([0.0, 0.01, 0.2, 0.5, 3.0, 1e308]),
+)
+def test_positions_within_a_tolerance_come_some_rows_at_a_time(shape, place, distance):
+    grid = Grid((412345.678, -2.0), shape)
+    xy = np.array(grid.origin) + np.array(shape) * RESOLUTION * place
+    state = np.array([*grid.cell(xy), 0, 0, 0, 0, 0])
+    every = np.stack(np.indices(shape), axis=-1).reshape(-1, 2)
+    near = np.hypot(*(grid.center(every) - xy).T) <= distance + 1e-9
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(arrival, "_CELLS_AT_ONCE", 64)
+        blocks = list(arrival._positions(grid, state, xy, distance))
+    np.testing.assert_array_equal(np.concatenate(blocks), every[near | (every == state[:2]).all(axis=1)])
+    assert max(map(len, blocks)) <= 64
+
+
+def test_a_wide_tolerance_looks_at_memory_and_clock_before_it_makes_states(monkeypatch):
+    planner = Planner(HeightMap.flat((300, 300)))
+    goal = 3.7, 3.7, 0.0
+    monkeypatch.setattr(arrival, "_standing_at", lambda *_: pytest.fail("made states"))
+    steps = arrival.arrival_steps(planner.world, planner.grid, planner.robot, [goal], 1e308, memory=20e6)
+    tracemalloc.start()
+    began, pauses = next(steps), 1
+    with pytest.raises(InputError, match=r"90000 states at the goal need 36000000 bytes at least; 20000000 are left"):
+        for _ in steps:
+            pauses += 1
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert began is None and pauses >= 2 and most < 5e6
+
+
+def test_goals_share_the_memory_for_their_states():
+    planner = Planner(HeightMap.flat((100, 100)))
+    goals, needed = [(1.0, 1.25, 0.0), (1.5, 1.25, 0.0)], 49 * arrival.STATE_BYTES
+
+    def states(memory):
+        return finished(arrival.arrival_steps(planner.world, planner.grid, planner.robot, goals, 0.09, memory)).states
+
+    count = len(states(math.inf))
+    assert 49 < count < 98
+    with pytest.raises(InputError, match="states at the goal need"):
+        states(1.2 * needed)

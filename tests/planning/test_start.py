@@ -2,6 +2,7 @@
 
 import heapq
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from hypothesis import strategies as st
 from hdsp import HeightMap, InputError, Planner, Status
 from hdsp.detailed.search.leaving import leave
 from hdsp.detailed.world.world import build_world
+from hdsp.planning.ends import nearby
 from hdsp.planning.ends.nearby import can_leave, length_of
-from hdsp.robot.lattice import RESOLUTION, cells
+from hdsp.robot.lattice import HEADINGS, RESOLUTION, Grid, cells, heading_angle
 from tests.detailed.instances import NIMBLE, blocky, valid_states
 from tests.naive import Naive
 
@@ -190,6 +192,49 @@ def test_q1_the_nearest_pose_is_the_first_that_stands_and_leaves():
     assert planner(np.full((60, 60), np.nan, np.float32)).nearest((0.7, 0.7, 0.0)) is None
     with pytest.raises(InputError, match="radius"):
         those.nearest(asked, radius=-1)
+
+
+def poses_within(grid, pose, heading_free, radius, per_radian):
+    """All base poses within a distance at once, and their distances, the nearest first."""
+    at = np.stack(np.indices(grid.shape), axis=-1).reshape(-1, 2)
+    away = np.hypot(*(grid.center(at) - pose[:2]).T)
+    turned = abs(np.mod(heading_angle(np.arange(HEADINGS)) - pose[2] + math.pi, 2 * math.pi) - math.pi)
+    distance = away[:, None] + (0.0 if heading_free else per_radian) * turned
+    cell, heading = np.nonzero(distance <= radius + 1e-9)
+    order = np.lexsort((turned[heading], distance[cell, heading]))
+    return np.column_stack([at[cell], heading])[order], distance[cell, heading][order]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    shape=st.tuples(st.integers(1, 30), st.integers(1, 30)),
+    place=st.tuples(st.floats(0, 0.999), st.floats(0, 0.999), st.floats(-3.2, 3.2) | st.just(0.0)),
+    free=st.booleans(),
+    radius=st.sampled_from([0.0, 0.03, 0.2, 0.5, 3.0, 1e308]),
+    per_radian=st.sampled_from([0.0, 0.05, 0.3, 2.0, 1e6]),
+    centred=st.booleans(),
+    first=st.sampled_from([0.01, 0.1, 1.1]),
+)
+def test_poses_from_near_to_far_are_all_poses_in_order(shape, place, free, radius, per_radian, centred, first):
+    grid = Grid((412345.678, -2.0), shape)
+    xy = np.array(grid.origin) + np.array(shape) * RESOLUTION * place[:2]
+    pose = np.array([*(grid.center(grid.cell(xy)) if centred else xy), place[2]])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(nearby, "_FIRST_DISC", first)
+        blocks = list(nearby._poses_outward(grid, pose, free, radius, per_radian))
+    bases, distance = poses_within(grid, pose, free, radius, per_radian)
+    np.testing.assert_array_equal(np.concatenate([np.empty((0, 3)), *(each[0] for each in blocks)]), bases)
+    np.testing.assert_array_equal(np.concatenate([[], *(each[1] for each in blocks)]), distance)
+    assert all(len(each[0]) <= 512 for each in blocks)
+
+
+def test_the_nearest_of_many_poses_takes_little_memory():
+    grid, pose = Grid((0.0, 0.0), (2000, 2000)), np.array([25.01, 25.01, 0.0])
+    tracemalloc.start()
+    bases, _ = next(nearby._poses_outward(grid, pose, False, 1e308, 0.3))
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert bases[0].tolist() == [1000, 1000, 0] and most < 10e6
 
 
 def test_q1_an_invalid_end_names_the_nearest_pose_that_works():

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeGuard
 
 import numpy as np
 
@@ -28,6 +29,7 @@ Tolerance = float | tuple[float, float]
 STATE_BYTES = 400
 _ROUNDING = 1e-9  # m
 _FEET_AT_ONCE = 30_000  # foot configurations between two looks at the clock
+_CELLS_AT_ONCE = 30_000  # cells near a goal, likewise
 _AT_ONCE = 256  # poses between two looks at the clock, on ground where T_a->d takes long
 
 
@@ -96,6 +98,7 @@ def arrival_steps(
             exact = exact and len(states) == 1
         if len(states) == 0:
             faults.append(wrong)
+        memory -= STATE_BYTES * len(states)
         found.append(states)
         numbers.append(np.full(len(states), k))
     states, numbers_of = np.concatenate(found), np.concatenate(numbers)
@@ -122,27 +125,31 @@ def poses_of(start, goal) -> tuple[np.ndarray, ...]:
 
 def several(goal) -> list | None:
     """Returns the poses of a sequence of goals; None if the argument is one pose."""
-    if isinstance(goal, np.ndarray):
-        return list(goal) if goal.ndim == 2 else None
-    if not isinstance(goal, Sequence) or isinstance(goal, str):
+    if not _is_row(goal):
         return None
     if len(goal) == 0:
         raise InputError("goal is empty: need a pose, or a sequence of poses")
-    inner = [isinstance(each, Sequence | np.ndarray) and not isinstance(each, str) for each in goal]
-    return list(goal) if all(inner) else None
+    return list(goal) if all(_is_row(each) for each in goal) else None
 
 
 def with_heading(goal) -> tuple[object, bool]:
     """Returns a goal with a number for its heading, and whether it leaves the heading free."""
-    if isinstance(goal, Sequence | np.ndarray) and len(goal) in (3, 7) and goal[2] is None:
+    if _is_row(goal) and len(goal) in (3, 7) and goal[2] is None:
         return (*goal[:2], 0.0, *goal[3:]), True
     return goal, False
+
+
+def _is_row(value: object) -> TypeGuard[Sequence | np.ndarray]:
+    """Whether a value has entries; a text has none, nor has an array of numpy without axes."""
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
 def _checked(tolerance: Tolerance | None) -> tuple[float, float] | None:
     if tolerance is None:
         return None
-    if not isinstance(tolerance, Sequence | np.ndarray) or (isinstance(tolerance, np.ndarray) and tolerance.ndim == 0):
+    if not _is_row(tolerance) and not isinstance(tolerance, str):
         return number("tolerance", tolerance, 0.0), 0.0
     if isinstance(tolerance, str) or len(tolerance) != 2:
         raise InputError(f"tolerance is {shown(tolerance)}; it must be a number >= 0 in m, or a pair (m, rad)")
@@ -186,24 +193,36 @@ def _around(
     feet = state[3:]
     if given and ((feet < t.lowest).any() or (feet >= t.lowest + t.n_offsets).any()):
         return np.empty((0, 7), dtype=np.int64)
-    reach = math.ceil(cells(distance)) + 1
-    reach = min(reach, max(grid.shape))
-    span = np.arange(-reach, reach + 1)
-    at = state[:2] + np.stack(np.meshgrid(span, span, indexing="ij"), axis=-1).reshape(-1, 2)
-    at = at[grid.contains(at)]
-    away = np.hypot(*(grid.center(at) - values[:2]).T)
-    at = at[(away <= distance + _ROUNDING) | (at == state[:2]).all(axis=1)]
     off = np.mod(heading_angle(np.arange(HEADINGS)) - values[2] + math.pi, 2 * math.pi) - math.pi
     headings = np.flatnonzero((abs(off) <= turn + _ROUNDING) | (np.arange(HEADINGS) == state[2]))
-    _check_memory(len(at) * len(headings), memory)
+    count = 0
+    for at in _positions(grid, state, values, distance):
+        if count:
+            yield
+        count += len(at)
+    _check_memory(count * len(headings), memory)
     found: list[np.ndarray] = []
     rows = max(_AT_ONCE // len(headings), 1)
-    for part in np.array_split(at, range(rows, len(at), rows)):
-        if found:
-            yield
-        bases = np.column_stack([np.repeat(part, len(headings), axis=0), np.tile(headings, len(part))])
-        found.append(_standing_at(world, bases, feet if given else None))
+    for at in _positions(grid, state, values, distance):
+        for part in np.array_split(at, range(rows, len(at), rows)):
+            if found:
+                yield
+            bases = np.column_stack([np.repeat(part, len(headings), axis=0), np.tile(headings, len(part))])
+            found.append(_standing_at(world, bases, feet if given else None))
     return np.concatenate(found)
+
+
+def _positions(grid: Grid, state: np.ndarray, values: np.ndarray, distance: float) -> Iterator[np.ndarray]:
+    """Yields the cells, int64 [n, 2], within a distance (m) of a pose, and that of its state; some rows at a time."""
+    reach = math.ceil(min(cells(distance), max(grid.shape))) + 1
+    low, high = np.maximum(state[:2] - reach, 0), np.minimum(state[:2] + reach + 1, grid.shape)
+    (x0, y0), (x1, y1) = low.tolist(), high.tolist()
+    rows = max(_CELLS_AT_ONCE // (y1 - y0), 1)
+    for x in range(x0, x1, rows):
+        span = np.arange(x, min(x + rows, x1)), np.arange(y0, y1)
+        at = np.stack(np.meshgrid(*span, indexing="ij"), axis=-1).reshape(-1, 2)
+        away = np.hypot(*(grid.center(at) - values[:2]).T)
+        yield at[(away <= distance + _ROUNDING) | (at == state[:2]).all(axis=1)]
 
 
 def _standing_at(world: World, bases: np.ndarray, feet: np.ndarray | None) -> np.ndarray:
