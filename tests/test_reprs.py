@@ -3,6 +3,7 @@
 import enum
 import importlib
 import inspect
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -121,6 +122,9 @@ def test_representations_name_the_main_figures(samples):
     ground = "300 x 200 cells of 0.025 m, 7.50 x 5.00 m from (412345.68, 5654321.12), 3.33% unknown"
     assert repr(samples["HeightMap"]) == f"HeightMap({ground}, heights 0.00 to 0.01 m)"
     assert repr(HeightMap(np.full((4, 4), np.nan))).endswith("100% unknown)")
+    assert "x=412345.678, y=5654321.123, yaw=0.123457" in repr(
+        replace(samples["Tiles"], x=412345.678123, y=5654321.123456, yaw=0.12345678)
+    )
     plan, motion, tasks = samples["Plan"], repr(samples["Motion"]), repr(samples["TaskSet"])
     expected = f"Plan(solved: {len(plan.actions)} actions, cost {plan.cost:.3f}, at most 1 times the optimum, "
     assert repr(plan).startswith(expected)

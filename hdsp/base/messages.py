@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 _LONGEST = 100  # characters of a value in a message
+_FAR = 1e9  # m, beyond all coordinates on Earth
 
 
 def unknown_key(key: Any, allowed: Iterable[str]) -> str:
@@ -40,6 +41,24 @@ class _Short(reprlib.Repr):
 
 
 _SHORT = _Short()
+
+
+def coordinates(values: Iterable[float], decimals: int = 3) -> str:
+    """Formats coordinates for a message, separated by commas: all digits of projected ones, no zeros at the end."""
+    return ", ".join(_coordinate(float(value), decimals) for value in values)
+
+
+def spans(low: Iterable[float], high: Iterable[float]) -> str:
+    """Formats the extents of a box in x, y and further axes for a message."""
+    ends = zip("xyz", low, high, strict=False)
+    return ", ".join(f"{axis} {_coordinate(float(a), 3)} to {_coordinate(float(b), 3)}" for axis, a, b in ends)
+
+
+def _coordinate(value: float, decimals: int) -> str:
+    if abs(value) >= _FAR:
+        return f"{value:g}"
+    text = f"{value:z.{decimals}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def did_you_mean(key: Any, names: Iterable[str]) -> str:

@@ -36,6 +36,7 @@ EXEMPT = {
     "hdsp.base.notebook": "shows values to people",
     "hdsp.base.provenance": "decides which results are still valid, not their values",
     "hdsp.base.quiet": "hides warnings from people",
+    "hdsp.base.scalars": "reads numbers as users give them",
     "hdsp.base.settings": "checks settings; their checked values are part of each hash",
     "hdsp.base.short_repr": "shows values to people",
     "hdsp.base.storage": "moves bytes to and from folders and URLs",

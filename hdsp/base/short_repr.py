@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from hdsp.base.messages import coordinates
+
 #: Longest representation, characters.
 LONGEST = 280
 
@@ -25,7 +27,10 @@ class _Brief(reprlib.Repr):
 
     def repr_float(self, value: float, level: int) -> str:
         text = repr(float(value))
-        return text if len(text) <= 8 else f"{value:.6g}"
+        if len(text) <= 8:
+            return text
+        # A length of a whole number of metres has six digits; a coordinate of a projected map keeps its decimals.
+        return f"{value:.6g}" if abs(value) < 1000 else coordinates([value])
 
     repr_float32 = repr_float64 = repr_float
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.base.messages import shown
+from hdsp.base.messages import coordinates, shown
+from hdsp.base.scalars import real, scalar
 from hdsp.detailed.search.life_cycle import Progress
 from hdsp.detailed.search.outcome import Limits
 from hdsp.robot.lattice import Grid, metres
@@ -35,13 +36,14 @@ def number(name: str, value: Any, least: float, *, infinite: bool = False) -> fl
         infinite: whether inf is allowed.
 
     Raises:
-        InputError: another type, NaN, a smaller value, or inf where it is not allowed.
+        InputError: another type, NaN, a smaller value, or inf where it is not allowed. A number beyond the range of
+            float counts as inf.
     """
-    found = _scalar(value)
-    if not isinstance(found, Real) or not float(found) >= least or (math.isinf(found) and not infinite):
+    found = real(value)
+    if not found >= least or (math.isinf(found) and not infinite):
         allowed = f"a number >= {least:g}, or inf" if infinite else f"a finite number >= {least:g}"
         raise InputError(f"{name} is {shown(value)}; it must be {allowed}")
-    return float(found)
+    return found
 
 
 def whole(name: str, value: Any, least: int = 0) -> int:
@@ -50,7 +52,7 @@ def whole(name: str, value: Any, least: int = 0) -> int:
     Raises:
         InputError: another type, a fraction, or a smaller value.
     """
-    found = _scalar(value)
+    found = scalar(value)
     if isinstance(found, float) and found.is_integer():
         found = int(found)
     if not isinstance(found, Integral) or int(found) < least:
@@ -127,7 +129,7 @@ def pose_values(pose: Any, name: str, robot: Robot) -> np.ndarray:
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         raise InputError(
             f"{name} {shown(values.tolist())}: a position with a quaternion (x, y, z, qx, qy, qz, qw)? need "
-            f"(x, y, theta), here ({values[0]:g}, {values[1]:g}, {yaw:.4f})"
+            f"(x, y, theta), here ({coordinates(values[:2])}, {yaw:.4f})"
         )
     if abs(values[2]) > _TURN:
         raise InputError(
@@ -155,13 +157,6 @@ def lattice_state(grid: Grid, values: np.ndarray, name: str) -> np.ndarray:
         units = [unit for unit, size in _UNITS.items() if far and grid.contains(grid.cell(bounded * size))]
         asked = f"; {units[0]}? need metres" if units else ""
         raise InputError(f"{name}: {error}{asked}") from None
-
-
-def _scalar(value: Any) -> Any:
-    """Python value of a numpy scalar; None for a truth value, which is no number."""
-    if isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0):
-        value = value.item()
-    return None if isinstance(value, bool) else value
 
 
 def _numbers(values: Any) -> np.ndarray | None:

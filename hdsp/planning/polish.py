@@ -40,6 +40,7 @@ WIDTHS = 0.6, 1.0, 1.6, 2.4
 MOST = 40_000
 #: Weight of a search that the polish makes good; docs/heuristics.md has the figures.
 FAST = 1.25
+_LONGEST = 1e9  # s, of a budget that is counted in expansions
 #: Weights and most expansions of the searches for another plan; the first one that ends with a plan counts.
 OWN = (1.03, 5_000), (1.1, 20_000), (1.25, 30_000)
 #: The same for the search with another abstraction.
@@ -91,7 +92,7 @@ class Polish:
             plan: a plan without its way out.
         """
         began = now()
-        most, left = int(PER_SECOND * self.seconds), query.limits.expansions - plan.stats.expansions
+        most, left = int(PER_SECOND * min(self.seconds, _LONGEST)), query.limits.expansions - plan.stats.expansions
         if not plan.solved or plan.bound == 1 or min(most, left) <= 0 or not plan.actions:
             return plan
         windows = Windows(query.world, query.limits.memory)

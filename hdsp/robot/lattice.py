@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from hdsp.base.errors import InputError
+from hdsp.base.messages import coordinates
 
 RESOLUTION = 0.025  # metres, side of a detailed cell
 HEADINGS = 64
@@ -196,7 +197,7 @@ class Grid:
         if not self.contains(cell):
             low, high = self.center((0, 0)), self.center(np.asarray(self.shape) - 1)
             raise InputError(
-                f"position ({values[0]:g}, {values[1]:g}) m is outside the map, which spans "
+                f"position ({coordinates(values[:2])}) m is outside the map, which spans "
                 f"x {low[0]:.3f} to {high[0]:.3f} m and y {low[1]:.3f} to {high[1]:.3f} m"
             )
         return np.array([*cell, heading_index(values[2]), *offset_steps(values[3:])], dtype=np.int64)

@@ -62,7 +62,7 @@ class HeightMap:
                 heights = np.array(unmasked(self.heights), dtype=np.float32, order="C")
             origin = tuple(float(value) for value in self.origin)
             resolution = float(self.resolution)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise InputError(f"height map: {error}; need a 2D array, an origin (x, y) and a resolution") from None
         if heights.ndim != 2 or heights.size == 0:
             raise InputError(f"height map: heights have shape {heights.shape}; need two axes, both at least 1 long")
@@ -98,7 +98,11 @@ class HeightMap:
     @classmethod
     def flat(cls, shape: tuple[int, int], origin=(0.0, 0.0), resolution: float = RESOLUTION) -> "HeightMap":
         """Makes a map of ``shape`` (nx, ny) cells with all heights 0."""
-        return cls(np.zeros(shape, np.float32), origin, resolution)
+        try:
+            heights = np.zeros(shape, np.float32)
+        except (TypeError, ValueError):
+            raise InputError(f"height map: shape is {shown(shape)}; need two whole numbers of cells, >= 1") from None
+        return cls(heights, origin, resolution)
 
     @classmethod
     def load(cls, path: str | os.PathLike, **options: Any) -> "HeightMap":
@@ -282,7 +286,7 @@ class HeightMap:
             The map with the same origin, and a report. ``frame.notes`` of the map says what was done.
 
         Raises:
-            InputError: if the cells are too coarse for planning.
+            InputError: if the cells are too coarse or too fine for planning.
 
         Example:
             >>> import numpy as np

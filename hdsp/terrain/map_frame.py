@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.messages import shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +31,10 @@ class MapFrame:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self):
-        motion = np.array(self.to_source, dtype=float)
+        try:
+            motion = np.array(self.to_source, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f"map frame: to_source is {shown(self.to_source)}; need a rigid motion, 4 x 4") from None
         if motion.shape != (4, 4) or not np.isfinite(motion).all() or not _is_rigid(motion):
             raise InputError(f"map frame: to_source is {motion.tolist()}; need a rigid motion, 4 x 4")
         motion.flags.writeable = False

@@ -6,11 +6,13 @@ half the patch size in cells. The x axis is the base heading, and the base stand
 """
 
 import functools
+from numbers import Integral
 
 import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.jit import njit
+from hdsp.base.messages import shown
 from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS
 from hdsp.terrain.no_data import unmasked
@@ -19,6 +21,7 @@ from hdsp.terrain.no_data import unmasked
 TIE = 1e-6
 #: Side of a map, in cells, that contains the patch around its middle cell at every heading.
 ROTATED_MAP_CELLS = 104
+_LARGEST_SIDE = 10_000  # cells
 
 
 def crop_patches(
@@ -125,7 +128,7 @@ def _read_only(array: np.ndarray) -> np.ndarray:
 
 
 def checked_side(cells: int) -> int:
-    """The patch side in cells; raises InputError below 1."""
-    if cells < 1:
-        raise InputError(f"patch of {cells} cells; need at least 1")
-    return cells
+    """The patch side in cells; raises InputError for no whole number, or one out of range."""
+    if not isinstance(cells, Integral) or not 1 <= cells <= _LARGEST_SIDE:
+        raise InputError(f"patch of {shown(cells)} cells; need a whole number from 1 to {_LARGEST_SIDE:,}")
+    return int(cells)

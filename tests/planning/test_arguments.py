@@ -10,11 +10,12 @@ from hdsp.abstract import ManualCosts
 from hdsp.planning.heuristics import GeometricHeuristic
 
 START, GOAL = (0.9, 0.9, 0.0), (1.6, 1.1, 0.3)
+HUGE = 10**400  # larger than any float
 NO_NUMBER = None, "2", True, 1j, [2.0, 3.0], math.nan, {}
 WRONG = {
-    "weight": (*NO_NUMBER[1:], 0.5, math.inf, -1.0),
-    "anchor_weight": (*NO_NUMBER[1:], 0.5, math.inf),
-    "cost": (*NO_NUMBER, -1.0, -math.inf),
+    "weight": (*NO_NUMBER[1:], 0.5, math.inf, -1.0, HUGE),
+    "anchor_weight": (*NO_NUMBER[1:], 0.5, math.inf, HUGE),
+    "cost": (*NO_NUMBER, -1.0, -math.inf, -HUGE),
     "expansions": (*NO_NUMBER, 1.5, -1, math.inf),
     "memory": (*NO_NUMBER, 1.5, -1, math.inf),
     "time": (*NO_NUMBER, -0.1),
@@ -64,6 +65,8 @@ def test_q6_numbers_of_other_libraries_and_limits_without_an_end_are_taken(flat)
     wanted = flat.plan(START, GOAL, 1.5)
     limits = {"cost": np.inf, "time": math.inf, "expansions": 1e6, "memory": np.int32(2**30)}
     assert flat.plan(np.float32(START), list(GOAL), np.float32(1.5), **limits).cost == wanted.cost
+    limits = dict.fromkeys(("cost", "time", "expansions", "memory"), HUGE)
+    assert flat.plan(START, GOAL, 1.5, polish=1e308, **limits).cost <= wanted.cost
     assert flat.plan(START, GOAL, time=0).status == Status.TIME_LIMIT
     assert flat.plan(START, GOAL, expansions=0).status == Status.EXPANSION_LIMIT
 
@@ -75,6 +78,11 @@ def test_q6_numbers_of_other_libraries_and_limits_without_an_end_are_taken(flat)
         ((True, 0.9, 0.0), "finite numbers"),
         ((0.9, 0.9, 1j), "finite numbers"),
         (np.ma.masked_invalid([0.9, math.nan, 0.0]), "finite numbers"),
+        (np.array(0.9), "finite numbers"),
+        (np.array(None), "finite numbers"),
+        ((0.9, 0.9, np.array(None)), "finite numbers"),
+        ((HUGE, 0.9, 0.0), "finite numbers"),
+        (b"abc", "finite numbers"),
         ({"x": 0.9}, "finite numbers"),
         ((1e300, 0.9, 0.0), "outside the map"),
         ((90.0, 90.0, 0.0), "centimetres?"),
@@ -93,6 +101,26 @@ def test_q6_m18_poses_in_other_forms_are_refused_with_their_name(unused, pose, w
     with pytest.raises(InputError) as error:
         unused.valid(pose)
     one_line(error, "pose", words)
+
+
+def test_poses_of_numpy_numbers_without_axes_are_poses(flat):
+    start, goal = ([np.array(value) for value in pose] for pose in (START, GOAL))
+    wanted = flat.plan(START, GOAL).cost
+    assert flat.plan(start, goal).cost == flat.plan(START, [goal, GOAL]).cost == wanted
+    assert flat.nearest(start).tolist() == flat.nearest(START).tolist()
+    for wrong in (np.zeros((0, 3)), np.zeros((2, 2, 3))):
+        with pytest.raises(InputError, match="goal"):
+            flat.plan(START, wrong)
+
+
+def test_positions_on_projected_maps_have_all_their_digits():
+    planner = Planner(HeightMap.flat((80, 80), (412345.678, 5654321.123)))
+    with pytest.raises(InputError) as error:
+        planner.valid((412344.25, 5654322.125, 0.0))
+    one_line(error, "position (412344.25, 5654322.125) m is outside", "x 412345.691 to")
+    with pytest.raises(InputError) as error:
+        planner.valid((412346.678, 5654322.125, 0.3, 0.0, 0.0, math.sin(0.4), math.cos(0.4)))
+    one_line(error, "here (412346.678, 5654322.125, 0.8000)")
 
 
 def test_m18_a_pose_a_little_off_the_map_is_not_taken_for_centimetres(unused):

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hdsp.base.errors import InputError
+from hdsp.base.messages import coordinates, spans
 from hdsp.robot import lattice
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, DRIVE_MOVES, HEADINGS, RESOLUTION, Grid
 
@@ -152,3 +153,15 @@ def test_only_the_lattice_calculates_with_a_resolution():
         for line in calculations_with(ast.parse(path.read_text()), names)
     ]
     assert found == []
+
+
+@given(st.floats(-1e308, 1e308) | st.floats(-1e8, 1e8))
+def test_coordinates_in_messages_are_exact_to_half_a_millimetre_and_short(value):
+    text = coordinates([value, 0.5])
+    found = float(text.removesuffix(", 0.5"))
+    assert len(text) <= 22 and text.endswith(", 0.5") and "-0," not in text
+    assert abs(found - value) <= max(0.000501, abs(value) * 1e-5 if abs(value) >= 1e9 else 0)
+
+
+def test_a_box_far_from_zero_is_told_with_its_decimals():
+    assert spans((412345.678, -0.0001), (5654321.1234, 900.0)) == "x 412345.678 to 5654321.123, y 0 to 900"

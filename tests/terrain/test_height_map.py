@@ -71,6 +71,9 @@ def test_m6_masked_cells_are_unknown(dtype):
         ((np.zeros((2, 2)), (0, 0), 0.0), "resolution is 0.0"),
         ((np.zeros((2, 2)), (0, 0), math.nan), "resolution is nan"),
         (("high",), "2D array"),
+        (([[10**400, 0]],), "2D array"),
+        ((np.zeros((2, 2)), (10**400, 0)), "origin"),
+        ((np.zeros((2, 2)), (0, 0), 10**400), "resolution"),
     ],
 )
 def test_invalid_maps_are_refused_by_name(arguments, words):
@@ -223,6 +226,20 @@ def test_a_patch_leads_to_the_source_of_its_map():
         in_map = [(x + c * u - s * v, y + s * u + c * v, z) for u, v, z in ahead]
         expected = terrain.frame.points_to_source(in_map)
         np.testing.assert_allclose(patch.frame.points_to_source(ahead), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("cells", [0, -1, 1.5, "3", None, 10**400])
+def test_a_side_that_is_none_is_refused(cells):
+    with pytest.raises(InputError, match=r"patch of .* need a whole number from 1 to 10,000"):
+        numbered(4, 4).crop((0.0, 0.0, 0.0), cells)
+    with pytest.raises(InputError, match="shape"):
+        HeightMap.flat((4, cells))
+
+
+@pytest.mark.parametrize("motion", ["x", None, [[1, 2], [3]], [[10**400] * 4] * 4])
+def test_a_frame_that_is_none_is_refused(motion):
+    with pytest.raises(InputError, match=r"to_source is .*; need a rigid motion"):
+        MapFrame(to_source=motion)
 
 
 @given(st.integers(1, 9), st.integers(1, 9), st.integers(-5, 5))

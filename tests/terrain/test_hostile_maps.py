@@ -224,3 +224,12 @@ def test_a_geotiff_as_it_was_written_has_no_note(tmp_path, unknown):
     path = HeightMap(heights, (412345.678, 5654321.123), 0.025).save(tmp_path / "map.tif")
     path.write_bytes(path.read_bytes()[:-78])  # without its last line
     assert HeightMap.load(path).frame.notes == ()
+
+
+@pytest.mark.parametrize("option", ["resolution", "origin", "scale", "offset"])
+def test_options_beyond_all_floats_are_refused(tmp_path, option):
+    np.save(tmp_path / "map.npy", HEIGHTS)
+    huge = 10**400
+    with pytest.raises(InputError, match=f"option {option} is .*; need"):
+        HeightMap.load(tmp_path / "map.npy", **{"resolution": 0.05, option: (huge, 0) if option == "origin" else huge})
+    assert HeightMap.load(tmp_path / "map.npy", resolution=0.05, nodata=huge).shape == HEIGHTS.shape

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.messages import coordinates
 from hdsp.planning.commands.command_parser import option_group
 from hdsp.planning.commands.console import Console
 from hdsp.planning.commands.json_documents import map_fields
@@ -127,7 +128,9 @@ def describe_map_file(path: Path, chosen: argparse.Namespace) -> dict[str, Any]:
     frame = terrain.frame
     parts = [f"frame {frame.name or 'not named'}", f"CRS {frame.crs or 'none'}"]
     if not frame.is_source:
-        rows = "; ".join(" ".join(f"{value:.6g}" for value in row) for row in frame.to_source[:3])
+        rows = "; ".join(
+            " ".join([*(f"{value:.6g}" for value in row[:3]), coordinates(row[3:])]) for row in frame.to_source[:3]
+        )
         parts.append(f"to the frame of the source by [{rows}]")
     tell(", ".join([*parts, "x, y and heights taken as metres"]))
     tell_signs(terrain, chosen.console)

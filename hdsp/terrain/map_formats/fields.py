@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.messages import shown
+from hdsp.base.scalars import real
 from hdsp.terrain.map_frame import MapFrame
 
 #: Largest number of cells in a file unless the option max_cells is another. A damaged header may claim any size.
@@ -76,11 +78,13 @@ class ReadOptions:
             value = getattr(self, name)
             if value is None:
                 continue
-            finite = _is_number(value) and math.isfinite(value)
+            finite = math.isfinite(real(value))
             if not finite or (need == "positive" and value <= 0) or (need == "non-zero" and value == 0):
-                raise InputError(f"option {name} is {value!r}; need a {need} number of metres")
-        if self.nodata is not None and not _is_number(self.nodata):
-            raise InputError(f"option nodata is {self.nodata!r}; need a number")
+                raise InputError(f"option {name} is {shown(value)}; need a {need} number of metres")
+        if self.nodata is not None:
+            if not _is_number(self.nodata):
+                raise InputError(f"option nodata is {shown(self.nodata)}; need a number")
+            object.__setattr__(self, "nodata", real(self.nodata))
         for name, need in (("message", "whole"), ("max_cells", "positive whole")):
             value = getattr(self, name)
             if value is None:
@@ -159,8 +163,8 @@ def _is_number(value: Any) -> bool:
 def _point(value: Any) -> tuple[float, float]:
     try:
         x, y = (float(part) for part in value)
-    except (TypeError, ValueError):
-        raise InputError(f"option origin is {value!r}; need two numbers (x, y) in metres") from None
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"option origin is {shown(value)}; need two numbers (x, y) in metres") from None
     if not (math.isfinite(x) and math.isfinite(y)):
         raise InputError(f"option origin is {value!r}; need two finite numbers (x, y) in metres")
     return x, y

@@ -7,12 +7,14 @@ The report names every step that dropped points or moved the cloud. Cells withou
 from __future__ import annotations
 
 from dataclasses import field
-from typing import NamedTuple, Self
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from hdsp.base.errors import InputError
+from hdsp.base.messages import shown, spans
+from hdsp.base.scalars import real
 from hdsp.base.settings import Natural, NotNegative, Positive, checked, fault
 from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.filling import filled, smoothed
@@ -22,6 +24,7 @@ from hdsp.terrain.pointcloud.faults import Cleaned, check_extent, without_far_po
 from hdsp.terrain.pointcloud.gravity import Gravity, check_up, judge
 from hdsp.terrain.pointcloud.ground import ground_below
 
+_SMALLEST, _LARGEST = 1e-4, 1e4  # m, side of a cell, as in files
 _MOST_UNDER = 0.1  # of the points, that may lie under a floor
 
 
@@ -60,7 +63,7 @@ class MapSettings:
     surface: Positive = 0.05
     neighbours: Natural = 3
     near: NotNegative = 0.1
-    fill: Natural = 3
+    fill: Annotated[int, Field(ge=0, le=1000)] = 3
     smooth: NotNegative = 0.03
     island: Natural = 40
 
@@ -126,9 +129,13 @@ def map_points(points: np.ndarray, settings: MapSettings | None = None, resoluti
         resolution: cell size, m.
 
     Raises:
-        InputError: if no point is left, the extent is implausible for metres, no floor is found, or z is not up.
+        InputError: if no point is left, the extent is implausible for metres, no floor is found, z is not up, or the
+            resolution is no number from 0.0001 to 10,000.
     """
-    settings = settings or MapSettings()
+    side = real(resolution)
+    if not _SMALLEST <= side <= _LARGEST:
+        raise InputError(f"resolution is {shown(resolution)}; need {_SMALLEST:g} to {_LARGEST:g} metres per cell")
+    resolution, settings = side, settings or MapSettings()
     points = _finite(points)
     given = len(points)
     points, notes = cleaned(points, settings.box)
@@ -174,11 +181,8 @@ def cleaned(points: np.ndarray, box: tuple[float, float, float, float] | None = 
         margin = max(2.0, float(np.hypot(*(high - low))))
         near = ((points[:, :2] > low - margin) & (points[:, :2] < high + margin)).all(axis=1)
         if not near.any():
-            (x0, y0), (x1, y1) = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-            raise InputError(
-                f"height map of points: none is left in the box {box}; they span x {x0:.6g} to {x1:.6g}, "
-                f"y {y0:.6g} to {y1:.6g} m"
-            )
+            extent = spans(points[:, :2].min(axis=0), points[:, :2].max(axis=0))
+            raise InputError(f"height map of points: none is left in the box {box}; they span {extent} m")
         points = points[near]
     points, far = without_far_points(points)
     if len(points) == 0:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.messages import coordinates, spans
 
 #: A no-data value is at least so many m, and so many times the range of the other values, away from the other values:
 #: for x and y, where walls are far away, and for z.
@@ -69,7 +70,7 @@ def without_far_points(points: np.ndarray) -> Cleaned:
     count = int(far.sum())
     if not 0 < count <= max(_FAR_SHARE * len(points), min(_FAR_POINTS, len(points) / 20)):
         return Cleaned(points, ())
-    example = ", ".join(f"{value:g}" for value in np.round(points[far][0], 2))
+    example = coordinates(points[far][0], 2)
     kind = "lone point" if count == 1 else "lone points"
     return Cleaned(points[~far], (f"{count:,} {kind} far away left out, e.g. ({example})",))
 
@@ -94,8 +95,9 @@ def check_extent(points: np.ndarray, resolution: float) -> None:
         if unit:
             raise InputError(f"{text} {unit}")
         low, high = np.quantile(points, [0.02, 0.98], axis=0)
-        most = f"x {low[0]:.6g} to {high[0]:.6g}, y {low[1]:.6g} to {high[1]:.6g}"
-        raise InputError(f"{text} see the option units; or cut a box out of them: most lie in {most}")
+        raise InputError(
+            f"{text} see the option units; or cut a box out of them: most lie in {spans(low[:2], high[:2])}"
+        )
 
 
 def millimetres(points: np.ndarray) -> str:

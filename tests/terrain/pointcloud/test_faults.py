@@ -21,6 +21,20 @@ def test_m9_the_box_is_cut_before_the_extent_is_judged(cloud):
         map_points(np.concatenate([cloud, FAR]), MapSettings(box=(50, 50, 60, 60)))
 
 
+def test_coordinates_of_a_projected_cloud_keep_their_decimals_in_messages():
+    cloud = FLOOR + (412345.678, 5654321.25, 0)
+    with pytest.raises(InputError, match=r"they span x 41\d{4}\.\d+ to 41\d{4}\.\d+, y 565\d{4}\.\d+ to 565"):
+        map_points(cloud, MapSettings(box=(50, 50, 60, 60)))
+    mapped = map_points(np.concatenate([cloud, [[412999.125, 5654999.5, 1]]]))
+    assert any("e.g. (412999.12, 5654999.5, 1)" in note for note in mapped.report.notes)
+
+
+@pytest.mark.parametrize("resolution", ["0.05", np.nan, 0, -1, True, None, np.inf, [0.05], 10**400, 1e-300, 1e5])
+def test_a_resolution_is_looked_at_before_the_points(resolution):
+    with pytest.raises(InputError, match=r"^resolution is .*; need 0\.0001 to 10000 metres per cell$"):
+        HeightMap.from_points(FLOOR, resolution=resolution)
+
+
 def test_m9_lone_points_far_away_are_left_out_and_said():
     terrain = HeightMap.from_points(np.concatenate([FLOOR, FAR, [[2, 2, -4000]]]))
     assert terrain.size == pytest.approx((4, 4), abs=0.06)
