@@ -39,7 +39,9 @@ class MadeMap(NamedTuple):
 
 def add_cloud_reading(parser: Any) -> None:
     """Adds the options for reading a cloud: units, axes, tilt."""
-    parser.add_argument("--units", type=float, default=1.0, help="metres per unit of the file, e.g. 0.001 (default: 1)")
+    parser.add_argument(
+        "--units", type=float, help="metres per unit of the file, e.g. 0.001 (default: by the CRS in LAS files, else 1)"
+    )
     parser.add_argument(
         "--axes", help=f"the file's axes that are ahead, left, up, e.g. z,-x,-y (default: {_AXES}, checked)"
     )

@@ -29,14 +29,19 @@ def check_crs(crs: Any) -> None:
     """
     if not crs:
         return
-    if crs.is_geographic:
-        raise InputError(f"its CRS {_short(crs)} is in degrees; {_REPROJECT}")
-    if any(str(axis.get("direction", "")).startswith("geocentric") for axis in _axes(crs)):
-        raise InputError(f"its CRS {_short(crs)} is geocentric; need metres on a plane")
+    check_plane(crs, _REPROJECT)
     unit, factor = crs.units_factor
     if not math.isclose(factor, 1.0):
         advice = _REPROJECT if crs.is_projected else "scale its transform to metres, and name a CRS in metres"
         raise InputError(f"its CRS {_short(crs)} is in units of {unit}; {advice}")
+
+
+def check_plane(crs: Any, advice: str) -> None:
+    """Refuses a geographic or geocentric CRS with advice."""
+    if crs.is_geographic:
+        raise InputError(f"its CRS {_short(crs)} is in degrees; {advice}")
+    if any(str(axis.get("direction", "")).startswith("geocentric") for axis in _axes(crs)):
+        raise InputError(f"its CRS {_short(crs)} is geocentric; need metres on a plane: {advice}")
 
 
 def height_units(raster: Any, band: int) -> tuple[float, float, list[str]]:
@@ -47,7 +52,7 @@ def height_units(raster: Any, band: int) -> tuple[float, float, list[str]]:
     scale, offset, notes = raster.scales[band - 1], raster.offsets[band - 1], []
     if (scale, offset) != (1.0, 0.0):
         notes.append(f"heights times {scale:g} plus {offset:g}, as the band says")
-    unit, in_crs = str(raster.units[band - 1] or "").strip(), _vertical_unit(raster.crs)
+    unit, in_crs = str(raster.units[band - 1] or "").strip(), vertical_unit(raster.crs)
     factor = _METRES.get(unit.lower())
     if in_crs is not None and unit.lower() in ("", in_crs[0].lower()):
         unit, factor = in_crs
@@ -58,7 +63,7 @@ def height_units(raster: Any, band: int) -> tuple[float, float, list[str]]:
     return scale * (factor or 1.0), offset * (factor or 1.0), notes
 
 
-def _vertical_unit(crs: Any) -> tuple[str, float] | None:
+def vertical_unit(crs: Any) -> tuple[str, float] | None:
     """Name of the unit of heights in a CRS, and metres in it; None for a CRS without heights."""
     for axis in _axes(crs) if crs else []:
         if axis.get("direction") in ("up", "down"):

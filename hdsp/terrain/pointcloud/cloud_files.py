@@ -12,6 +12,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
 from hdsp.terrain.pointcloud.cloud_limits import DEFAULT_LIMITS, CloudLimits
 from hdsp.terrain.pointcloud.las import read_las
+from hdsp.terrain.pointcloud.las_units import metres_in_las
 from hdsp.terrain.pointcloud.octree import read_octree
 from hdsp.terrain.pointcloud.pcd import read_pcd
 from hdsp.terrain.pointcloud.ply import read_ply
@@ -26,7 +27,7 @@ _AXES = {f"{sign}{name}": (k, -1.0 if sign == "-" else 1.0) for k, name in enume
 
 def read_points(
     path: str | os.PathLike,
-    units: float = 1.0,
+    units: float | None = None,
     axes: Sequence[str] = ("x", "y", "z"),
     *,
     max_points: int | None = None,
@@ -36,7 +37,7 @@ def read_points(
 
     Args:
         path: the file; its suffix selects the format (`FORMATS`), and .gz or .bz2 may follow.
-        units: metres per unit in the file, e.g. 0.001 for millimetres.
+        units: metres per unit in the file, e.g. 0.001 for millimetres. None: LAS and LAZ by their CRS, others metres.
         axes: the file's axes for our x (forward), y (left) and z (up), e.g. ("z", "-x", "-y") for a camera.
         max_points: largest number of points; None = 50 million in binary formats, 10 million lines in texts.
         max_bytes: largest contents, unpacked; None = 1 GiB.
@@ -60,6 +61,7 @@ def read_points(
     try:
         content = limits.read(path, suffix in _TEXTS)
         points = np.asarray(FORMATS[suffix](content, limits), dtype=float)
+        metres = _metres(suffix, content) if units is None else _positive(units)
     except ImportError as error:
         raise InputError(
             f"point cloud {path}: {error}; install the extra 'scans': pip install 'hdsp[scans]'"
@@ -76,7 +78,7 @@ def read_points(
     finite = points[np.isfinite(points).all(axis=1)]
     if len(finite) == 0:
         raise InputError(f"point cloud {path}: none of its {len(points)} points is finite")
-    return _turned(finite, axes) * _positive(units)
+    return _turned(finite * metres, axes)
 
 
 def _read_obj(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray:
@@ -119,6 +121,11 @@ def _turned(points: np.ndarray, axes: Sequence[str]) -> np.ndarray:
     if np.linalg.det(order) < 0:
         raise InputError(f"axes are {list(axes)}: they mirror the scan; need a right-handed choice, e.g. z, -x, -y")
     return points[:, indices] * signs
+
+
+def _metres(suffix: str, content: bytes) -> np.ndarray | float:
+    """Metres per unit of a file."""
+    return metres_in_las(content) if FORMATS[suffix] is read_las else 1.0
 
 
 def _positive(units: float) -> float:
