@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from hdsp import HeightMap, InputError
+from hdsp.detailed.motion.local_motion import relative
 from hdsp.detailed.motion.motion import Motion
 from hdsp.robot.robot import Robot
 from hdsp.viz.recordings.z_buffer import Canvas, ParallelCamera, Triangles
@@ -80,6 +81,17 @@ def test_a_gif_shows_the_robot_moving(motion, tmp_path):
     assert blue[-1] - blue[0] > 15 and (np.diff(blue) > -1).all()  # the base moves to the right
     orange = [((frame[..., 0] > 150) & (frame[..., 2] < 60)).sum() for frame in frames]
     assert max(orange[len(frames) // 2 + 1 :]) > 2 * orange[0] + 5  # a wheel in the air
+
+
+def test_pictures_on_a_projected_map_are_those_near_zero(motion, tmp_path):
+    """Single precision has steps of half a metre there."""
+    far = relative(motion, (-412345.678, -5654321.123))
+    assert far.terrain.origin == (412345.678, 5654321.123)
+    frames = []
+    for k, each in enumerate((motion, far)):
+        with Image.open(each.animate(tmp_path / f"{k}.gif", speed=9, fps=2, width=160)) as film:
+            frames.append(np.asarray(film.convert("RGB"), float))
+    assert np.abs(frames[0] - frames[1]).mean() < 1 and frames[0].std() > 10
 
 
 def test_an_mp4_is_written(motion, tmp_path):

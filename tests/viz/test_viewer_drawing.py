@@ -1,6 +1,8 @@
 """The parts of the viewer that need no browser: meshes, colours, poses of a robot's parts, timelines, pages."""
 
 import socket
+from contextlib import nullcontext
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,9 +14,14 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync import client
 
 from hdsp import HeightMap, InputError, Robot
+from hdsp.detailed.actions.action import Action, ActionKind
+from hdsp.robot.robot import FEET
+from hdsp.viz.failure_marks import Failure, Mark
 from hdsp.viz.viewer import open_server, save_page
 from hdsp.viz.viewer.ground_mesh import STEP, ground_mesh, rectangles
 from hdsp.viz.viewer.local_server import HOST, close_server, free_port
+from hdsp.viz.viewer.plan_scene import PlanScene
+from hdsp.viz.viewer.pose_handle import PoseHandle
 from hdsp.viz.viewer.robot_pose import link_length, parts, standing, trunk, wheel_radius
 from hdsp.viz.viewer.textures import height_colors, unknown_colors, value_colors
 from hdsp.viz.viewer.timeline import timeline_of_states
@@ -179,3 +186,71 @@ def test_a_page_holds_everything_in_one_file(tmp_path):
     assert 5e5 < page.stat().st_size < 3e6
     with pytest.raises(InputError, match=r"\.html"):
         save_page(tmp_path / "plan.png", HeightMap(heights), robot, states, ())
+
+
+class Node(SimpleNamespace):
+    """A node of a scene that remembers its arguments and its attributes."""
+
+    def on_update(self, react):
+        self.moved = react
+
+    def remove(self):
+        self.removed = True
+
+
+class RecordedScene:
+    def __init__(self):
+        self.nodes = []
+
+    def __getattr__(self, kind):
+        def add(name, *values, **look):
+            self.nodes.append(Node(name=name, values=values, **look))
+            return self.nodes[-1]
+
+        return add
+
+    def numbers(self):
+        """All numbers of all nodes by name, as viser sends them: points in single precision."""
+        for node in self.nodes:
+            for key, value in vars(node).items():
+                for part in value if key == "values" else (value,):
+                    if isinstance(part, bytes | np.ndarray | tuple | list) and len(part):
+                        yield f"{node.name} {key}", part
+
+
+def drawn(origin):
+    """A scene with all that a page or a viewer draws, and the pose of a handle."""
+    robot, scene, near = Robot.load("momaro"), RecordedScene(), np.array([*origin, 0, 0, 0, 0, 0.0])
+    heights = np.random.default_rng(0).integers(0, 2, (80, 80)).astype(np.float32) / 50
+    heights[:8] = np.nan
+    server = SimpleNamespace(scene=scene, initial_camera=SimpleNamespace(), atomic=nullcontext)
+    states = near + np.array([(0.6 + 0.1 * k, 1.0, 0.3, 0, 0.025 * k, 0, 0) for k in range(3)])
+    actions = [Action(ActionKind.FOOT_MOVE, FEET[1], 0.025)] * 2
+    page = PlanScene(server, HeightMap(heights, origin), robot)
+    page.draw_path(states, actions)
+    page.draw_layer("heights", np.full((80, 80, 4), 255, np.uint8))
+    page.draw_lines("edges", states[None, :2, :3], np.zeros((1, 3), np.uint8))
+    page.draw_failure(Failure((Mark(tuple(states[0, :2]), "a cause", tuple(states[1])),), None, tuple(states[2])))
+    page.add_ghost("/start", states[0], "#000000", 0.4)
+    line = timeline_of_states(page.terrain, robot, states)
+    page.place_robot(*line.at(0.5 * line.duration))
+    released = []
+    handle = PoseHandle(scene, "/goal", "goal", "#000000", released.append)
+    handle.place(page.terrain, robot, states[0])
+    handle.control.moved(SimpleNamespace(phase="end"))
+    return list(scene.numbers()), vars(server.initial_camera), np.array([handle.pose(), *released]) - near[:3]
+
+
+def test_a_scene_on_a_projected_map_is_the_one_near_zero():
+    far = (412345.678, 5654321.123)
+    (near_nodes, near_camera, near_pose), (far_nodes, far_camera, far_pose) = drawn((0.0, 0.0)), drawn(far)
+    assert [name for name, _ in near_nodes] == [name for name, _ in far_nodes] and len(near_nodes) > 100
+    for (name, one), (_, other) in zip(near_nodes, far_nodes, strict=True):
+        if isinstance(one, bytes):
+            assert one == other, name
+        else:
+            np.testing.assert_allclose(np.float32(other), np.float32(one), atol=1e-6, err_msg=name)
+    for key, value in near_camera.items():
+        np.testing.assert_allclose(far_camera[key], value, atol=1e-6)
+    np.testing.assert_allclose(near_pose, [(0.6, 1.0, 0.3)] * 2, atol=1e-9)
+    np.testing.assert_allclose(far_pose, near_pose, atol=1e-8)

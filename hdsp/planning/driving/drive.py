@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from hdsp.detailed.motion.local_motion import local_place, relative
 from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.motion.phases import PHASES
 from hdsp.planning.arguments import whole
 from hdsp.planning.driving.driven_run import DrivenMotion, Ending, Run, checked_ground
 from hdsp.planning.driving.follower import Follower
-from hdsp.planning.driving.local_motion import local_place, relative
 from hdsp.planning.driving.reference import Reference
 from hdsp.planning.driving.simulated_robot import SimulatedRobot
 from hdsp.robot.robot import FEET

@@ -18,9 +18,9 @@ from hdsp.base.errors import InputError
 from hdsp.base.files import writable_file
 from hdsp.base.messages import shown
 from hdsp.base.scalars import real
+from hdsp.detailed.motion.local_motion import relative
 from hdsp.detailed.motion.motion_files import ANIMATIONS
 from hdsp.detailed.motion.phases import PHASES
-from hdsp.planning.driving.local_motion import relative
 from hdsp.planning.driving.simulated_robot import SimulatedRobot, import_mujoco
 from hdsp.viz.viewer.robot_pose import parts
 

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 
 from hdsp.base.errors import InputError
 from hdsp.base.short_repr import shortened
+from hdsp.detailed.motion.local_motion import Place
 from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.motion.motion_state import MotionState
-from hdsp.planning.driving.local_motion import Place
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.obstacles import Scene
 

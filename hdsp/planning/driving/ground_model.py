@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from hdsp.planning.driving.local_motion import Place
+from hdsp.detailed.motion.local_motion import Place
 from hdsp.planning.driving.robot_model import child
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.obstacles import Block, Face, Scene

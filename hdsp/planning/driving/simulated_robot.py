@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.detailed.motion.local_motion import Place
 from hdsp.planning.driving.ground_model import GroundModel
-from hdsp.planning.driving.local_motion import Place
 from hdsp.planning.driving.robot_model import Dimensions, add_light, add_robot
 from hdsp.robot.robot import FEET, Robot
 from hdsp.robot.urdf import BASE_FRAME, leg_joints, wheel_frame

@@ -17,6 +17,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.files import replacing, writable_file
 from hdsp.base.messages import shown
 from hdsp.base.scalars import real
+from hdsp.detailed.motion.local_motion import local_place, relative
 from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.motion.motion_files import ANIMATIONS
 from hdsp.detailed.motion.phases import PHASES
@@ -63,6 +64,7 @@ def save_animation(
         InputError: another suffix, a value out of range, a path that cannot be written, or a missing extra.
     """
     path = writable_file(path, "animation", ANIMATIONS)
+    motion = relative(motion, local_place(motion.terrain))
     if speed is None:
         speed = max(1.0, motion.duration / _SHOWN)
     if not (0 < real(speed) <= 1000 and 0 < real(fps) <= 100 and 64 <= real(width) <= 3840):

@@ -8,6 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from hdsp.detailed.actions.action import Action
+from hdsp.detailed.motion.local_motion import local_place, relative_map, relative_points
 from hdsp.detailed.motion.motion import Motion
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -25,6 +26,8 @@ _PIN = 0.5  # m, height of the pin at a cause
 
 class PlanScene:
     """Draws into the scene of a viser server.
+
+    Arguments are in world coordinates; nodes are relative to ``place``, because browsers draw in single precision.
 
     Args:
         server: the server; see `local_server.open_server`.
@@ -48,7 +51,8 @@ class PlanScene:
 
     def draw_terrain(self, terrain: HeightMap) -> None:
         """Draws the ground, with hatched surfaces over unknown cells, and looks at it from above."""
-        self.terrain = terrain
+        self.terrain, self.place = terrain, local_place(terrain)
+        self._local = terrain = relative_map(terrain, self.place)
         ground = ground_mesh(terrain)
         self.scene.add_glb("/terrain", textured(ground, height_colors(terrain)), cast_shadow=False)
         unknown = np.isnan(terrain.heights)
@@ -65,7 +69,7 @@ class PlanScene:
 
     def draw_layer(self, name: str, colors: np.ndarray, visible: bool = True) -> None:
         """Drapes colours, uint8 [nx, ny, 4], over the ground; another layer of the same name is replaced."""
-        surface = ground_mesh(self.terrain, colors[..., 3] > 0, raised=_ABOVE, walls=False)
+        surface = ground_mesh(self._local, colors[..., 3] > 0, raised=_ABOVE, walls=False)
         self.remove_layer(name)
         if len(surface.faces):
             self._layers[name] = self.scene.add_glb(
@@ -76,7 +80,7 @@ class PlanScene:
         """Draws line segments, float [n, 2, 3], with colours, uint8 [n, 3], as a layer."""
         self.remove_layer(name)
         if len(ends):
-            both = np.repeat(colors[:, None], 2, axis=1)
+            both, ends = np.repeat(colors[:, None], 2, axis=1), relative_points(ends, self.place)
             self._layers[name] = self.scene.add_line_segments(
                 f"/layers/{name}", ends.astype(np.float32), both, thickness=1.0, thickness_units="screen"
             )
@@ -99,17 +103,18 @@ class PlanScene:
         if len(states) < 2:
             return
         self._add_group("path")
-        base, feet = standing(self.terrain, self.robot, states)
+        states = relative_points(states, self.place)
+        base, feet = standing(self._local, self.robot, states)
         swings = [k for k, action in enumerate(actions) if action.stepping_foot is not None]
         if motion is not None:
-            base, feet = motion.base, motion.feet
+            base, feet = (relative_points(values, self.place) for values in (motion.base, motion.feet))
         # The track of the base runs over the ground, where it is not hidden by the robot.
         ground = np.column_stack([base[:, :2], feet[..., 2].mean(axis=1) + _TRACK])
         self._line("/path/base", ground, BLACK, 4.0)
         for foot, color in enumerate(FEET):
             self._line(f"/path/foot_{foot}", feet[:, foot] + (0, 0, _TRACK), color, 2.5)
         landings = []
-        _, placed = standing(self.terrain, self.robot, states)
+        _, placed = standing(self._local, self.robot, states)
         for k in swings:
             stepping = actions[k].stepping_foot
             assert stepping is not None
@@ -155,22 +160,23 @@ class PlanScene:
             self._pin(f"/failure/cause_{number}", mark.place, f"{number}: {mark.label.rstrip(',')}", VERMILLION)
         poses = dict.fromkeys(mark.pose for mark in failure.marks if mark.pose is not None)
         for number, pose in enumerate(poses):
-            self._ghost(f"/failure/pose_{number}", pose, VERMILLION)
+            self.add_ghost(f"/failure/pose_{number}", np.asarray(pose), VERMILLION, 0.45)
         if failure.nearest is not None:
-            self._ghost("/failure/nearest", failure.nearest, SKY)
+            self.add_ghost("/failure/nearest", np.asarray(failure.nearest), SKY, 0.45)
             self._pin("/failure/nearest_label", failure.nearest[:2], "nearest pose in reach", SKY)
 
     def _pin(self, name: str, place: Sequence[float], words: str, color: str) -> None:
-        x, y = (float(value) for value in place[:2])
-        z = float(np.nan_to_num(self.terrain.height_at(x, y)))
+        x, y = relative_points(place[:2], self.place).tolist()
+        z = float(np.nan_to_num(self._local.height_at(x, y)))
         ends = np.array([[(x, y, z), (x, y, z + _PIN)]], np.float32)
         self.scene.add_line_segments(name, ends, rgb(color), thickness=3.0, thickness_units="screen")
         self.scene.add_icosphere(f"{name}/head", 0.05, rgb(color), position=(x, y, z + _PIN))
         self.scene.add_label(f"{name}/words", words, position=(x, y, z + _PIN + 0.12), anchor="bottom-center")
 
-    def _ghost(self, name: str, state: Sequence[float], color: str) -> None:
-        base, feet = standing(self.terrain, self.robot, np.asarray(state))
-        RobotNodes(self.scene, name, self.robot, color, opacity=0.45).place(base[0], feet[0])
+    def add_ghost(self, name: str, state: np.ndarray, color: str, opacity: float) -> None:
+        """Adds a see-through robot in a state, float64 [7]."""
+        base, feet = standing(self._local, self.robot, relative_points(state, self.place))
+        RobotNodes(self.scene, name, self.robot, color, opacity).place(base[0], feet[0])
 
     def place_robot(self, base: np.ndarray, feet: np.ndarray, rolled: np.ndarray | None = None) -> None:
         """Shows the robot in one configuration, see `robot_pose.parts`."""
@@ -178,7 +184,7 @@ class PlanScene:
             self.remove_robot()
             self.body = RobotNodes(self.scene, "/robot", self.robot)
         with self.server.atomic():
-            self.body.place(base, feet, rolled)
+            self.body.place(relative_points(base, self.place), relative_points(feet, self.place), rolled)
 
     def remove_robot(self) -> None:
         """Removes the robot."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hdsp.detailed.motion.local_motion import Place, local_place, relative_map, relative_points
 from hdsp.robot.lattice import rotation
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -20,6 +21,8 @@ _WORDS = 0.5  # m, of the label above the hips
 
 class PoseHandle:
     """A handle in a viser scene, on the ground: two arrows, a square between them, and a ring for the heading.
+
+    Its node is relative to `local_place`, as those of `hdsp.viz.viewer.plan_scene`.
 
     Args:
         scene: the scene of a viser server.
@@ -39,6 +42,7 @@ class PoseHandle:
         self._words = scene.add_label(f"{name}/words", words, anchor="bottom-center")
         self._ghost: RobotNodes | None = None
         self._held = False
+        self._place: Place = (0.0, 0.0)
         self.control.on_update(self._moved)
 
     def place(self, terrain: HeightMap, robot: Robot, pose: np.ndarray) -> None:
@@ -48,7 +52,9 @@ class PoseHandle:
         """
         if self._held:
             return
-        state = np.concatenate([np.asarray(pose, float), np.zeros(7 - len(pose))])
+        self._place = local_place(terrain)
+        terrain = relative_map(terrain, self._place)
+        state = relative_points(np.concatenate([np.asarray(pose, float), np.zeros(7 - len(pose))]), self._place)
         base, feet = (rows[0] for rows in standing(terrain, robot, state))
         level = float(feet[:, 2].mean())
         self.control.visible = True
@@ -68,7 +74,7 @@ class PoseHandle:
         """Returns (x, y, heading) in m and rad."""
         x, y, _ = self.control.position
         w, _, _, z = self.control.wxyz
-        return float(x), float(y), math.remainder(2 * math.atan2(z, w), 2 * math.pi)
+        return float(x) + self._place[0], float(y) + self._place[1], math.remainder(2 * math.atan2(z, w), 2 * math.pi)
 
     def _moved(self, event: Any) -> None:
         self._held = event.phase != "end"

@@ -18,8 +18,6 @@ from hdsp.viz.failure_marks import Failure
 from hdsp.viz.palette import GOAL, START
 from hdsp.viz.viewer.local_server import close_server, open_server
 from hdsp.viz.viewer.plan_scene import PlanScene
-from hdsp.viz.viewer.robot_nodes import RobotNodes
-from hdsp.viz.viewer.robot_pose import standing
 from hdsp.viz.viewer.timeline import Timeline, timeline_of_motion, timeline_of_states
 
 #: Pictures per second of the recorded motion.
@@ -45,8 +43,7 @@ def plan_page(
         scene.draw_failure(failure)
         for name, pose, color in zip(("start", "goal"), ends, (START, GOAL), strict=False):
             values = np.asarray(pose, float)
-            base, feet = standing(terrain, robot, np.concatenate([values, np.zeros(7 - len(values))]))
-            RobotNodes(server.scene, f"/{name}", robot, color, opacity=0.35).place(base[0], feet[0])
+            scene.add_ghost(f"/{name}", np.concatenate([values, np.zeros(7 - len(values))]), color, 0.35)
         if not len(states):
             return server.get_scene_serializer().as_html()
         line = timeline_of_states(terrain, robot, states) if motion is None else timeline_of_motion(motion)
