@@ -208,3 +208,15 @@ def test_goals_share_the_memory_for_their_states():
     assert 49 < count < 98
     with pytest.raises(InputError, match="states at the goal need"):
         states(1.2 * needed)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    bases=st.sets(st.tuples(*[st.integers(0, 2)] * 3)),
+    extra=st.tuples(*[st.integers(0, 2)] * 3, *[st.integers(-1, 1)] * 4),
+    foot=st.integers(-1, 1),
+)
+def test_a_state_joins_others_in_their_order(bases, extra, foot):
+    rows = [(*base, 0, foot, 0, 0) for base in sorted(bases)]
+    joined = arrival._with_state(np.array(rows, np.int64).reshape(-1, 7), np.array(extra))
+    assert joined.tolist() == [list(row) for row in sorted({*rows, extra})]

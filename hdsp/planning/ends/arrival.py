@@ -89,8 +89,7 @@ def arrival_steps(
             distance, turn = within or (0.0, 0.0)
             values = pose_values(pose, name, robot)
             around = yield from _around(world, grid, values, state, distance, math.pi if free else turn, memory)
-            states = around if wrong else np.concatenate([state[None], around])
-            states = states[distinct_rows(states)] if len(states) else states
+            states = around if wrong else _with_state(around, state)
         elif wrong or len(pose_values(pose, name, robot)) == 7 or not state[3:].any():
             states = state[None][: 0 if wrong else 1]
         else:
@@ -103,8 +102,8 @@ def arrival_steps(
         numbers.append(np.full(len(states), k))
     states, numbers_of = np.concatenate(found), np.concatenate(numbers)
     if len(states):
-        # A search counts each state once, also between goals that overlap.
-        first = np.sort(distinct_rows(states))
+        # A search counts each state once, also between goals that overlap; those of one goal differ.
+        first = np.sort(distinct_rows(states)) if len(goals) > 1 else slice(None)
         return Arrival(states[first], numbers_of[first], exact)
     words: list[Cause | str] = list(faults[0])
     if not exact:
@@ -183,6 +182,20 @@ def _all_feet(lowest: int, n_offsets: int, apart: float) -> np.ndarray:
     offsets = np.arange(lowest, lowest + n_offsets)
     feet = np.stack(np.meshgrid(*[offsets] * 4, indexing="ij"), axis=-1).reshape(-1, 4)
     return feet[(feet[:, 1] - feet[:, 0] <= apart) & (feet[:, 2] - feet[:, 3] <= apart)]
+
+
+def _with_state(states: np.ndarray, state: np.ndarray) -> np.ndarray:
+    """States int64 [n, 7] in lexicographic order, together with another one; base poses of ``states`` differ."""
+    x, y, heading = state[:3]
+    same_row = states[:, 0] == x
+    before = (states[:, 0] < x) | (same_row & (states[:, 1] < y))
+    same = np.flatnonzero(same_row & (states[:, 1] == y))
+    place = int(np.count_nonzero(before) + np.count_nonzero(states[same, 2] < heading))
+    beside = states[place : place + 1]
+    if (beside == state).all(axis=1).any():
+        return states
+    place += bool((beside[:, :3] == state[:3]).all(axis=1).any() and beside[0, 3:].tolist() < state[3:].tolist())
+    return np.insert(states, place, state, axis=0)
 
 
 def _around(
