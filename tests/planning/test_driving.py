@@ -26,7 +26,7 @@ from hdsp.planning.driving.reference import Reference
 from hdsp.planning.driving.robot_model import Dimensions, robot_mjcf
 from hdsp.planning.driving.simulated_robot import SimulatedRobot
 from hdsp.planning.margin import DRIVEN_MARGIN
-from hdsp.terrain.obstacles import Block, Ramp, Scene
+from hdsp.terrain.obstacles import Bank, Block, Ramp, Scene, TiltedGround
 
 os.environ.setdefault("MUJOCO_GL", "egl")  # read when MuJoCo is imported
 mujoco = pytest.importorskip("mujoco")
@@ -128,6 +128,32 @@ def test_ground_of_a_projected_map_lies_in_its_place(natural):
     assert one.nhfield == natural
     np.testing.assert_allclose(other.geom_pos, one.geom_pos, atol=1e-6)
     np.testing.assert_allclose(other.geom_size, one.geom_size, atol=1e-9)
+
+
+@pytest.mark.parametrize("ground", [None, TiltedGround(0.1, -0.2)])
+@pytest.mark.parametrize("place", [(0.0, 0.0), (412.0, -513.5)])
+def test_ground_of_a_scene_has_its_heights_everywhere(ground, place):
+    blocks = (
+        Block(1.0, 0.5, 0.3, 1.0, 0.6, 0.2),
+        Ramp(-1.5, 0.0, 1.2, 1.4, 1.0, 0.3),
+        Bank(0.0, -1.6, 0.0, 1.2, 0.8, 0.25, 0.4),
+    )
+    moved = [replace(each, x=each.x + place[0], y=each.y + place[1]) for each in blocks]
+    scene, sim = Scene(tuple(moved), ground), None
+    sim = SimulatedRobot(Robot.load("momaro"), scene, place)
+    sim.data.qpos[2] = 50.0  # the robot out of the way
+    mujoco.mj_forward(sim.model, sim.data)
+    hit, found, expected = np.zeros(1, np.int32), [], []
+    for x, y in np.random.default_rng(0).uniform(-2.5, 2.5, (200, 2)):
+        near = scene.heights_at(
+            place[0] + x + np.array([0, 0, 0, 0.01, -0.01]), place[1] + y + np.array([0, 0.01, -0.01, 0, 0])
+        )
+        if np.ptp(near) < 0.02:  # not beside an edge
+            top = 40.0 + float(near[0])
+            found.append(top - mujoco.mj_ray(sim.model, sim.data, [x, y, top], [0, 0, -1], None, 1, -1, hit))
+            expected.append(near[0])
+    assert len(found) > 150
+    np.testing.assert_allclose(found, expected, atol=2e-3)
 
 
 def test_a_drive_on_a_projected_map_is_the_drive_near_zero(tmp_path):

@@ -17,7 +17,7 @@ import numpy as np
 from hdsp.detailed.motion.local_motion import Place
 from hdsp.planning.driving.robot_model import child
 from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.obstacles import Block, Face, Scene
+from hdsp.terrain.obstacles import Block, Face, Scene, TiltedGround
 from hdsp.viz.viewer.textures import height_colors
 
 _MOST_BOXES = 4000
@@ -83,17 +83,21 @@ class GroundModel:
             self._add_map(terrain)
 
     def _add_scene(self, scene: Scene) -> None:
-        self._add("plane", pos="0 0 0", size="50 50 1", rgba=_GREY)
+        ground, tilt = scene.ground, {}
+        if ground is not None:
+            level, up = ground.height(*self._place), (-ground.slope_x, -ground.slope_y, 1.0)
+            tilt = {"pos": _text(0.0, 0.0, level), "zaxis": _text(*up)}
+        self._add("plane", **({"pos": "0 0 0", "size": "50 50 1", "rgba": _GREY} | tilt))
         for obstacle in scene.obstacles:
             for block in obstacle.blocks():
                 for face in block.faces():
-                    self._add_face(block, face)
+                    self._add_face(block, face, ground)
 
-    def _add_face(self, block: Block, face: Face) -> None:
-        """Column below a plane piece; inclined pieces are convex meshes."""
+    def _add_face(self, block: Block, face: Face, ground: TiltedGround | None) -> None:
+        """Column below a plane piece; inclined pieces, and all on tilted ground, are convex meshes."""
         face = face._replace(x=face.x - self._place[0], y=face.y - self._place[1])
         turn = f"0 0 {face.yaw:.7g}"
-        if not face.slope_along and not face.slope_across:
+        if not face.slope_along and not face.slope_across and ground is None:
             half = face.height / 2
             self._add(
                 "box", pos=_text(face.x, face.y, half), euler=turn,
@@ -106,7 +110,8 @@ class GroundModel:
             for across in (-face.width / 2, face.width / 2):
                 top = max(face.height + face.slope_along * along + face.slope_across * across, 0.0)
                 x, y = face.x + cos * along - sin * across, face.y + sin * along + cos * across
-                corners += [(x, y, -_THICK), (x, y, top)]
+                level = 0.0 if ground is None else float(ground.height(x + self._place[0], y + self._place[1]))
+                corners += [(x, y, level - _THICK), (x, y, level + top)]
         self._add_mesh(np.array(corners), _shade(block.height))
 
     def _add_mesh(self, corners: np.ndarray, color: str) -> None:
