@@ -122,15 +122,19 @@ class _Loader(yaml.SafeLoader):
         except (ValueError, OverflowError) as error:  # invalid dates, numbers with thousands of digits
             raise yaml.constructor.ConstructorError(None, None, str(error), node.start_mark) from None
 
-    def construct_mapping(self, node: yaml.Node, deep: bool = False) -> dict[Any, Any]:
-        lines: dict[tuple[str, Any], int] = {}
-        for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        # Only here does a node hold the keys of the text; its construction adds those of merged mappings.
+        node = super().compose_mapping_node(anchor)
+        lines: dict[tuple[str, str], int] = {}
+        for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode) or key.tag == "tag:yaml.org,2002:merge":
                 continue
-            if (first := lines.setdefault((key.tag, key.value), key.start_mark.line)) != key.start_mark.line:
-                problem = f"key {shown(key.value)} is there twice, first in line {first + 1}"
-                raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
-        return super().construct_mapping(node, deep)
+            if (key.tag, key.value) in lines:
+                first = lines[key.tag, key.value] + 1
+                problem = f"key {shown(key.value)} is there twice, first in line {first}"
+                raise yaml.composer.ComposerError(None, None, problem, key.start_mark)
+            lines[key.tag, key.value] = key.start_mark.line
+        return node
 
 
 _Loader.add_implicit_resolver(

@@ -25,7 +25,7 @@ def with_margin(robot: Robot, margin: float) -> Robot:
     margin = number("margin", margin, 0.0)
     # The lower side of the body rises and falls with the ground under the feet.
     deeper = margin * math.hypot(*robot.slope.steepest())
-    lowest = min((box.above for box in robot.body.boxes), default=math.inf)
+    lowest = min(box.above for box in robot.body.boxes)
     if not deeper < lowest:
         raise InputError(f"margin is {margin}; the body of {robot.name} is only {lowest:g} m above the ground")
     boxes = tuple(_widened(box, margin, deeper) for box in robot.body.boxes)

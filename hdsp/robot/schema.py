@@ -54,7 +54,7 @@ once, for the front left leg. `.inf` is infinity. The editor checks keys and ran
 between keys:
 
 - `feet`: the offsets include 0 and span less than 0.8 m; `contact_inward` is at most `neutral_x` and `neutral_y`.
-- `body.boxes`: `x_min` is less than `x_max`.
+- `body.boxes`: at least one box; `x_min` is less than `x_max`.
 - `drive`: either `max_height_difference`, or `wheel_radius` and `rolled_share`.
 - `turn`: `radius` for a robot that does not turn on the spot, and no other.
 - `drive.deviation_cost`: `side_from` is at most `side_to`.

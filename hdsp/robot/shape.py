@@ -2,7 +2,7 @@
 
 from typing import Annotated, Self
 
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from hdsp.base.settings import NotNegative, checked, fault, unit
 from hdsp.robot.lattice import metres, offset_steps
@@ -91,10 +91,10 @@ class Body:
     """Robot body.
 
     Attributes:
-        boxes: rectangles that have to stay free, each above its height.
+        boxes: rectangles that have to stay free, each above its height; at least one.
     """
 
-    boxes: tuple[Box, ...]
+    boxes: Annotated[tuple[Box, ...], Field(min_length=1)]
 
 
 @checked

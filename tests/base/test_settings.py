@@ -150,6 +150,8 @@ def test_long_values_are_shortened():
         ("# nothing\n", "f.yaml, line 1: the file is empty"),
         ("\n- 1\n", "f.yaml, line 2: need a mapping, got [1]"),
         ("a: 1\nb: 2\na: 3\n", "f.yaml, line 3: not YAML: key 'a' is there twice, first in line 1"),
+        ("{x: 0.4, y: 1, x: 0.8}", "f.yaml, line 1: not YAML: key 'x' is there twice, first in line 1"),
+        ("a:\n- {b: 1, c: {d: 2, d: 2}}\n", "f.yaml, line 2: not YAML: key 'd' is there twice, first in line 2"),
         ("a: 1\nb: 2024-13-45\n", "f.yaml, line 2: not YAML: month must be in 1..12"),
         ("a: 1\nb: \0\n", "f.yaml, line 2: not YAML: special characters"),
         ("a: !!python/object/apply:os.system [ls]", "f.yaml, line 1: not YAML: could not determine a constructor"),
@@ -163,6 +165,12 @@ def test_texts_that_hold_no_mapping_are_named_with_their_line(text, says):
         parse_yaml(text, "f.yaml")
     assert str(caught.value).startswith(says)
     assert "\n" not in str(caught.value)
+
+
+def test_a_key_of_a_merged_mapping_is_no_duplicate():
+    text = "base: &base {x: 1, y: 1}\na: {b: &more {<<: *base, x: 2}}\nc: {<<: *more, y: 3}\nd: {<<: *base, x: 4}\n"
+    values = parse_yaml(text, "f").values
+    assert values["a"] == {"b": {"x": 2, "y": 1}} and values["c"] == {"x": 2, "y": 3} and values["d"]["x"] == 4
 
 
 def test_numbers_without_a_point_are_numbers():

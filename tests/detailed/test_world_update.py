@@ -1,16 +1,19 @@
-"""An updated world equals the world built from the changed map, to the last bit."""
+"""An updated world equals the world built from the changed map, to the last bit; a part keeps its steps."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hdsp.detailed.actions.action import Action, ActionKind
+from hdsp.detailed.motion.refinement import ban
 from hdsp.detailed.world import world_update
 from hdsp.detailed.world.body import look_at_body
+from hdsp.detailed.world.part import Part, part_of_world
 from hdsp.detailed.world.world import build_world, cell_index
 from hdsp.detailed.world.world_update import influence, updated_world
-from hdsp.robot.lattice import HEADINGS
-from hdsp.robot.robot import Robot
+from hdsp.robot.lattice import HEADINGS, Grid, heading_angle, metres
+from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.height_map import HeightMap
 from tests.detailed.instances import toy
 
@@ -90,3 +93,19 @@ def test_without_a_change_a_world_stays_as_it_is():
     terrain = HeightMap.flat((40, 40))
     world = build_world(terrain, ROBOTS["toy"])
     assert updated_world(world, terrain, ROBOTS["toy"], np.zeros((40, 40), bool)) is world
+
+
+def test_a_part_has_the_banned_steps_of_its_feet_and_no_others():
+    """The rows of the part are those of the same steps on a map of the part alone."""
+    robot, terrain, rng = ROBOTS["toy"], HeightMap.flat((80, 70)), np.random.default_rng(0)
+    world, grid = build_world(terrain, robot), Grid((0.0, 0.0), terrain.shape)
+    part = Part((32, 27), (20, 15))
+    cut, inner = part_of_world(world, robot, part), Grid(tuple(metres(np.array(part.first))), part.shape)
+    whole, expected = world.banned, world.banned
+    for foot, turn, *cell in rng.integers(0, [4, HEADINGS, *part.shape], (20, 4)):
+        step = Action(ActionKind.STEP, FEET[foot], 0.1)
+        state = np.array([*inner.center(cell), heading_angle(turn), 0.0, 0.025, -0.025, 0.0])
+        whole, expected = ban(whole, world, grid, state, step), ban(expected, cut, inner, state, step)
+    for far in ((0, 0), (79, 69), (40, 69)):
+        whole = ban(whole, world, grid, np.array([*grid.center(far), 0.0, 0.0, 0.0, 0.0, 0.0]), step)
+    np.testing.assert_array_equal(part_of_world(world._replace(banned=whole), robot, part).banned, expected)

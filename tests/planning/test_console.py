@@ -109,6 +109,7 @@ def test_values_that_json_lacks_become_null_or_lists():
         (["info", "m.npz", "other"], "unexpected argument 'other'"),
         (["plan", "m.npz", *ENDS, "--weight", "fast"], "--weight: 'fast' is no number"),
         (["plan", "m.npz", *ENDS, "--expansions", "1.5"], "--expansions: '1.5' is no whole number"),
+        (["plan", "m.npz", "--start", "-5e-05", "1", "-e", *ENDS[4:]], "--start: expected 3 arguments"),
         (["completion", "fishy"], "choose from"),
         (["nothing"], "choose from"),
     ],
@@ -119,6 +120,15 @@ def test_wrong_usage_names_what_is_allowed(words, told, capsys):
     assert end.value.code == 2
     error = capsys.readouterr().err
     assert told in error and error.count("\n") <= 2
+
+
+def test_negative_numbers_in_any_notation_are_values():
+    words = "-5e-05", "-1.", "-.5E+2", "-1_0", "-inf"
+    parse = command_parser().parse_args
+    found = parse(["plan", "m.npz", "--start", *words[:3], "--goal", *words[:3]])
+    assert found.start == [-5e-5, -1.0, -50.0] and found.goal == [list(words[:3])]
+    found = parse(["map", "c.xyz", "--out", "m.npz", "--box", *words[:4], "--lowest", words[4], "--origin", *words[:2]])
+    assert found.box == [*map(float, words[:4])] and found.lowest == -np.inf and found.origin == [-5e-5, -1.0]
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import pytest
 
 from hdsp import HeightMap
 from hdsp.planning.cli import NO_PLAN, main
+from hdsp.planning.viewing import map_viewer
 from tests import heed_interrupts
 
 QUICK = ["--heuristic", "geometric", "--port", "0", "--quiet"]
@@ -39,6 +40,12 @@ def test_a_page_instead_of_a_server(map_file, tmp_path, capsys):
         (["--port", "70000"], "0 to 65535"),
         (["--page", "plan.png"], ".html"),
         (["--goal", "1", "north"], "need X Y DEGREES"),
+        (["--weight", "0.5"], "weight is 0.5; it must be a finite number >= 1"),
+        (["--tolerance", "-1"], "tolerance is -1.0; it must be a finite number >= 0"),
+        (["--tolerance", "nan"], "tolerance is nan"),
+        (["--margin", "-0.1"], "margin is -0.1"),
+        (["--start", "nan", "1", "0"], "start [nan, 1.0, 0.0]: need finite numbers"),
+        (["--goal", "1", "1", "inf"], "goal [1.0, 1.0, inf]: need finite numbers"),
         (["--heuristic", "best", "--page", "plan.html"], "need 'geometric'"),
     ],
 )
@@ -47,6 +54,16 @@ def test_wrong_options_give_one_line(map_file, options, words, capsys, tmp_path,
     assert main(["view", map_file, *QUICK, *options]) == 1
     heard = capsys.readouterr().err.strip()
     assert words in heard and heard.count("\n") == 0
+
+
+def test_a_viewer_that_cannot_be_built_leaves_no_server(map_file, monkeypatch):
+    closed = []
+    monkeypatch.setattr(map_viewer, "close_server", closed.append)
+    monkeypatch.setattr(map_viewer, "open_server", lambda port: "server")
+    monkeypatch.setattr(map_viewer, "PlanScene", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        main(["view", map_file, *QUICK])
+    assert closed == ["server"]
 
 
 def test_ctrl_c_ends_quietly(map_file):

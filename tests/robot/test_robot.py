@@ -183,3 +183,7 @@ def test_steps_must_be_shorter_than_an_action_code_can_say():
 def test_boxes_must_be_a_list_of_boxes():
     assert_refused(changed("body.boxes", None), "robot.body.boxes")
     assert_refused(changed("body.boxes", [{"above": 1.0}]), "robot.body.boxes[0]", "missing")
+
+
+def test_a_body_without_boxes_is_refused():
+    assert_refused(changed("body.boxes", []), "robot.body.boxes is []", "at least 1")

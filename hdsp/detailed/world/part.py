@@ -43,10 +43,20 @@ def part_of_world(world: World, robot: Robot, part: Part) -> World:
         nx=nx,
         ny=ny,
         stride=stride,
-        banned=world.banned - np.array([*part.first, 0, 0, 0, 0, 0]),
+        banned=_banned(world, part, around.shape),
         tables=robot_tables(robot, stride, around.size),
         **maps,
     )
+
+
+def _banned(world: World, part: Part, shape: tuple[int, int]) -> np.ndarray:
+    """Rows of ``World.banned`` whose feet stand in a part or its border of together ``shape`` cells."""
+    flat = world.banned[:, 1]
+    cell = np.stack([flat // world.stride, flat % world.stride], axis=1) - part.first
+    inside = ((cell >= 0) & (cell < shape)).all(axis=1)
+    banned = world.banned[inside]
+    banned[:, 1] = cell[inside] @ (shape[1], 1)
+    return banned
 
 
 def part_of_map(values: np.ndarray, world: World, part: Part) -> np.ndarray:

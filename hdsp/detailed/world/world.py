@@ -253,7 +253,7 @@ def robot_tables(robot: Robot, stride: int, size: int) -> Tables:
     contacts = feet + layer[: feet.size].reshape(feet.shape) * size
     arc_contacts = arc_feet + layer[feet.size :].reshape(arc_feet.shape) * size
     boxes = [[rectangle_cells(box, h) for h in range(HEADINGS)] for box in robot.body.boxes]
-    widest = max((len(c) for box in boxes for c in box), default=0)
+    widest = max(len(c) for box in boxes for c in box)
     box_offsets = np.zeros((len(boxes), HEADINGS, widest, 2), dtype=np.int64)
     for i, box in enumerate(boxes):
         for h, offsets in enumerate(box):
@@ -295,8 +295,8 @@ def robot_tables(robot: Robot, stride: int, size: int) -> Tables:
         corner=cells(
             np.array(
                 [
-                    max((max(abs(box.x_min), abs(box.x_max)) for box in robot.body.boxes), default=0.0),
-                    max((box.half_width for box in robot.body.boxes), default=0.0),
+                    max(max(abs(box.x_min), abs(box.x_max)) for box in robot.body.boxes),
+                    max(box.half_width for box in robot.body.boxes),
                 ]
             )
         ),

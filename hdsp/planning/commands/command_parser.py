@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import re
 import shutil
 from collections.abc import Sequence
 from typing import Any, NoReturn
@@ -11,6 +12,8 @@ from typing import Any, NoReturn
 import shtab
 
 _WIDEST = 100
+#: Words with a minus that are numbers; argparse itself knows no exponents and takes them for options.
+_NEGATIVE = re.compile(r"-(?:(?:\d[\d_]*\.?[\d_]*|\.\d[\d_]*)(?:e[-+]?\d+)?|inf(?:inity)?|nan)$", re.IGNORECASE)
 
 
 class HelpText(argparse.HelpFormatter):
@@ -31,6 +34,7 @@ class CommandParser(argparse.ArgumentParser):
         super().__init__(**{"formatter_class": HelpText, **options})
         for kind, name in ((float, "number"), (int, "whole number")):
             self.register("type", kind, _converter(kind, name))
+        self._negative_number_matcher = _NEGATIVE
 
     def error(self, message: str) -> NoReturn:
         """Ends with status 2; only the short usage of `hdsp` itself comes with the error."""

@@ -136,7 +136,7 @@ def _grounds(terrain: HeightMap, world: World, robot: Robot, wider: Robot, state
         plane = np.full(heights.shape, float(terrain.heights[x, y]))
     with np.errstate(invalid="ignore"):
         objects = around & (heights - plane > robot.drive.highest_edge)
-    itself = _own_parts(objects, heights - plane, body, min((box.above for box in robot.body.boxes), default=0.0))
+    itself = _own_parts(objects, heights - plane, body, min(box.above for box in robot.body.boxes))
     unknown = own & np.isnan(heights)
     for parts in (np.zeros_like(own), itself):
         missing = unknown | parts

@@ -65,20 +65,28 @@ class MapViewer:
         self.words = self.error = ""
         robot = Robot.load(request.robot)
         self.server = open_server(port)
-        self.scene = PlanScene(self.server, terrain, robot, _ASIDE)
-        self.panel = ControlPanel(self.server.gui, request, self, bool(np.isnan(terrain.heights).any()))
+        try:
+            self._fill_server(terrain, request, robot)
+        except BaseException:
+            close_server(self.server)
+            raise
         self.playback = Playback(self._show_moment, self._at_end)
-        self.start = PoseHandle(self.server.scene, "/start", "start", START, lambda pose: self.change(start=pose))
-        self.goal = PoseHandle(self.server.scene, "/goal", "goal", GOAL, lambda pose: self.change(goal=pose))
-        self._visible = {UNKNOWN}
-        self._drawn: dict[str, tuple] = {}
         self._closed = threading.Event()
         self._layers = threading.Event()
-        self._place_ends(request, robot)
         self.session = PlanningSession(terrain, self)
         self.session.ask(request)
         self._layer_thread = threading.Thread(target=self._draw_layers, name="layers", daemon=True)
         self._layer_thread.start()
+
+    def _fill_server(self, terrain: HeightMap, request: PlanningRequest, robot: Robot) -> None:
+        """Creates the scene, the controls and the handles."""
+        self.scene = PlanScene(self.server, terrain, robot, _ASIDE)
+        self.panel = ControlPanel(self.server.gui, request, self, bool(np.isnan(terrain.heights).any()))
+        self.start = PoseHandle(self.server.scene, "/start", "start", START, lambda pose: self.change(start=pose))
+        self.goal = PoseHandle(self.server.scene, "/goal", "goal", GOAL, lambda pose: self.change(goal=pose))
+        self._visible = {UNKNOWN}
+        self._drawn: dict[str, tuple] = {}
+        self._place_ends(request, robot)
 
     @property
     def address(self) -> str:

@@ -11,6 +11,7 @@ compiles the others behind the first answer.
 from __future__ import annotations
 
 import logging
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -22,8 +23,11 @@ import numpy as np
 from hdsp.base.compilation import compilations
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.base.gradual import Gradual, now
+from hdsp.base.messages import shown
+from hdsp.base.scalars import real
 from hdsp.detailed.motion.motion import Motion
 from hdsp.planning.answers.plans import Plan
+from hdsp.planning.arguments import number
 from hdsp.planning.compiled import compile_for, compile_on_use
 from hdsp.planning.heuristics import AbstractHeuristic
 from hdsp.planning.planner import Planner
@@ -49,6 +53,9 @@ class PlanningRequest:
         tolerance: distance from the goal within which the plan may end, m; 0: at the nearest pose on the lattice.
         margin: distance between body and obstacles, m.
         time: limit of a query, s.
+
+    Raises:
+        InputError: weight, tolerance, margin or time is out of range, or a pose has values that are not finite.
     """
 
     start: Pose | None = None
@@ -59,6 +66,14 @@ class PlanningRequest:
     tolerance: float = 0.0
     margin: float = 0.0
     time: float = 60.0
+
+    def __post_init__(self) -> None:
+        for name, least in (("weight", 1.0), ("tolerance", 0.0), ("margin", 0.0)):
+            number(name, getattr(self, name), least)
+        number("time", self.time, 0.0, infinite=True)
+        for name, pose in (("start", self.start), ("goal", self.goal)):
+            if pose is not None and not all(math.isfinite(real(value)) for value in pose if value is not None):
+                raise InputError(f"{name} {shown(pose)}: need finite numbers")
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,9 +53,9 @@ def link_length(robot: Robot) -> float:
 
 def trunk(robot: Robot) -> list[Trunk]:
     """Returns the cuboids of the base: those boxes of the body whose lower side is highest."""
-    highest = max((box.above for box in robot.body.boxes), default=0.0)
+    highest = max(box.above for box in robot.body.boxes)
     boxes = [box for box in robot.body.boxes if box.above == highest]
-    length = max((box.x_max - box.x_min for box in boxes), default=0.0)
+    length = max(box.x_max - box.x_min for box in boxes)
     lower = highest - robot.stance.base_height
     height = max(_TRUNK * length, -lower + 0.02)
     return [
