@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
 from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
 
 from .config_types import METHODS, SHIPPED, Config, is_own_heuristic
-from .stage import Folders
+from .stage import Folders, read_json
 
 if TYPE_CHECKING:
     from hdsp.abstract import AbstractCosts, TaskPredictor
@@ -68,6 +68,23 @@ def task_predictor(name: str, config: Config, folders: Folders, model: str = TRA
 
         return FlatCosts(robot)
     raise InputError(f"unknown abstraction {name!r}; allowed are {', '.join(METHODS)}")
+
+
+def trained_weights(names: Collection[str], folders: Folders, model: str = TRAINED_FOLDER) -> str | None:
+    """Returns the checksum of the weights behind `trained`; None if nothing of a folder is judged by this name.
+
+    Args:
+        names: the judged abstractions.
+        folders: stage folders.
+        model: as for `task_predictor`.
+    """
+    from hdsp.learning.loading import presets
+
+    config = folders.read(model, "config.json")
+    if "trained" not in names or model in presets() or not config.is_file():
+        return None
+    checksum: str | None = read_json(config).get("weights_sha256")
+    return checksum
 
 
 def heuristic_source(name: str, config: Config, folders: Folders) -> AbstractCosts | str:

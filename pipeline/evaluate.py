@@ -10,7 +10,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
 
 from . import tracking
-from .abstractions import available, task_predictor
+from .abstractions import available, task_predictor, trained_weights
 from .config_types import Config
 from .stage import Folders, run_stage, write_json
 from .task_sets import read_evaluation_set
@@ -29,6 +29,7 @@ def evaluate(config: Config, folders: Folders) -> None:
         wanted = ", ".join(config.evaluation.methods)
         raise InputError(f"evaluation.methods: none of {wanted} exists for {config.robot.name}")
     predictors = {name: task_predictor(name, config, folders, model) for name in methods}
+    weights = trained_weights(methods, folders, model)  # before a training replaces them
     sets: dict[str, Any] = {}
     example = None
     for name, entry in config.evaluation.sets.items():
@@ -55,7 +56,7 @@ def evaluate(config: Config, folders: Folders) -> None:
         writer.writerows(rows(sets))
     save_quality_bars(sets, folders.write("reports", "figures", "abstraction_quality.png"))
     save_reliability(sets, folders.write("reports", "figures", "reliability.png"))
-    tracking.add_results(folders, table_one(sets), reports, "evaluation")
+    tracking.add_results(folders, weights, table_one(sets), reports, "evaluation")
     judged = predict(next(iter(predictors.values())), example)
     picture = folders.write("reports", "figures", "example_patches.png")
     save_example_patches(example, judged, picture, config.evaluation.examples, config.robot)

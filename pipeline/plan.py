@@ -14,7 +14,7 @@ from hdsp.base.errors import InputError
 from hdsp.robot.robot import Robot
 
 from . import tracking
-from .abstractions import available, heuristic_source
+from .abstractions import available, heuristic_source, trained_weights
 from .config import plain
 from .config_types import Config, PlannerSettings
 from .random_tasks import random_arena_runs, random_task_report
@@ -83,6 +83,7 @@ def plan(config: Config, folders: Folders) -> None:
     if not names:
         raise InputError(f"planner.heuristics: none of {', '.join(config.planner.heuristics)} exists for {robot.name}")
     tasks = read_tasks(ground.terrain, config)
+    weights = trained_weights(names, folders)
     workers = config.runtime.workers or os.cpu_count() or 1
     shared = with_threads(config, max((os.cpu_count() or 1) // workers, 1))
     jobs: list[Callable[[], Any]] = []
@@ -114,7 +115,7 @@ def plan(config: Config, folders: Folders) -> None:
     }
     written = folders.write("reports", "planning.json")
     write_json(written, report)
-    tracking.add_results(folders, table_two(report["summary"]), [written], "planning")
+    tracking.add_results(folders, weights, table_two(report["summary"]), [written], "planning")
     save_planning_bars(runs, folders.write("reports", "figures", "planning.png"))
     found = {PathKey(task, name, weight): p for name, part in searches for (task, weight), p in part.paths.items()}
     write_paths(folders.write("data", "paths.npz"), {key: (path.states, path.actions) for key, path in found.items()})

@@ -20,7 +20,7 @@ from typing import Any
 from hdsp.base.files import replacing
 
 from .config import parse_overrides
-from .folders import Folders, in_short, project_root
+from .folders import Folders, in_short, project_root, read_json
 from .run_view import show_results
 from .started_by import has_ended, this_process
 
@@ -104,21 +104,24 @@ def keep_run(folders: Folders, run_id: str, model_id: str | None, weights: str) 
         path.write_text(json.dumps({"run": run_id, "model": model_id, "weights": weights}) + "\n", encoding="utf-8")
 
 
-def add_results(folders: Folders, metrics: Mapping[str, float | None], files: Sequence[Path], place: str) -> None:
-    """Adds metrics and files to the run behind `models/abstraction`, if it is known.
+def add_results(
+    folders: Folders, weights: str | None, metrics: Mapping[str, float | None], files: Sequence[Path], place: str
+) -> None:
+    """Adds metrics and files to the run behind the judged abstraction, if it is known.
 
     Args:
-        folders: stage folders; the model is among the inputs.
+        folders: stage folders; the run's note is among the inputs.
+        weights: checksum of the judged weights, as from `pipeline.abstractions.trained_weights`.
         metrics: by name; None is left out.
         files: the stage's reports.
         place: folder for the files among the run's artifacts.
     """
-    note, config = folders.read(*RUN_FILE), folders.read("models", "abstraction", "config.json")
-    if not (note.is_file() and config.is_file()):
+    note = folders.read(*RUN_FILE)
+    if weights is None or not note.is_file():
         return
-    known = json.loads(note.read_text(encoding="utf-8"))
-    if known["weights"] != json.loads(config.read_text(encoding="utf-8"))["weights_sha256"]:
-        return  # the abstraction comes from elsewhere, for example from a cache
+    known = read_json(note)
+    if known["weights"] != weights:
+        return  # the abstraction comes from elsewhere, for example from a cache, or is another one than the trained one
     mlflow = connect()
     with contextlib.suppress(mlflow.MlflowException):  # the run may have been deleted
         values = {name: float(value) for name, value in metrics.items() if value is not None}

@@ -151,6 +151,9 @@ def _schedule(settings: ScheduleSettings, optimizer: torch.optim.Optimizer, step
     if settings.name == "cosine":
         return torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
     highest = [group["lr"] for group in optimizer.param_groups]
+    warmup = settings.warmup
+    if warmup * steps == 1:
+        warmup *= 1 + 1e-9  # torch divides by the number of warmup steps after the first one
     return torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, max_lr=highest, total_steps=steps, pct_start=settings.warmup, cycle_momentum=False
+        optimizer, max_lr=highest, total_steps=steps, pct_start=warmup, cycle_momentum=False
     )

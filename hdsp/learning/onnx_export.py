@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import logging
+from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,7 +58,7 @@ class _Judging(nn.Module):
 
     def __init__(self, abstraction: LearnedAbstraction):
         super().__init__()
-        self.network = abstraction.network.float().cpu()
+        self.network = deepcopy(abstraction.network).float().cpu()  # both work in place
         self.temperature = abstraction.calibration.temperature
         never = torch.tensor(abstraction.provenance.never_feasible, dtype=torch.float32).reshape(-1, 3)
         self.register_buffer("never", never, persistent=False)

@@ -34,9 +34,14 @@ def summed(values: Tensor) -> Tensor:
     """Returns the sum over all processes; every process has to call this."""
     if process_count() == 1:
         return values
-    total = values.clone()
+    total = values.to(_meeting_place(values.device), copy=True)
     dist.all_reduce(total)
-    return total
+    return total.to(values.device)
+
+
+def _meeting_place(device: torch.device) -> torch.device:
+    """The device on which processes can add values; NCCL adds none on the CPU."""
+    return torch.device("cuda") if dist.get_backend() == "nccl" else device
 
 
 def own_part(batch: Part) -> Part:

@@ -202,6 +202,7 @@ class _GroupReader(Dataset):
             parts = [read_arrays(path, self.names) for path in self.groups[number]]
         except InputError as error:
             return error
+        parts = [part for part in parts if len(part["heights"])]  # a shard without maps lacks optional arrays
         shared = [name for name in TaskArrays._fields if all(name in part for part in parts)]
         return TaskArrays(**{name: np.concatenate([part[name] for part in parts]) for name in shared})
 

@@ -6,9 +6,12 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import lightning.pytorch as pl
+import torch
 from lightning.pytorch.loggers import Logger
 from lightning.pytorch.profilers import AdvancedProfiler, Profiler, PyTorchProfiler, SimpleProfiler
 from torch import Tensor
+
+from hdsp.learning.processes import summed
 
 #: (predicted costs, feasibility logits, feasible, labelled costs) -> (feasibility loss, cost loss); all arguments have
 #: one shape [B, G], and costs count only where a task is feasible.
@@ -26,7 +29,11 @@ class OwnMetric(Protocol):
         """Adds tasks; all arguments have one shape."""
 
     def compute(self) -> float:
-        """Returns the metric for all tasks since ``reset``."""
+        """Returns the metric for all tasks since ``reset``.
+
+        With several processes, each has its share of the tasks, and all call this at once to join their sums
+        (`hdsp.learning.processes.summed`).
+        """
 
 
 class TaskMean:
@@ -49,7 +56,8 @@ class TaskMean:
         self._tasks += values.numel()
 
     def compute(self) -> float:
-        return self._sum / self._tasks if self._tasks else float("nan")
+        total, tasks = summed(torch.tensor([self._sum, self._tasks], dtype=torch.float64)).tolist()
+        return total / tasks if tasks else float("nan")
 
 
 def named_profiler(name: Any, folder: Path) -> Profiler | None:

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from hdsp.learning import train
+from hdsp.learning.training_parts import TaskMean, TrainingParts
 from tests.learning.synthetic import synthetic_tasks, tiny_config
 
 
@@ -13,7 +14,8 @@ def main(devices: int, folder: str) -> None:
     config = tiny_config(epochs=2, mirror=True)
     config["model"] = {"architecture": "table", "options": {"widths": [4, 4, 4, 4], "hidden": 16}}
     config["lightning"] = {"devices": devices, "strategy": "ddp" if devices > 1 else "auto"}
-    train(config, synthetic_tasks(40), {"val": synthetic_tasks(21, seed=1)}, folder, quiet=True)
+    parts = TrainingParts(metrics={"mean_cost": lambda: TaskMean(lambda cost, *_: cost)})
+    train(config, synthetic_tasks(40), {"val": synthetic_tasks(21, seed=1)}, folder, quiet=True, parts=parts)
     if os.environ.get("LOCAL_RANK", "0") == "0":
         Path(folder, "done").touch()
 

@@ -53,6 +53,19 @@ def test_the_outputs_agree_with_those_in_torch(name, tasks, tmp_path):
             np.testing.assert_allclose(planning[0], expected_planning, rtol=1e-4, atol=2e-5)
 
 
+def test_the_network_itself_stays_as_it_is(tasks, tmp_path):
+    pytest.importorskip("onnx")
+    settings = configure(["model=compact"]).model
+    abstraction = LearnedAbstraction(build_network(settings), settings)
+    before = abstraction.predict(*tasks)
+    abstraction.network.double()
+    export_onnx(abstraction, tmp_path / "model.onnx")
+    assert {value.dtype for value in abstraction.network.parameters()} == {torch.float64}
+    abstraction.network.float()
+    for found, expected in zip(abstraction.predict(*tasks), before, strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
 def test_shipped_abstractions_keep_calibration_and_robot(tasks, tmp_path):
     onnx = pytest.importorskip("onnx")
     abstraction = load_abstraction(presets()[0])

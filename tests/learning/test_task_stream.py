@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -6,6 +8,7 @@ from hypothesis import strategies as st
 
 from hdsp.base.errors import InputError
 from hdsp.labels.shards import write_shard
+from hdsp.labels.tasks import TaskSet
 from hdsp.learning.learning_settings import BatchSettings
 from hdsp.learning.task_data import task_loader
 from hdsp.learning.task_stream import ResumableBatches, TaskStream
@@ -46,6 +49,18 @@ def test_a_stream_in_order_is_the_split_in_order(tasks, shards):
     for name in ("goals", "feasible", "cost"):
         found = torch.cat([getattr(batch, name) for batch in batches]).numpy()
         np.testing.assert_array_equal(found, tasks.arrays()[name])
+
+
+@pytest.mark.parametrize("in_memory", [1, 2, 3])
+def test_a_shard_without_maps_takes_no_costs_for_planning_from_the_others(tasks, tmp_path, in_memory):
+    planned = replace(tasks, planning_cost=tasks.cost / 2)
+    for number, part in enumerate([planned[:4], TaskSet.empty(), planned[4:]]):
+        write_shard(tmp_path / f"{number}.h5", part, {"labels_hash": "x"})
+    stream = TaskStream(
+        tmp_path, BatchSettings("map", 4), shards_in_memory=in_memory, targets=("cost", "planning_cost")
+    )
+    found = torch.cat([batch.planning_cost for batch in stream])
+    np.testing.assert_array_equal(found, planned.planning_cost)
 
 
 @pytest.mark.parametrize("by", ["map", "task"])

@@ -6,10 +6,14 @@ from itertools import zip_longest
 import lightning.pytorch as pl
 import pytest
 import torch
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from lightning.pytorch.loggers import CSVLogger
 
 from hdsp.base.errors import InputError
 from hdsp.learning import train
+from hdsp.learning.learning_settings import ScheduleSettings
+from hdsp.learning.module import _schedule
 from hdsp.learning.training_parts import TaskMean
 from pipeline.config import configure
 from pipeline.parts import training_parts
@@ -59,6 +63,26 @@ def test_a_function_becomes_a_metric_by_its_mean_over_tasks():
     metric.reset()
     metric.update(logits, logits, feasible[:1], logits[:1])
     assert metric.compute() == 0.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(steps=st.integers(1, 40), warmup=st.sampled_from([1e-6, 0.1, 0.2, 0.25, 1 / 3, 0.5, 0.999]))
+@example(steps=5, warmup=0.2)
+@example(steps=10, warmup=0.1)
+@example(steps=2, warmup=0.5)
+def test_every_schedule_works_with_any_number_of_steps(steps, warmup):
+    for name in ("onecycle", "cosine"):
+        optimizer = torch.optim.SGD([torch.nn.Parameter(torch.zeros(1))], lr=0.5)
+        schedule = _schedule(ScheduleSettings(name, warmup), optimizer, steps)
+        rates = []
+        for _ in range(steps):
+            rates.append(optimizer.param_groups[0]["lr"])
+            optimizer.step()
+            schedule.step()
+        assert all(0 <= rate <= 0.5 * (1 + 1e-6) for rate in rates)
+        assert name == "onecycle" or rates[0] == 0.5
+        if name == "onecycle" and warmup * steps >= 1:
+            assert rates[0] == pytest.approx(0.5 / 25)  # it rises first
 
 
 #: Groups of parts, as overrides name them.

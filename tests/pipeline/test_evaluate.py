@@ -2,10 +2,14 @@
 
 import csv
 import json
+from types import SimpleNamespace
 
 import pytest
 
 from hdsp.labels.shards import shard_paths
+from pipeline import tracking
+from pipeline.abstractions import trained_weights
+from pipeline.stage import Folders
 from tests.pipeline.conftest import run_python, tiny
 
 pytestmark = [pytest.mark.pipeline, pytest.mark.xdist_group("chain")]
@@ -40,10 +44,39 @@ def test_networks_are_also_judged_by_their_calibration(chain):
 def test_a_folder_of_shards_that_somebody_has_is_judged_with_the_abstraction_of_the_package(chain, tmp_path):
     (shard,) = shard_paths(chain / "data/labels/random")
     overrides = ["evaluation.model=momaro", f"evaluation.sets.mine.scans={shard.parent}"]
-    said = run_python("pipeline.evaluate", *tiny(chain), f"runtime.outputs={tmp_path}", *overrides).stdout
+    said = run_python(
+        "pipeline.evaluate", *tiny(chain), f"runtime.outputs={tmp_path}", *overrides, tracking=chain
+    ).stdout
     sets = json.loads((tmp_path / "reports/abstraction_quality.json").read_text())["sets"]
     assert "mine, trained: " in said
     assert sets["mine"]["methods"] == sets["random"]["methods"]
+
+
+@pytest.mark.parametrize(
+    ("names", "model", "added"),
+    [
+        (["flat", "trained"], "models/abstraction", True),
+        (["trained"], "models/copied", True),
+        (["flat", "shipped"], "models/abstraction", False),
+        (["trained"], "models/other", False),
+        (["trained"], "momaro", False),
+        (["trained"], "models/nothing", False),
+    ],
+)
+def test_results_reach_the_run_of_the_judged_weights_alone(tmp_path, monkeypatch, names, model, added):
+    for folder, weights in (("abstraction", "aa"), ("copied", "aa"), ("other", "bb")):
+        (tmp_path / "models" / folder).mkdir(parents=True)
+        (tmp_path / "models" / folder / "config.json").write_text(json.dumps({"weights_sha256": weights}))
+    folders, logged = Folders(tmp_path, tmp_path), []
+    tracking.keep_run(folders, "a run", None, "aa")
+    mlflow = SimpleNamespace(
+        MlflowException=RuntimeError,
+        log_metrics=lambda values, run_id, model_id: logged.append((run_id, values)),
+        log_artifact=lambda file, place, run_id: logged.append((run_id, file)),
+    )
+    monkeypatch.setattr(tracking, "connect", lambda: mlflow)
+    tracking.add_results(folders, trained_weights(names, folders, model), {"a": 1.0, "b": None}, [tmp_path], "place")
+    assert logged == ([("a run", {"a": 1.0}), ("a run", str(tmp_path))] if added else [])
 
 
 def test_the_flat_baseline_judges_everything_feasible(chain):

@@ -89,6 +89,7 @@ def test_data_model_and_later_stages_belong_to_the_run(chain, mlflow):
     assert run.data.metrics["table 1/random/trained/feasibility_accuracy"] == pytest.approx(accuracy)
     assert run.data.metrics["calibration/random/trained/ece"] == pytest.approx(quality["calibration"]["trained"]["ece"])
     assert "table 2/manual/W1.0/seconds_mean" in run.data.metrics
+    assert not any(name.startswith("table 1/mine/") for name in run.data.metrics)  # of another abstraction
 
 
 def test_the_tracked_model_has_a_signature_and_predicts_as_the_saved_one(chain, mlflow):
