@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from hdsp.learning.architectures import architecture_place
 
@@ -47,18 +48,23 @@ def once(folder: Path, digest: str, work: Callable[[], float]) -> float:
 
 
 def run_digest(config: Config, stage: str, arguments: Sequence[str] = ()) -> str:
-    """Hash of settings and code behind a run, without those of `runtime`, which decide no result.
+    """Hash of settings and code behind a run.
 
     All files of this project and of packages that the settings name count, because a fingerprint of the reached code
     alone takes seconds.
     """
-    settings = {name: value for name, value in plain(config).items() if name not in ("runtime", "search")}
     own = [place for name in STAGES for place in own_places(name, config)] + [
         architecture_place(config.model.architecture)
     ]
     packages = {"hdsp", PACKAGE, *(place.partition(":")[0].partition(".")[0] for place in own)}
-    parts = [stage, settings, list(arguments), *map(_code_of, sorted(packages))]
+    parts = [stage, deciding_settings(config), list(arguments), *map(_code_of, sorted(packages))]
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def deciding_settings(config: Config) -> dict[str, Any]:
+    """Plain settings that decide results: all but those of searches and of `runtime`, of which only `inputs` counts."""
+    others = {name: value for name, value in plain(config).items() if name not in ("runtime", "search")}
+    return {**others, "inputs": config.runtime.inputs}
 
 
 @cache

@@ -4,14 +4,15 @@
     python -m pipeline.search 'trainer.optimizer.lr=tag(log, interval(1e-4, 1e-2))' 'model=choice(compact, swept)'
 
 The space is in Hydra's syntax: `interval(A, B)`, `int(interval(A, B))`, `range(A, B, STEP)`, `choice(...)` or `A,B`,
-and `tag(log, ...)` for a logarithmic scale. All values and ends are checked before the first trial. The storage keeps
-each trial: a search that was killed continues, and several processes with one storage share the work. Trials are child
-runs in MLflow. A failed trial makes the search end with exit status 1.
+and `tag(log, ...)` for a logarithmic scale; a plain value holds for all trials. All values and ends are checked before
+the first trial. The storage keeps each trial: a search that was killed continues, and several processes with one
+storage share the work; a search with other settings needs another `search.name`. Trials are child runs in MLflow. A
+failed trial makes the search end with exit status 1.
 """
 
 from __future__ import annotations
 
-import logging
+import math
 import signal
 import subprocess
 import sys
@@ -20,7 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hydra.core.override_parser.types import ChoiceSweep, IntervalSweep, Override, RangeSweep
+from hydra.core.override_parser.types import Override
 
 from hdsp.base.ending import Ended, end_children
 from hdsp.base.errors import InputError
@@ -28,12 +29,10 @@ from hdsp.base.errors import InputError
 from . import tracking
 from .command_line import PACKAGE, CommandLine, ends_in_one_line, parse
 from .config import configure, expand_choices, parse_overrides
-from .config_types import Config
+from .config_types import Config, SearchSettings
 from .folders import read_json, write_json
-from .started_by import has_ended, this_process
-
-#: Attributes of a trial: the process that runs it; the folder of the killed trial whose training it continues.
-PROCESS, PLACE = "process", "place"
+from .search_study import PROCESS, check_same_search, open_study, place_of, shown_place, study_values
+from .started_by import this_process
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -46,22 +45,16 @@ def search(line: CommandLine) -> dict[str, Any]:
     Raises:
         InputError: a setting is wrong, Optuna is not installed, or trials failed, all of which are named.
     """
-    given = parse_overrides(line.overrides)
-    fixed = [str(override.input_line) for override in given if not override.is_sweep_override()]
-    config = configure(fixed, line.source)
+    config, fixed, space = settings_and_space(line)
     settings = config.search
-    named = parse_overrides([f"{key}={text}" for key, text in settings.space.items()])
-    space = {override.get_key_element(): override for override in [*named, *given] if override.is_sweep_override()}
-    if not space:
-        raise InputError("search: nothing varies; give search=NAME, or KEY=interval(A, B) or KEY=choice(A, B)")
     for variant in expand_choices([*fixed, *(str(override.input_line) for override in space.values())]):
         configure(variant, line.source)
-    distributions = {key: distribution(override) for key, override in space.items()}
     study = open_study(config)
+    distributions = check_same_search(study, config, space)
     folder = Path(config.runtime.outputs or "outputs") / "search" / settings.name
     folder.mkdir(parents=True, exist_ok=True)
     best: dict[str, Any] = {}
-    with tracking.sweep(line.overrides, f"{study_place(config)} {settings.name}"):
+    with tracking.sweep(line.overrides, f"{shown_place(config)} {settings.name}"):
         failed = run_trials(study, distributions, config, [*own_flags(line), *fixed], folder)
         if study_values(study):
             overrides, trials = words_of(study.best_trial.params), len(study_values(study))
@@ -73,37 +66,25 @@ def search(line: CommandLine) -> dict[str, Any]:
     return best
 
 
-def open_study(config: Config) -> Study:
-    """Returns the study in its storage, new or continued.
+def settings_and_space(line: CommandLine) -> tuple[Config, list[str], dict[str, Override]]:
+    """Returns the configuration without choices, its overrides, and the overrides that vary by key.
 
-    A trial that a killed process left open counts as failed, and the next one continues its training.
+    Entries of `search.space` come before the words of the command; the last word about a key counts.
+
+    Raises:
+        InputError: a setting is wrong, or nothing varies.
     """
-    try:
-        import optuna
-    except ImportError as error:
-        raise InputError("a search needs Optuna: pip install 'hdsp[sweeps]'") from error
-    optuna.logging.set_verbosity(logging.WARNING)
-    settings = config.search
-    (Path(config.runtime.outputs or "outputs") / "search").mkdir(parents=True, exist_ok=True)
-    study = optuna.create_study(
-        storage=study_place(config),
-        study_name=settings.name,
-        direction=settings.direction,
-        load_if_exists=True,
-    )
-    # A continued search draws other values than the first call.
-    study.sampler = optuna.samplers.TPESampler(seed=settings.seed + len(study.get_trials(deepcopy=False)))
-    for trial in study.get_trials(states=(optuna.trial.TrialState.RUNNING,)):
-        if has_ended(trial.user_attrs.get(PROCESS, "")):
-            study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
-            study.enqueue_trial(trial.params, user_attrs={PLACE: place_of(trial)})
-    return study
-
-
-def study_place(config: Config) -> str:
-    """Returns the address of the study's storage."""
-    folder = Path(config.runtime.outputs or "outputs") / "search"
-    return config.search.storage or f"sqlite:///{(folder / 'optuna.db').resolve()}"
+    given = parse_overrides(line.overrides)
+    plain_ones = [str(override.input_line) for override in given if not override.is_sweep_override()]
+    config = configure(plain_ones, line.source)
+    named = config.search.space
+    texts = [f"{key}={'null' if text is None else text}" for key, text in named.items()]
+    last = {override.get_key_element().lstrip("+"): override for override in [*parse_overrides(texts), *given]}
+    space = {o.get_key_element(): o for o in last.values() if o.is_sweep_override()}
+    if not space:
+        raise InputError("search: nothing varies; give search=NAME, or KEY=interval(A, B) or KEY=choice(A, B)")
+    fixed = [str(o.input_line) for o in last.values() if not o.is_sweep_override()]
+    return config if fixed == plain_ones else configure(fixed, line.source), fixed, space
 
 
 def run_trials(
@@ -125,7 +106,7 @@ def run_trials(
             last = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
             return f"{title}: {last.removeprefix('error: ')}"
         try:
-            value = metric_of(read_json(place / "reports" / "training.json"), config.search.metric)
+            value = metric_of(read_json(place / "reports" / "training.json"), config.search)
         except InputError as error:
             study.tell(trial, state=TrialState.FAIL)
             return f"{title}: {error}"
@@ -144,27 +125,23 @@ def run_trials(
         pool.shutdown(cancel_futures=True)
 
 
-def place_of(trial: Any) -> str:
-    """Returns the name of a trial's folder."""
-    return trial.user_attrs.get(PLACE, str(trial.number))
-
-
-def study_values(study: Study) -> list[float]:
-    """Values of all finished trials."""
-    return [trial.values[0] for trial in study.get_trials(deepcopy=False) if trial.state.name == "COMPLETE"]
-
-
-def metric_of(report: Mapping[str, Any], name: str) -> float:
+def metric_of(report: Mapping[str, Any], settings: SearchSettings) -> float:
     """Returns a metric from `reports/training.json`, `GROUP/SET` for a nested one.
+
+    A number that is not finite is null there; as a value, it is worse than all others.
 
     Raises:
         InputError: there is no such number.
     """
     found: Any = report
-    for part in name.split("/"):
-        found = found.get(part) if isinstance(found, Mapping) else None
+    for part in settings.metric.split("/"):
+        found = found.get(part, "") if isinstance(found, Mapping) else ""
+    if found is None:
+        return -math.inf if settings.direction == "maximize" else math.inf
     if not isinstance(found, int | float):
-        raise InputError(f"search.metric: {name!r} is no number of this training; it has {', '.join(report)}")
+        raise InputError(
+            f"search.metric: {settings.metric!r} is no number of this training; it has {', '.join(report)}"
+        )
     return float(found)
 
 
@@ -177,28 +154,6 @@ def own_flags(line: CommandLine) -> list[str]:
     """Flags that tell a trial where the configuration is."""
     folder = ["--config-dir", str(line.source.folder)] if line.source.folder is not None else []
     return [*folder, "--config-name", line.source.name]
-
-
-def distribution(override: Override) -> BaseDistribution:
-    """Returns the distribution behind an override that varies.
-
-    Raises:
-        InputError: it has no values in common with Optuna.
-    """
-    from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
-
-    value = override.value()
-    log = "log" in getattr(value, "tags", ())
-    if isinstance(value, IntervalSweep):
-        assert value.start is not None and value.end is not None
-        if isinstance(value.start, int) and isinstance(value.end, int):
-            return IntDistribution(value.start, value.end, log=log)
-        return FloatDistribution(float(value.start), float(value.end), log=log)
-    if isinstance(value, RangeSweep) and isinstance(value.start, int) and isinstance(value.stop, int):
-        return IntDistribution(value.start, value.stop - 1, step=int(value.step))
-    if isinstance(value, ChoiceSweep | RangeSweep):
-        return CategoricalDistribution([str(text) for text in override.sweep_string_iterator()])
-    raise InputError(f"search: {override.input_line} is no interval, range or choice")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,10 @@
 
 import contextlib
 import json
+import math
 import subprocess
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,10 +13,18 @@ import pytest
 from hdsp.base.errors import InputError
 from pipeline.command_line import parse
 from pipeline.config import configure, parse_overrides
-from pipeline.search import distribution, metric_of, open_study, search
+from pipeline.config_types import SearchSettings
+from pipeline.folders import write_json
+from pipeline.search import metric_of, search
+from pipeline.search_study import check_same_search, distribution, open_study
 from pipeline.started_by import this_process
 
 optuna = pytest.importorskip("optuna")
+
+
+@pytest.fixture(scope="module")
+def config():
+    return configure(["model=compact"])
 
 
 @pytest.fixture
@@ -28,7 +39,7 @@ def trainings(monkeypatch):
             return subprocess.CompletedProcess(command, 1, stderr="a warning\nerror: no memory")
         reports = Path(settings["runtime.outputs"]) / "reports"
         reports.mkdir(parents=True)
-        (reports / "training.json").write_text(json.dumps({"score": float(settings["trainer.optimizer.lr"])}))
+        write_json(reports / "training.json", {"score": float(settings["trainer.optimizer.lr"]), "gain": math.inf})
         return subprocess.CompletedProcess(command, 0, stderr="")
 
     monkeypatch.setattr("pipeline.search.subprocess.run", train)
@@ -107,8 +118,86 @@ def test_each_kind_of_space_has_its_distribution():
         assert distribution(override) == expected, text
 
 
+@pytest.mark.parametrize("text", ["interval(1e-2, 1e-4)", "tag(log, interval(0, 0.1))", "int(interval(8, 2))"])
+def test_a_space_that_optuna_refuses_is_named_in_one_line(text):
+    (override,) = parse_overrides([f"trainer.optimizer.weight_decay={text}"])
+    with pytest.raises(InputError, match=r"^search: trainer\.optimizer\.weight_decay=[^\n]*(low|positive|larger)"):
+        distribution(override)
+
+
+def test_a_study_with_trials_of_other_settings_is_not_continued(config):
+    def check(*changed: str, texts: Sequence[str] = (RATE, "trainer.batch.size=choice(4, 8)"), **settings):
+        other = replace(config, **settings, search=replace(config.search, **dict(word.split("=") for word in changed)))
+        check_same_search(study, other, {text.partition("=")[0]: parse_overrides([text])[0] for text in texts})
+
+    study = optuna.create_study(study_name="search")
+    check()
+    check("name=search")
+    narrow = "trainer.optimizer.lr=tag(log, interval(1e-4, 1e-3))"
+    swept = replace(config.model, architecture="swept")
+    for act, says in {
+        lambda: check("direction=maximize"): "search.direction was 'minimize', is 'maximize'",
+        lambda: check("metric=gain"): "search.metric was 'score', is 'gain'",
+        lambda: check(trainer=replace(config.trainer, seed=7)): "trainer.seed was 0, is 7",
+        lambda: check(model=swept): "model.architecture was 'compact', is 'swept'",
+        lambda: check(runtime=replace(config.runtime, inputs="other")): "inputs was '.', is 'other'",
+        lambda: check(texts=[RATE, "trainer.batch.size=choice(4, 16)"]): "is 'choice(4, 16)'",
+        lambda: check(texts=[narrow, "trainer.batch.size=choice(4, 8)"]): "search.space.trainer.optimizer.lr was",
+        lambda: check(texts=[RATE]): "search.space.trainer.batch.size was 'choice(4, 8)', is None",
+    }.items():
+        with pytest.raises(InputError, match=r"^search 'search' in sqlite:.* began with other settings: ") as caught:
+            act()
+        assert says in str(caught.value) and str(caught.value).endswith("; give another search.name")
+    check(runtime=replace(config.runtime, workers=7, outputs="elsewhere"))  # decides no value
+
+
+def test_a_search_with_another_setting_ends_before_its_first_trial(trainings, tmp_path):
+    search(command(tmp_path, RATE, "search.trials=1"))
+    with pytest.raises(InputError, match=r"trainer\.seed was 0, is 7; give another search\.name"):
+        search(command(tmp_path, RATE, "search.trials=2", "trainer.seed=7"))
+    assert len(trainings) == 1
+
+
+def test_a_study_without_record_of_its_settings_is_compared_by_direction_and_space(config):
+    study, space = optuna.create_study(), {"trainer.optimizer.lr": parse_overrides([RATE])[0]}
+    with pytest.raises(InputError, match="has the direction minimize, not maximize"):
+        check_same_search(study, replace(config, search=replace(config.search, direction="maximize")), space)
+    study.tell(study.ask({"trainer.optimizer.lr": optuna.distributions.FloatDistribution(0.5, 1)}), 1.0)
+    with pytest.raises(InputError, match=r"has trials with another trainer\.optimizer\.lr, FloatDistribution"):
+        check_same_search(study, config, space)
+
+
+def test_a_value_that_is_not_finite_is_worse_than_all_others(trainings, tmp_path):
+    best = search(command(tmp_path, RATE, "search.trials=2", "search.metric=gain", "search.direction=maximize"))
+    assert best["trials"] == 2 and best["value"] == -math.inf
+    settings = SearchSettings("s", {}, 1, 1, "score", "minimize", 0, None)
+    assert metric_of({"score": None}, settings) == math.inf
+
+
+def test_the_last_word_about_a_key_counts_and_plain_values_of_a_space_hold_for_all_trials(trainings, tmp_path):
+    named = "++search.space={trainer.optimizer.lr: 'interval(1e-4, 1e-2)', trainer.batch.size: 8}"
+    best = search(command(tmp_path, named, "search.trials=1"))
+    assert trainings[0]["trainer.batch.size"] == "8" and len(best["overrides"]) == 1
+    words = ["trainer.batch.size=choice(4, 8)", "trainer.optimizer.lr=0.003", "search.name=other", "search.trials=1"]
+    best = search(command(tmp_path, named, *words))
+    assert trainings[1]["trainer.optimizer.lr"] == "0.003" and best["overrides"][0].startswith("trainer.batch.size=")
+
+
+def test_a_storage_that_cannot_be_used_is_named_without_its_password(config, tmp_path):
+    damaged = tmp_path / "optuna.db"
+    damaged.write_text("no database" * 500)
+    nowhere = f"sqlite:///{tmp_path}/none/optuna.db"
+    for place in ("nothing", nowhere, "postgresql://me:secret@127.0.0.1:9/x", f"sqlite:///{damaged}"):
+        with pytest.raises(InputError, match=r"^cannot use search\.storage ") as caught:
+            open_study(replace(config, search=replace(config.search, storage=place)))
+        assert "\n" not in str(caught.value) and "secret" not in str(caught.value)
+
+
 def test_a_metric_that_a_training_lacks_is_named():
     report = {"score": 0.5, "cost_error": {"val": 0.02}}
-    assert metric_of(report, "cost_error/val") == 0.02
+    nested, absent = (
+        SearchSettings("s", {}, 1, 1, metric, "minimize", 0, None) for metric in ("cost_error/val", "accuracy")
+    )
+    assert metric_of(report, nested) == 0.02
     with pytest.raises(InputError, match="'accuracy' is no number of this training; it has score, cost_error"):
-        metric_of(report, "accuracy")
+        metric_of(report, absent)
