@@ -11,7 +11,7 @@ from hdsp import HeightMap, Planner
 from hdsp.detailed.search.outcome import Status
 from hdsp.planning.viewing import planning_session
 from hdsp.planning.viewing.first_poses import first_poses
-from hdsp.planning.viewing.map_layers import abstract_edges, costs_to_go, foot_costs, searched_cells
+from hdsp.planning.viewing.map_layers import LayerSources, abstract_edges, costs_to_go, foot_costs, searched_cells
 from hdsp.planning.viewing.planning_session import PlanningRequest, PlanningSession
 
 SECONDS = 300  # of patience, also for kernels that are compiled
@@ -189,3 +189,14 @@ def test_layers_show_what_the_planner_knows():
     seen = searched_cells(answer)
     on_path = planner.grid.cell(plan.states[:-1, :2])
     assert seen[tuple(on_path.T)].all() and not seen.all()
+
+
+def test_a_layer_of_an_answer_that_is_gone_is_not_taken_for_that_of_a_newer_one():
+    layers, planners = LayerSources(("foot costs",)), [SimpleNamespace(), SimpleNamespace()]
+    for name in ("cost-to-go", "foot costs"):
+        layers.set(name, SimpleNamespace(planner=planners[0]))  # freed at once; the next object takes its place
+        assert not layers.has(name, SimpleNamespace(planner=planners[1]))
+    assert not layers.has("cost-to-go", SimpleNamespace(planner=planners[0]))
+    assert layers.has("foot costs", SimpleNamespace(planner=planners[0]))
+    layers.forget()
+    assert not layers.has("foot costs", SimpleNamespace(planner=planners[0]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,37 @@ class EdgeLines(NamedTuple):
 
     ends: np.ndarray
     colors: np.ndarray
+
+
+class LayerSources:
+    """Answers from which layers were drawn.
+
+    Args:
+        of_planner: layers that depend on an answer's planner alone.
+    """
+
+    def __init__(self, of_planner: Sequence[str]):
+        self._of_planner = of_planner
+        # The objects themselves: the identity of an object that is gone may be that of a newer one.
+        self._sources: dict[str, object] = {}
+
+    def has(self, name: str, answer: PlanningAnswer) -> bool:
+        """Whether a layer shows an answer."""
+        return self._sources.get(name) is self._source(name, answer)
+
+    def set(self, name: str, answer: PlanningAnswer) -> None:
+        """Notes a layer that shows an answer."""
+        self._sources[name] = self._source(name, answer)
+
+    def forget(self, name: str | None = None) -> None:
+        """Forgets a layer; None: all."""
+        if name is None:
+            self._sources.clear()
+        else:
+            self._sources.pop(name, None)
+
+    def _source(self, name: str, answer: PlanningAnswer) -> object:
+        return answer.planner if name in self._of_planner else answer
 
 
 def foot_costs(planner: Planner) -> np.ndarray:

@@ -15,7 +15,7 @@ from hdsp.detailed.motion.motion import Motion
 from hdsp.planning.compiled import compile_on_use
 from hdsp.planning.planner import Planner
 from hdsp.planning.viewing.control_panel import EDGES, FOOT_COSTS, SEARCHED, TO_GO, UNKNOWN, ControlPanel
-from hdsp.planning.viewing.map_layers import abstract_edges, costs_to_go, foot_costs, searched_cells
+from hdsp.planning.viewing.map_layers import LayerSources, abstract_edges, costs_to_go, foot_costs, searched_cells
 from hdsp.planning.viewing.planning_session import PlanningAnswer, PlanningRequest, PlanningSession
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -85,7 +85,7 @@ class MapViewer:
         self.start = PoseHandle(self.server.scene, "/start", "start", START, lambda pose: self.change(start=pose))
         self.goal = PoseHandle(self.server.scene, "/goal", "goal", GOAL, lambda pose: self.change(goal=pose))
         self._visible = {UNKNOWN}
-        self._drawn: dict[str, tuple] = {}
+        self._drawn = LayerSources((FOOT_COSTS, EDGES))
         self._place_ends(request, robot)
 
     @property
@@ -130,9 +130,12 @@ class MapViewer:
             self.scene.unknown.visible = visible
             return
         if not visible:
-            self.scene.remove_layer(name)
-            self._drawn.pop(name, None)
+            self._hide(name)
         self._layers.set()
+
+    def _hide(self, name: str) -> None:
+        self.scene.remove_layer(name)
+        self._drawn.forget(name)
 
     def send_page(self, client: Any) -> None:
         if self.answer is None or client is None:
@@ -215,7 +218,7 @@ class MapViewer:
             self.scene.robot = planner.robot
         if planner.terrain is not self.scene.terrain:
             self.scene.draw_terrain(planner.terrain)
-            self._drawn.clear()
+            self._drawn.forget()
 
     def _place_ends(self, request: PlanningRequest, robot: Robot) -> None:
         for handle, pose in ((self.start, request.start), (self.goal, request.goal)):
@@ -266,17 +269,19 @@ class MapViewer:
                 return
             self._layers.clear()
             answer = self.answer
+            if answer is None:
+                continue
             for name in [name for name in draw if name in self._visible]:
-                # Foot costs and edges depend on the planner alone.
-                key = () if answer is None else (id(answer.planner), name in (FOOT_COSTS, EDGES) or id(answer))
-                if answer is None or self._drawn.get(name) == key:
+                if self._drawn.has(name, answer):
                     continue
                 try:
                     with self.session.working:
                         draw[name](answer)
-                    self._drawn[name] = key
+                    self._drawn.set(name, answer)
                 except Exception:  # a layer that fails leaves the viewer as it is
                     _LOG.exception("layer %s", name)
+                if name not in self._visible:  # hidden meanwhile
+                    self._hide(name)
 
     def _draw_edges(self, answer: PlanningAnswer) -> None:
         lines = abstract_edges(answer.planner)
