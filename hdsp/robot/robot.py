@@ -16,7 +16,7 @@ from pydantic import model_validator
 
 from hdsp.base.errors import InputError
 from hdsp.base.settings import Name, checked, fault, load_settings
-from hdsp.base.yaml_files import parse_yaml, read_yaml
+from hdsp.base.yaml_files import Document, parse_yaml, read_yaml
 from hdsp.robot.action_limits import BaseShift, Drive, FootMove, Slope, Step, Turn
 from hdsp.robot.lattice import offset_steps
 from hdsp.robot.motion_limits import Accelerations, Speeds
@@ -92,7 +92,8 @@ class Robot:
         """Loads a robot from a preset name, a YAML file path, or a mapping with the same keys.
 
         Raises:
-            InputError: the preset or file does not exist, a key is unknown or missing, or a value is out of range.
+            InputError: the preset or file does not exist, a key is unknown or missing, a value is out of range, or
+                nothing tells the size of the wheels.
 
         Example:
             >>> robot = Robot.load("momaro")
@@ -100,7 +101,7 @@ class Robot:
             ('momaro', 0.3)
         """
         if not isinstance(source, str | Path):
-            return load_settings(cls, source, "robot")
+            return _with_wheels(load_settings(cls, source, "robot"))
         path = Path(source)
         if path.suffix in (".yaml", ".yml"):
             document = read_yaml(path, "robot file")
@@ -109,7 +110,7 @@ class Robot:
         else:
             presets = ", ".join(cls.presets())
             raise InputError(f"unknown robot {str(source)!r}: presets are {presets}, or give a .yaml file")
-        return load_settings(cls, document.values, "robot", document)
+        return _with_wheels(load_settings(cls, document.values, "robot", document), document)
 
     @staticmethod
     def presets() -> list[str]:
@@ -157,3 +158,12 @@ class Robot:
         x = self.feet.neutral_x + max(self.feet.offset_max, -self.feet.offset_min) + self.step.max_length
         corners = [math.hypot(max(abs(r.x_min), abs(r.x_max)), r.half_width) for r in self.body.boxes]
         return max(math.hypot(x, self.feet.neutral_y), *corners)
+
+
+def _with_wheels(robot: Robot, document: Document | None = None) -> Robot:
+    """Returns a robot whose wheels have a size; limits without a clearance are for planners, which need no wheels."""
+    if robot.feet.clearance or robot.physics.wheel_radius or robot.drive.wheel_radius:
+        return robot
+    where = "" if document is None else f"{document.name}, line {document.line(['feet', 'clearance'])}: "
+    need = "more than 0, or a physics.wheel_radius: without one, the clearance is the radius of the wheels"
+    raise InputError(f"{where}robot.feet.clearance is 0; need {need}")

@@ -55,6 +55,7 @@ between keys:
 
 - `feet`: the offsets include 0 and span less than 0.8 m; `contact_inward` is at most `neutral_x` and `neutral_y`.
 - `body.boxes`: at least one box; `x_min` is less than `x_max`.
+- `feet.clearance`: more than 0, or `physics.wheel_radius` or `drive.wheel_radius` is given.
 - `drive`: either `max_height_difference`, or `wheel_radius` and `rolled_share`.
 - `turn`: `radius` for a robot that does not turn on the spot, and no other.
 - `drive.deviation_cost`: `side_from` is at most `side_to`.

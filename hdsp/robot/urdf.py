@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from hdsp.base.errors import InputError
 from hdsp.robot.robot import FEET, Robot
 
 #: Frame between the hips, as in motions.
@@ -33,8 +34,15 @@ def wheel_frame(foot: str) -> str:
 
 
 def wheel_radius(robot: Robot) -> float:
-    """Returns the wheel radius, m; without one in the file, the feet's clearance stands in for it."""
-    return robot.physics.wheel_radius or robot.drive.wheel_radius or robot.feet.clearance
+    """Returns the wheel radius, m; without one in the file, the feet's clearance stands in for it.
+
+    Raises:
+        InputError: there is none, and the clearance is 0; `Robot.load` returns no such robot.
+    """
+    radius = robot.physics.wheel_radius or robot.drive.wheel_radius or robot.feet.clearance
+    if not radius:
+        raise InputError(f"robot {robot.name}: feet.clearance is 0; need physics.wheel_radius beside it")
+    return radius
 
 
 def leg_positions(robot: Robot, base: np.ndarray, rotations: np.ndarray, feet: np.ndarray) -> np.ndarray:

@@ -49,6 +49,7 @@ TOY = {
         "base_height": 0.16, "max_roll": 0.2, "max_pitch": 0.3, "reach_x": 0.04, "reach_y": 0.02, "mass_x": 0.0,
         "mass_z": 0.01, "margin": 0.003, "swing_clearance": 0.01,
     },
+    "physics": {"wheel_radius": 0.02},
 }  # fmt: skip
 
 

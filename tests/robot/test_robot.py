@@ -1,5 +1,6 @@
 import copy
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +8,9 @@ import yaml
 
 from hdsp.base.errors import InputError
 from hdsp.robot.motion_limits import Accelerations, Speeds
+from hdsp.robot.physics import Physics
 from hdsp.robot.robot import FEET, Robot
+from hdsp.robot.urdf import wheel_radius
 from tests.detailed.instances import TOY
 
 
@@ -125,6 +128,19 @@ def test_the_highest_edge_follows_from_the_wheel():
     assert_refused(changed("drive.wheel_radius", 0.08), "drive.wheel_radius", ways)
     values["drive"]["rolled_share"] = None
     assert_refused(values, "drive.rolled_share", ways)
+
+
+def test_wheels_have_a_size(tmp_path):
+    """Wheels without a radius would turn by infinite angles."""
+    bare = changed("physics", {})
+    assert_refused(bare, "robot.feet.clearance is 0", "physics.wheel_radius")
+    (tmp_path / "bare.yaml").write_text(yaml.safe_dump(bare, sort_keys=False))
+    assert_refused(tmp_path / "bare.yaml", "bare.yaml, line ", "robot.feet.clearance is 0")
+    robot = Robot.load(TOY)
+    assert (robot.feet.clearance, wheel_radius(robot)) == (0, 0.02)
+    assert wheel_radius(Robot.load(bare | {"feet": TOY["feet"] | {"clearance": 0.03}})) == 0.03
+    with pytest.raises(InputError, match=r"physics\.wheel_radius"):
+        wheel_radius(replace(robot, physics=Physics()))
 
 
 def test_the_reach_covers_feet_steps_and_body():
