@@ -64,7 +64,9 @@ def _ground(axes, motion: Motion, along: np.ndarray) -> tuple[float, float]:
     s = np.linspace(low, high, int((high - low) / motion.terrain.resolution * 4))
     aside = np.array([-along[1], along[0]])
     places = s[:, None] * along + (motion.base[0, :2] @ aside) * aside
-    heights = np.nan_to_num(motion.terrain.height_at(places[:, 0], places[:, 1]))
+    heights = np.asarray(motion.terrain.height_at(places[:, 0], places[:, 1]), float)
+    known = np.isfinite(heights)
+    heights = np.interp(s, s[known], heights[known]) if known.any() else np.full(len(s), motion.feet[..., 2].min())
     axes.fill_between(s, heights, heights.min() - _DEPTH, color="#CFCBBE", step="mid", zorder=1, linewidth=0)
     axes.plot(s, heights, color="#6B6455", linewidth=1.0, zorder=2)
     return low, high

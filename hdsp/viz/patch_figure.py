@@ -15,7 +15,7 @@ from hdsp.robot.lattice import PATCH_CENTER, abstract_steps_to_world
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.viz.robot_drawing import draw_pose, draw_robot
-from hdsp.viz.style import GOAL, GREY, SKY, START, UNKNOWN, VERMILLION, YELLOW, draw_terrain, figure, save
+from hdsp.viz.style import GOAL, GREY, SKY, START, UNKNOWN, VERMILLION, YELLOW, draw_terrain, figure, ground_level, save
 
 #: Colour and meaning of a task by (feasible by label, feasible by prediction).
 JUDGEMENTS = {
@@ -57,9 +57,10 @@ def save_example_patches(
     made = figure(6.9 * columns, 3.5 * lines + 0.5)
     grid = made.subplots(lines, 2 * columns, squeeze=False).reshape(-1, 2)
     images = []
-    highest = max(float(np.nanmax(tasks.heights[chosen], initial=0.0)), 0.1)
-    for (left, right), index in zip(grid, chosen, strict=False):
-        images.append(_draw_patch(left, tasks.heights[index], tasks.goals[index], robot, min(highest, 1.5)))
+    patches = [_above_floor(tasks.heights[index]) for index in chosen]
+    highest = max(float(np.nanmax(patches, initial=0.0)), 0.1)
+    for (left, right), index, heights in zip(grid, chosen, patches, strict=False):
+        images.append(_draw_patch(left, heights, tasks.goals[index], robot, min(highest, 1.5)))
         left.set_title(f"{tasks.category[index]}, no. {tasks.index[index]}", fontsize=9)
         _draw_tasks(right, tasks, judged, index)
     for unused in grid[len(chosen) :].flat:
@@ -89,9 +90,10 @@ def label_figure(tasks: TaskSet, count: int = 4):
     if not len(chosen):
         made.text(0.5, 0.5, "no maps", ha="center", color=GREY)
         return made
-    highest = min(max(float(np.nanmax(tasks.heights[chosen], initial=0.0)), 0.1), 1.5)
-    for axes, index in zip(made.subplots(1, len(chosen), squeeze=False)[0], chosen, strict=True):
-        draw_terrain(axes, HeightMap(tasks.heights[index]).crop_cells(PATCH_CENTER, PATCH_CENTER, 0), 0.0, highest)
+    patches = [_above_floor(tasks.heights[index]) for index in chosen]
+    highest = min(max(float(np.nanmax(patches, initial=0.0)), 0.1), 1.5)
+    for axes, index, heights in zip(made.subplots(1, len(chosen), squeeze=False)[0], chosen, patches, strict=True):
+        draw_terrain(axes, HeightMap(heights).crop_cells(PATCH_CENTER, PATCH_CENTER, 0), 0.0, highest)
         draw_pose(axes, (0, 0, 0), START, length=0.3)
         goals = tasks.goals[index]
         moves, places = goals[:, 2] == 0, abstract_steps_to_world(goals)[:, :2]
@@ -124,6 +126,10 @@ def spread(tasks: TaskSet, count: int) -> np.ndarray:
     if firsts > count:  # spread over the alphabet instead of its first categories
         order = order[np.linspace(0, firsts - 1, count).round().astype(int)]
     return np.sort(order[:count])
+
+
+def _above_floor(heights: np.ndarray) -> np.ndarray:
+    return heights - ground_level(heights)
 
 
 def _draw_patch(axes, heights: np.ndarray, goals: np.ndarray, robot: Robot, highest: float):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from hdsp.robot.lattice import PATCH_CENTER, Grid, abstract_steps_to_world, head
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.viz.robot_drawing import draw_pose, draw_robot
-from hdsp.viz.style import BLUE, GREY, SKY, START, VERMILLION, draw_terrain, figure, save
+from hdsp.viz.style import BLUE, GREY, SKY, START, VERMILLION, draw_terrain, figure, ground_level, save
 
 _COLUMNS = 6  # columns of patches beside a map
 _LOWEST, _HIGHEST = -0.2, 1.2
@@ -49,10 +50,11 @@ def save_scan_sheet(scans: Sequence[ScanPicture], path: str | os.PathLike, robot
     for part, scan, count in zip(parts, scans, lines, strict=True):
         part.suptitle(f"{scan.place} ({scan.name}; {scan.licence})", fontsize=11, x=0.01, ha="left")
         left, right = part.subfigures(1, 2, width_ratios=(8, 12))
-        image = _draw_map(left.subplots(), scan)
+        floor = ground_level(scan.terrain.heights)
+        image = _draw_map(left.subplots(), scan, floor)
         grid = right.subplots(count, _COLUMNS, squeeze=False).ravel()
         for axes, number in zip(grid, range(len(scan.tasks)), strict=False):
-            _draw_patch(axes, scan.tasks, number, robot)
+            _draw_patch(axes, scan.tasks, number, robot, floor)
         for axes in grid[len(scan.tasks) :]:
             axes.set_axis_off()
         bar = left.colorbar(image, ax=left.axes, shrink=0.7, pad=0.01, extend="both")
@@ -81,8 +83,8 @@ def map_figure(terrain: HeightMap, title: str = "", side: float = 8.0):
     return made
 
 
-def _draw_map(axes, scan: ScanPicture):
-    terrain = scan.terrain
+def _draw_map(axes, scan: ScanPicture, floor: float):
+    terrain = replace(scan.terrain, heights=scan.terrain.heights - floor)
     image = draw_terrain(axes, terrain, _LOWEST, _HIGHEST)
     grid = Grid(terrain.origin, terrain.shape)
     side = scan.tasks.heights.shape[1] * terrain.resolution / 2
@@ -99,8 +101,8 @@ def _draw_map(axes, scan: ScanPicture):
     return image
 
 
-def _draw_patch(axes, tasks: TaskSet, number: int, robot: Robot) -> None:
-    in_robot_frame = HeightMap(tasks.heights[number]).crop_cells(PATCH_CENTER, PATCH_CENTER, 0)
+def _draw_patch(axes, tasks: TaskSet, number: int, robot: Robot, floor: float) -> None:
+    in_robot_frame = HeightMap(tasks.heights[number] - floor).crop_cells(PATCH_CENTER, PATCH_CENTER, 0)
     draw_terrain(axes, in_robot_frame, _LOWEST, _HIGHEST)
     draw_robot(axes, np.array([0, 0, 0, *tasks.start[number, 3:]]), robot, START)
     goals = abstract_steps_to_world(tasks.goals[number])[:, :2]

@@ -52,6 +52,7 @@ HEIGHTS = LinearSegmentedColormap.from_list("heights", list(HEIGHT_COLORS)).with
 
 _DPI = 130
 _TYPE = 9
+_FLOOR = -0.5, 1.5  # m; the median height of ground whose floor is at 0
 
 
 def figure(width: float, height: float) -> Figure:
@@ -85,6 +86,14 @@ def quiet(axes, grid: str | None = "y") -> None:
         axes.set_axisbelow(True)
 
 
+def ground_level(heights: np.ndarray) -> float:
+    """Returns the height (m) that pictures of patches and scans count as floor: 0, or the lowest ground far from 0."""
+    known = heights[np.isfinite(heights)]
+    if not known.size or _FLOOR[0] <= np.median(known) <= _FLOOR[1]:
+        return 0.0
+    return float(np.quantile(known, 0.01))
+
+
 def draw_terrain(axes, terrain: HeightMap, lowest: float | None = None, highest: float | None = None):
     """Draws heights in metres with darkened edges; returns the image for a colour bar.
 
@@ -92,12 +101,14 @@ def draw_terrain(axes, terrain: HeightMap, lowest: float | None = None, highest:
     """
     (x, y), (length, width) = terrain.origin, terrain.size
     known = terrain.heights[np.isfinite(terrain.heights)]
-    lowest = float(known.min(initial=0.0)) if lowest is None else lowest
-    highest = max(float(known.max(initial=0.0)) if highest is None else highest, lowest + 0.1)
+    ground = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    lowest = ground[0] if lowest is None else lowest
+    highest = max(ground[1] if highest is None else highest, lowest + 0.1)
     placed = {"origin": "lower", "extent": (x, x + length, y, y + width), "interpolation": "nearest"}
     image = axes.imshow(terrain.heights.T, cmap=HEIGHTS, vmin=lowest, vmax=highest, **placed)
     # All edges are darkened, in every direction. Low edges matter to the robot, but their height alone is not visible.
-    rise = np.hypot(*np.gradient(np.nan_to_num(terrain.heights.T))) if min(terrain.shape) > 1 else np.zeros((1, 1))
+    heights = np.nan_to_num(terrain.heights.T, nan=ground[0])
+    rise = np.hypot(*np.gradient(heights)) if min(terrain.shape) > 1 else np.zeros((1, 1))
     darker = np.zeros((*rise.shape, 4))
     darker[..., 3] = 0.5 * (1 - np.exp(-rise / 0.03))
     axes.imshow(darker, **placed)

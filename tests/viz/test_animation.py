@@ -2,6 +2,7 @@
 
 import itertools
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hdsp import HeightMap, InputError
 from hdsp.detailed.motion.local_motion import relative
 from hdsp.detailed.motion.motion import Motion
 from hdsp.robot.robot import Robot
+from hdsp.viz.motion_figure import motion_profile
 from hdsp.viz.recordings.z_buffer import Canvas, ParallelCamera, Triangles
 
 RED, GREEN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
@@ -92,6 +94,19 @@ def test_pictures_on_a_projected_map_are_those_near_zero(motion, tmp_path):
         with Image.open(each.animate(tmp_path / f"{k}.gif", speed=9, fps=2, width=160)) as film:
             frames.append(np.asarray(film.convert("RGB"), float))
     assert np.abs(frames[0] - frames[1]).mean() < 1 and frames[0].std() > 10
+
+
+def test_the_profile_of_a_motion_keeps_its_height_over_unknown_ground(motion):
+    heights = motion.terrain.heights + np.float32(500)
+    heights[35:45] = np.nan
+    base, feet = motion.base.copy(), motion.feet.copy()
+    base[:, 2] += 500
+    feet[..., 2] += 500
+    terrain = HeightMap(heights, motion.terrain.origin)
+    for ground in (terrain, HeightMap(heights * np.nan, terrain.origin)):
+        (axes,) = motion_profile(replace(motion, base=base, feet=feet, terrain=ground)).axes
+        low, high = axes.get_ylim()
+        assert 499.5 < low < 500 and high < 501
 
 
 def test_an_mp4_is_written(motion, tmp_path):

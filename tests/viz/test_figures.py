@@ -11,6 +11,7 @@ from hdsp.viz import (
     DrawnPath,
     Failure,
     Mark,
+    ScanPicture,
     draw_terrain,
     planned_path_figure,
     save_example_patches,
@@ -18,9 +19,10 @@ from hdsp.viz import (
     save_planned_paths,
     save_planning_bars,
     save_quality_bars,
+    save_scan_sheet,
     save_training_curves,
 )
-from hdsp.viz.patch_figure import JUDGEMENTS, spread
+from hdsp.viz.patch_figure import JUDGEMENTS, label_figure, spread
 from hdsp.viz.style import figure
 
 MOMARO = Robot.load("momaro")
@@ -73,6 +75,37 @@ def test_unknown_ground_has_its_own_colour():
     image = draw_terrain(figure(3, 3).subplots(), HeightMap(heights))
     colors = image.to_rgba(image.get_array())
     assert tuple(colors[0, 0]) != tuple(colors[1, 1])
+
+
+def test_colours_span_the_heights_of_a_map_far_from_height_0():
+    """With 0 in the range, all ground at 500 m has one colour."""
+    heights = np.full((40, 20), 500.0, np.float32)
+    heights[20:], heights[:5, :5] = 500.4, np.nan
+    for shift in (0.0, -1000.0):
+        axes = figure(3, 3).subplots()
+        image = draw_terrain(axes, HeightMap(heights + shift))
+        assert image.get_clim() == pytest.approx((500 + shift, 500.4 + shift), abs=1e-3)
+        darker = axes.images[1].get_array()[..., 3]
+        assert darker[10, 19] > 0.4 and darker[:10, :10].max() == 0  # unknown ground is no edge
+    assert draw_terrain(figure(3, 3).subplots(), HeightMap(heights * np.nan)).get_clim() == (0.0, 0.1)
+
+
+@pytest.mark.parametrize("level", [0.0, 500.0])
+def test_patches_and_scans_are_drawn_above_their_floor(level, monkeypatch, tmp_path):
+    tasks = some_tasks(["wall_1", "staircase"])
+    tasks.heights[:] += level
+    scan = ScanPicture("a", "b", "c", HeightMap(np.full((80, 80), level)), np.zeros((1, 3), int), tasks)
+    drawn = []
+    for module in ("patch_figure", "scan_figure"):
+        monkeypatch.setattr(f"hdsp.viz.{module}.save", lambda made, path: drawn.append(made))
+    save_example_patches(tasks, (tasks.feasible, tasks.cost), tmp_path / "a.png", 2)
+    save_scan_sheet([scan], tmp_path / "b.png")
+    images = [image for made in (*drawn, label_figure(tasks)) for axes in made.axes for image in axes.images]
+    heights = [image for image in images if image.get_array().ndim == 2 and image.get_array().shape[0] > 60]
+    assert len(heights) == 7
+    for image in heights:
+        (low, high), values = image.get_clim(), image.get_array().compressed()
+        assert low <= values.min() and values.max() <= high + 1e-3 and high - low < 1.6
 
 
 def test_training_curves(tmp_path):

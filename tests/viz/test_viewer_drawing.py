@@ -117,6 +117,26 @@ def test_a_robot_stands_on_its_wheels(name):
     )
 
 
+@pytest.mark.parametrize("level", [0.0, 500.0])
+def test_robots_pins_and_paths_stay_at_the_ground_where_it_is_unknown(level):
+    heights = np.full((80, 80), level, np.float32)
+    heights[:30, :30] = np.nan
+    terrain, robot, scene = HeightMap(heights), Robot.load("momaro"), RecordedScene()
+    states = np.array([(0.3, 0.3, 0, 0, 0, 0, 0), (0.9, 0.5, 0, 0, 0, 0, 0), (-3.0, 0.5, 0, 0, 0, 0, 0)])
+    base, feet = standing(terrain, robot, states)
+    assert feet[..., 2] == pytest.approx(level) and base[:, 2] == pytest.approx(level + robot.stance.base_height)
+    server = SimpleNamespace(scene=scene, initial_camera=SimpleNamespace(), atomic=nullcontext)
+    page = PlanScene(server, terrain, robot)
+    scene.nodes.clear()
+    page.draw_path(states[:2], [Action(ActionKind.DRIVE)])
+    marks = [Mark(place, "a cause", tuple(states[0])) for place in ((0.3, 0.3), (-3.0, 0.3))]
+    page.draw_failure(Failure(marks, None, tuple(states[1])))
+    places = [np.reshape(part, (-1, 3))[:, 2] for name, part in scene.numbers() if name.endswith("position")]
+    ends = [part[..., 2].ravel() for _, part in scene.numbers() if np.ndim(part) == 3]
+    near = np.concatenate([*ends, *(z for z in places if abs(z).max() > 2)]) - level
+    assert len(ends) > 5 and (near > -0.1).all() and (near < 1.5).all()
+
+
 def test_wheels_roll_as_far_as_the_robot_drives():
     robot = Robot.load("momaro")
     states = np.zeros((5, 7))

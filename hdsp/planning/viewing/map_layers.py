@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from hdsp.robot.lattice import (
 )
 from hdsp.terrain.cost_maps import cost_maps
 from hdsp.viz.palette import RED
+from hdsp.viz.viewer.ground_mesh import filled
 from hdsp.viz.viewer.textures import VALUE_COLORS, mark_colors, shaded, value_colors
 
 _PER_FOOT = 10.0  # the foot cost rises ten times as fast as the state cost, whose share of each foot is 0.1
@@ -131,7 +133,8 @@ def abstract_edges(planner: Planner) -> EdgeLines | None:
         return EdgeLines(np.empty((0, 2, 3)), np.empty((0, 3), np.uint8))
     states = np.concatenate([places, np.zeros((*places.shape[:2], 1), np.int64)], axis=-1)
     at = planner.grid.center(abstract_anchor(states)[..., :2])
-    heights = np.nan_to_num(planner.terrain.height_at(at[..., 0], at[..., 1])) + _OVER
+    ground = replace(planner.terrain, heights=filled(planner.terrain.heights))
+    heights = ground.height_at(at[..., 0], at[..., 1]) + _OVER
     colors = shaded(price, VALUE_COLORS, float(price.min()), float(np.percentile(price, 95)))
     return EdgeLines(np.concatenate([at, heights[..., None]], axis=-1), colors)
 

@@ -165,7 +165,7 @@ class MapViewer:
         self.panel.show_answer(answer, self.words)
         self._snap_ends(answer)
         if plan.solved:
-            self._load(timeline_of_states(plan.terrain, plan.robot, plan.states), keep=again)
+            self._load(timeline_of_states(self.scene.surface, plan.robot, plan.states), keep=again)
         else:
             self.playback.load(None)
             self.panel.show_duration(None)
@@ -223,7 +223,7 @@ class MapViewer:
     def _place_ends(self, request: PlanningRequest, robot: Robot) -> None:
         for handle, pose in ((self.start, request.start), (self.goal, request.goal)):
             if pose is not None:
-                handle.place(self.scene.terrain, robot, np.array([0.0 if v is None else v for v in pose], float))
+                handle.place(self.scene.surface, robot, np.array([0.0 if v is None else v for v in pose], float))
 
     def _snap_ends(self, answer: PlanningAnswer) -> None:
         """Moves the handles to the lattice; a free heading is that of the plan."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -14,7 +15,7 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.viz.failure_marks import Failure
 from hdsp.viz.palette import BLACK, FEET, SKY, VERMILLION
-from hdsp.viz.viewer.ground_mesh import Mesh, ground_mesh
+from hdsp.viz.viewer.ground_mesh import Mesh, filled, ground_mesh
 from hdsp.viz.viewer.robot_nodes import RobotNodes
 from hdsp.viz.viewer.robot_pose import standing
 from hdsp.viz.viewer.textures import height_colors, mark_colors, rgb, unknown_colors
@@ -35,6 +36,11 @@ class PlanScene:
         robot: the robot.
         aside: distance by which the first view lies to the right of the map's centre, as a share of its size; space
             for a panel at the right.
+
+    Attributes:
+        terrain: the map.
+        surface: the map with the nearest known heights in unknown cells, as it is drawn.
+        place: world position (x, y) of the scene's origin, m.
     """
 
     def __init__(self, server: Any, terrain: HeightMap, robot: Robot, aside: float = 0.0):
@@ -52,6 +58,8 @@ class PlanScene:
     def draw_terrain(self, terrain: HeightMap) -> None:
         """Draws the ground, with hatched surfaces over unknown cells, and looks at it from above."""
         self.terrain, self.place = terrain, local_place(terrain)
+        self.surface = replace(terrain, heights=filled(terrain.heights))
+        self._ground = relative_map(self.surface, self.place)
         self._local = terrain = relative_map(terrain, self.place)
         ground = ground_mesh(terrain)
         self.scene.add_glb("/terrain", textured(ground, height_colors(terrain)), cast_shadow=False)
@@ -62,7 +70,7 @@ class PlanScene:
             self.unknown = self.scene.add_glb("/unknown", textured(surface, unknown_colors(terrain)), cast_shadow=False)
         (x, y), size = terrain.center, max(terrain.size)
         x += self._aside * size
-        level = float(np.median(ground.vertices[:, 2])) if len(ground.vertices) else 0.0
+        self._level = level = float(np.median(ground.vertices[:, 2])) if len(ground.vertices) else 0.0
         camera = self.server.initial_camera
         camera.position = (x - 0.25 * size, y - 0.85 * size, level + 0.85 * size)
         camera.look_at = (x, y - 0.03 * size, level)
@@ -104,7 +112,7 @@ class PlanScene:
             return
         self._add_group("path")
         states = relative_points(states, self.place)
-        base, feet = standing(self._local, self.robot, states)
+        base, feet = standing(self._ground, self.robot, states)
         swings = [k for k, action in enumerate(actions) if action.stepping_foot is not None]
         if motion is not None:
             base, feet = (relative_points(values, self.place) for values in (motion.base, motion.feet))
@@ -114,7 +122,7 @@ class PlanScene:
         for foot, color in enumerate(FEET):
             self._line(f"/path/foot_{foot}", feet[:, foot] + (0, 0, _TRACK), color, 2.5)
         landings = []
-        _, placed = standing(self._local, self.robot, states)
+        _, placed = standing(self._ground, self.robot, states)
         for k in swings:
             stepping = actions[k].stepping_foot
             assert stepping is not None
@@ -167,7 +175,7 @@ class PlanScene:
 
     def _pin(self, name: str, place: Sequence[float], words: str, color: str) -> None:
         x, y = relative_points(place[:2], self.place).tolist()
-        z = float(np.nan_to_num(self._local.height_at(x, y)))
+        z = float(np.nan_to_num(self._ground.height_at(x, y), nan=self._level))
         ends = np.array([[(x, y, z), (x, y, z + _PIN)]], np.float32)
         self.scene.add_line_segments(name, ends, rgb(color), thickness=3.0, thickness_units="screen")
         self.scene.add_icosphere(f"{name}/head", 0.05, rgb(color), position=(x, y, z + _PIN))
@@ -175,7 +183,7 @@ class PlanScene:
 
     def add_ghost(self, name: str, state: np.ndarray, color: str, opacity: float) -> None:
         """Adds a see-through robot in a state, float64 [7]."""
-        base, feet = standing(self._local, self.robot, relative_points(state, self.place))
+        base, feet = standing(self._ground, self.robot, relative_points(state, self.place))
         RobotNodes(self.scene, name, self.robot, color, opacity).place(base[0], feet[0])
 
     def place_robot(self, base: np.ndarray, feet: np.ndarray, rolled: np.ndarray | None = None) -> None:

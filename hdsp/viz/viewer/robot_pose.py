@@ -71,7 +71,7 @@ def standing(terrain: HeightMap, robot: Robot, states: np.ndarray) -> tuple[np.n
     """Returns configurations of a robot that stands on the ground in detailed states, as in a motion.
 
     Args:
-        terrain: the map; unknown ground counts as 0 m high.
+        terrain: the map; ground that is unknown counts as high as that under the other feet.
         robot: the robot.
         states: float64 [n, 7], world coordinates.
 
@@ -80,11 +80,23 @@ def standing(terrain: HeightMap, robot: Robot, states: np.ndarray) -> tuple[np.n
     """
     states = np.atleast_2d(np.asarray(states, float))
     places = robot.foot_positions(states)
-    heights = np.nan_to_num(np.asarray(terrain.height_at(places[..., 0], places[..., 1]), float))
+    heights = _without_gaps(np.asarray(terrain.height_at(places[..., 0], places[..., 1]), float), terrain)
     leaning = base_poses(robot, states[:, 3:], heights)
     above = robot.stance.base_height / np.cos(leaning[:, 1]) / np.cos(leaning[:, 2])
     base = np.column_stack([states[:, :2], leaning[:, 0] + above, leaning[:, 1:], states[:, 2]])
     return base, np.concatenate([places, heights[..., None]], axis=-1)
+
+
+def _without_gaps(heights: np.ndarray, terrain: HeightMap) -> np.ndarray:
+    """Heights under feet, float64 [n, 4], with the mean of the known ones, else the map's median, for NaN."""
+    unknown = np.isnan(heights)
+    if not unknown.any():
+        return heights
+    known = terrain.heights[np.isfinite(terrain.heights)]
+    level = float(np.median(known)) if known.size else 0.0
+    count = (~unknown).sum(axis=1)
+    means = np.where(count > 0, np.nansum(heights, axis=1) / np.maximum(count, 1), level)
+    return np.where(unknown, means[:, None], heights)
 
 
 def parts(robot: Robot, base: np.ndarray, feet: np.ndarray, rolled: np.ndarray | None = None) -> Parts:

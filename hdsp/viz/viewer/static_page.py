@@ -46,7 +46,7 @@ def plan_page(
             scene.add_ghost(f"/{name}", np.concatenate([values, np.zeros(7 - len(values))]), color, 0.35)
         if not len(states):
             return server.get_scene_serializer().as_html()
-        line = timeline_of_states(terrain, robot, states) if motion is None else timeline_of_motion(motion)
+        line = timeline_of_states(scene.surface, robot, states) if motion is None else timeline_of_motion(motion)
         return _recorded(server, scene, line)
     finally:
         close_server(server)
