@@ -4,12 +4,14 @@ import os
 import re
 import secrets
 import shutil
+import stat
 import tempfile
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hdsp.base.errors import InputError
+from hdsp.base.messages import shown
 
 
 @contextmanager
@@ -56,17 +58,17 @@ def replace_folder(folder: Path, files: Mapping[str, bytes]) -> Path:
             (work / name).write_bytes(content)
             _sync(work / name)
         _sync(work)
-        if folder.exists():
+        if os.path.exists(folder):
             folder.rename(former)
         work.rename(folder)
         _sync(folder.parent)
     except OSError as error:
-        if former.exists() and not folder.exists():
+        if os.path.exists(former) and not os.path.exists(folder):
             former.rename(folder)
         raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
     finally:
         shutil.rmtree(work, ignore_errors=True)
-        if folder.exists():
+        if os.path.exists(folder):
             shutil.rmtree(former, ignore_errors=True)
             _remove_leftovers(folder)
     return folder
@@ -119,16 +121,20 @@ def writable_file(path: str | os.PathLike, what: str, suffixes: Collection[str] 
         suffixes: allowed suffixes in small letters; none: any.
 
     Raises:
-        InputError: another suffix, a folder in place of the file, or a folder that cannot be written to.
+        InputError: another suffix, a folder in place of the file, a name that is too long, or a folder that cannot be
+            written to.
     """
-    path = Path(path)
+    path = as_path(path, what)
     if suffixes and path.suffix.lower() not in suffixes:
         raise InputError(f"{what} {path}: suffix {path.suffix!r}; need {' or '.join(suffixes)}")
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InputError(f"{what} {path}: is a folder, not a file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=path.parent).close()
+        for name in (path, _temporary(path)):  # one of them may be too long
+            with suppress(FileNotFoundError):
+                os.lstat(name)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}".splitlines()[0]) from error
     return path
@@ -138,9 +144,27 @@ def existing_file(path: str | os.PathLike, what: str) -> Path:
     """Returns ``path`` as a Path.
 
     Raises:
-        InputError: there is no such file; the message calls it ``what``.
+        InputError: there is no such file, or the system refuses to look at it; the message calls it ``what``.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{what} {path}: {'is a folder, not a file' if path.is_dir() else 'no such file'}")
+    path = as_path(path, what)
+    try:
+        mode = os.stat(path).st_mode
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: a zero byte in the name
+        raise InputError(f"{what} {path}: no such file") from None
+    except OSError as error:
+        raise InputError(f"{what} {path}: {error.strerror}") from None
+    if not stat.S_ISREG(mode):
+        raise InputError(f"{what} {path}: is {'a folder, not a file' if stat.S_ISDIR(mode) else 'no ordinary file'}")
     return path
+
+
+def as_path(path: str | os.PathLike, what: str) -> Path:
+    """Returns ``path`` as a Path.
+
+    Raises:
+        InputError: it is neither a text nor a path; the message calls it ``what``.
+    """
+    try:
+        return Path(path)
+    except TypeError:
+        raise InputError(f"path of {what} is {shown(path)}; need a text or a Path") from None

@@ -104,7 +104,7 @@ def is_folder(place: Place) -> bool:
     """Returns whether a folder exists at a path or URL."""
     folder = open_folder(place)
     if isinstance(folder, _LocalFolder):
-        return folder.path.is_dir()
+        return os.path.isdir(folder.path)
     assert isinstance(folder, _RemoteFolder)
     return folder.exists()
 
@@ -128,16 +128,16 @@ class _LocalFolder:
             raise InputError(f"cannot write to {self.path}: {error.strerror}") from error
 
     def names(self) -> list[str]:
-        return sorted(path.name for path in self.path.iterdir() if path.is_file()) if self.path.is_dir() else []
+        return sorted(path.name for path in self.path.iterdir() if path.is_file()) if os.path.isdir(self.path) else []
 
     def folders(self) -> list[str]:
-        return sorted(path.name for path in self.path.iterdir() if path.is_dir()) if self.path.is_dir() else []
+        return sorted(path.name for path in self.path.iterdir() if path.is_dir()) if os.path.isdir(self.path) else []
 
     def stamps(self) -> dict[str, str]:
-        return dict(_stamps(str(self.path), "")) if self.path.is_dir() else {}
+        return dict(_stamps(str(self.path), "")) if os.path.isdir(self.path) else {}
 
     def has(self, name: str) -> bool:
-        return (self.path / name).is_file()
+        return os.path.isfile(self.path / name)
 
     def read_many(self, names: Sequence[str]) -> list[bytes]:
         return [self.read(name) for name in names]

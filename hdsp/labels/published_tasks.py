@@ -76,7 +76,7 @@ def find_published(data_dir: str | os.PathLike | None = None, timeout: float = 3
     folder = data_folder(data_dir)
     if folder:
         for place in PLACES:
-            if (folder / place).is_file():
+            if os.path.isfile(folder / place):
                 return folder / place, ""
     try:
         return _fetch(timeout), ""

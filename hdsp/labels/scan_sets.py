@@ -79,7 +79,7 @@ def read_scan_folder(
         InputError: if the folder does not exist, a description is invalid, a shard is damaged, or there are no tasks.
     """
     folder, work = Path(folder), Path(work)
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise InputError(f"folder of scans {folder}: no such folder")
     sets: list[TaskSet] = []
     used: dict[str, int] = {}

@@ -7,6 +7,7 @@ abstraction, or ROBOT-NAME for another one. Importing this module does not impor
 
 from __future__ import annotations
 
+import os
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -53,7 +54,7 @@ def load_abstraction(
     """
     names = presets()
     is_preset = str(source) in names
-    if not is_preset and not Path(source).is_dir():
+    if not is_preset and not os.path.isdir(source):
         source = _downloaded(str(source), ", ".join(names) or "none")
     from hdsp.learning.abstraction import LearnedAbstraction
 

@@ -5,6 +5,7 @@ The configuration carries everything in which inference has to agree with traini
 
 import hashlib
 import json
+import os
 import sys
 from collections.abc import Mapping
 from dataclasses import field
@@ -107,7 +108,13 @@ def write_saved(folder: Path, files: Mapping[str, bytes]) -> Path:
     Raises:
         InputError: the folder cannot be written, or holds something other than an abstraction.
     """
-    if folder.exists() and any(folder.iterdir()) and not (folder / CONFIG).is_file():
+    try:
+        holds = os.listdir(folder)
+    except FileNotFoundError:
+        holds = []
+    except OSError as error:
+        raise InputError(f"cannot write {folder}: {error.strerror}") from error
+    if holds and CONFIG not in holds:
         raise InputError(f"{folder}: holds other files than a pretrained abstraction; it is not replaced")
     return replace_folder(folder, files)
 

@@ -5,13 +5,22 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import metadata
 
 from hdsp.base.ending import Ended, ended_by
 from hdsp.base.errors import InputError, RefinementError
 from hdsp.planning.commands.command_parser import CommandParser
 from hdsp.planning.commands.completion_command import add_completion
-from hdsp.planning.commands.console import BAD_INPUT, INTERRUPTED, NO_PLAN, Console, close_broken_pipe
+from hdsp.planning.commands.console import (
+    BAD_INPUT,
+    INTERRUPTED,
+    NO_PLAN,
+    Console,
+    about_system_error,
+    drop_output,
+    escape_unknown_letters,
+)
 from hdsp.planning.commands.drive_command import add_drive
 from hdsp.planning.commands.info_command import add_info
 from hdsp.planning.commands.lab_command import add_lab
@@ -37,6 +46,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Bad input gives one line and status 1, wrong usage status 2, no plan status 3, an interrupt status 130, SIGTERM
     status 143.
     """
+    escape_unknown_letters()
+    try:
+        try:
+            return _run(arguments)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        pass
+    except OSError as error:  # of standard output itself
+        with suppress(OSError):
+            print(f"error: standard output: {about_system_error(error)}", file=sys.stderr)
+    drop_output()
+    return BAD_INPUT
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    """Runs the command line without a look at the reader of its output."""
     parser = command_parser()
     chosen, unknown = parser.parse_known_args(arguments)
     if unknown:
@@ -57,7 +83,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             console.warn(str(end))
             return end.told()
         except BrokenPipeError:
-            close_broken_pipe()
+            raise
+        except OSError as error:
+            console.fail(about_system_error(error))
     return BAD_INPUT
 
 

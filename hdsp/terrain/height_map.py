@@ -352,7 +352,7 @@ def check_readable(path: str | os.PathLike) -> None:
     if is_map(path):
         return
     path = Path(path)
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InputError(f"{path}: a folder without the metadata.yaml of a ROS 2 bag; need such a folder, or a file")
     if not {suffix.lower() for suffix in path.suffixes[-2:]} & {*FORMATS}:
         raise InputError(

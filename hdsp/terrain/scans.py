@@ -150,13 +150,13 @@ def find_files(
     """
     if beside is not None:
         for place in (Path(beside) / FOLDER / scan.name, Path(beside) / scan.name, Path(beside)):
-            if all((place / file.place).is_file() for file in scan.files):
+            if all(os.path.isfile(place / file.place) for file in scan.files):
                 return [verify(place / file.place, file.sha256) for file in scan.files], ""
     folder = data_folder(data_dir)
     paths = []
     for file in scan.files:
         local = folder / FOLDER / scan.name / file.place if folder else None
-        if local and local.is_file():
+        if local and os.path.isfile(local):
             paths.append(verify(local, file.sha256))
             continue
         url = scan.address + file.path

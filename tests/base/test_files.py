@@ -7,7 +7,7 @@ import pytest
 
 from hdsp.base import files
 from hdsp.base.errors import InputError
-from hdsp.base.files import existing_file, replacing
+from hdsp.base.files import existing_file, replace_folder, replacing, writable_file
 from hdsp.base.storage import open_folder
 
 
@@ -37,6 +37,31 @@ def test_existing_file_says_what_is_missing(tmp_path):
         existing_file(tmp_path / "none.yaml", "robot")
     with pytest.raises(InputError, match="is a folder, not a file"):
         existing_file(tmp_path, "robot")
+
+
+def test_names_that_the_system_refuses_are_told_in_one_line(tmp_path, monkeypatch):
+    long = tmp_path / ("x" * 300)
+    for check, says in (
+        (existing_file, "robot .*: File name too long"),
+        (writable_file, "cannot write .*: File name too long"),
+        (lambda path, _: replace_folder(path, {"a": b""}), "cannot write .*: File name too long"),
+    ):
+        with pytest.raises(InputError, match=says):
+            check(long, "robot")
+    with pytest.raises(InputError, match="File name too long"):  # that of the temporary file alone
+        writable_file(tmp_path / ("x" * 250), "map")
+    for wrong in (5, None):
+        with pytest.raises(InputError, match=f"path of robot is {wrong}; need a text or a Path"):
+            existing_file(wrong, "robot")
+    with pytest.raises(InputError, match="no such file"):
+        existing_file("a\0b", "robot")
+    monkeypatch.setattr(files.os, "stat", refusing)
+    with pytest.raises(InputError, match=r"^robot closed/a\.yaml: Permission denied$"):
+        existing_file("closed/a.yaml", "robot")
+
+
+def refusing(*_, **__):
+    raise PermissionError(errno.EACCES, "Permission denied")
 
 
 def test_contents_and_name_are_on_the_disk_before_and_after_the_replacement(tmp_path, monkeypatch):

@@ -114,6 +114,9 @@ def test_a_folder_with_other_files_is_not_replaced(abstraction, tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(InputError, match="not replaced"):
         abstraction.save_pretrained(tmp_path, picture=False)
+    for place, reason in (("thesis.tex", "Not a directory"), ("x" * 300, "File name too long")):
+        with pytest.raises(InputError, match=f"cannot write .*: {reason}"):
+            abstraction.save_pretrained(tmp_path / place, picture=False)
     assert (tmp_path / "thesis.tex").exists()
 
 

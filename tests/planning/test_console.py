@@ -101,6 +101,56 @@ def test_values_that_json_lacks_become_null_or_lists():
     assert plain(values) == {"a": None, "b": 1.5, "c": [None, [0, 1]], "d": "momaro", "e": None}
 
 
+def test_names_that_a_terminal_cannot_show_are_escaped(ground, monkeypatch):
+    """Letters beyond ASCII, and a name of bytes that are no UTF-8; JSON has the name itself."""
+    for name in ("r3ü.npz", os.fsdecode(b"r\xfc.npz")):
+        for encoding in ("ascii", "utf-8"):
+            screen = io.TextIOWrapper(io.BytesIO(), encoding)
+            monkeypatch.setattr(sys, "stdout", screen)
+            path, picture = str(ground / name), str(ground / "p.png")
+            assert main(["map", str(ground / "flat.npz"), "--out", path, "--quiet"]) == 0
+            assert main(["map", path, "--out", str(ground / "o.npz"), "--picture", picture, "--json", "--quiet"]) == 0
+            assert main(["info", path, "--json", "--quiet"]) == 0
+            told, _, _, found = screen.buffer.getvalue().decode(encoding).splitlines()
+            assert json.loads(found)["file"] == path
+            assert name in told or name.encode("ascii", "backslashreplace").decode() in told
+
+
+@pytest.mark.parametrize(
+    "words", [["info", "none.npz"], ["info", "none.npz", "--json"], ["--help"], ["completion", "zsh"]]
+)
+def test_a_reader_that_has_gone_ends_a_command_quietly(words, monkeypatch, capfd):
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as pipe:
+        monkeypatch.setattr(sys, "stdout", pipe)
+        assert main(words) == 1
+    told = capfd.readouterr().err
+    assert "Error" not in told and told.count("\n") <= 1
+
+
+def test_an_error_of_the_system_is_one_line(ground, capsys, monkeypatch):
+    def refuse(*_, **__):
+        raise PermissionError(13, "Permission denied", "closed/m.npz")
+
+    monkeypatch.setattr(HeightMap, "load", refuse)
+    assert main(["plan", "m.npz", *ENDS, "--json", "--quiet"]) == 1
+    told = capsys.readouterr()
+    assert told.err == "error: closed/m.npz: Permission denied\n" and json.loads(told.out)["status"] == "error"
+    for words, where in ((["completion", "bash"], ""), (["--help"], "standard output: ")):
+        with open("/dev/full", "w") as full:
+            monkeypatch.setattr(sys, "stdout", full)
+            assert main(words) == 1
+        assert capsys.readouterr().err == f"error: {where}No space left on device\n"
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "x" * 300 + ".pcd", "x" * 300 + ".npz", "x" * 300 + ".yaml"])
+def test_a_name_that_is_too_long_is_no_traceback(name, capsys):
+    assert main(["info", name]) == 1
+    told = capsys.readouterr().err
+    assert told.startswith("error: ") and "File name too long" in told and told.count("\n") == 1
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [

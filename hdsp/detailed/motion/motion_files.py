@@ -17,7 +17,7 @@ import numpy as np
 
 from hdsp.base.array_files import npz_arrays
 from hdsp.base.errors import InputError
-from hdsp.base.files import existing_file, replacing, writable_file
+from hdsp.base.files import as_path, existing_file, replacing, writable_file
 from hdsp.base.messages import shown
 from hdsp.base.scalars import real
 from hdsp.detailed.motion.motion_state import MotionState
@@ -58,7 +58,7 @@ def check_motion_path(path: str | os.PathLike) -> Path:
     Raises:
         InputError: an unknown suffix, a place that cannot be written to, or a folder that exists for a ROS 2 bag.
     """
-    path = Path(path)
+    path = as_path(path, "motion")
     known = sorted(suffix for suffix in _WRITERS if suffix)
     if path.suffix.lower() not in _WRITERS:
         raise InputError(
@@ -66,9 +66,9 @@ def check_motion_path(path: str | os.PathLike) -> Path:
         )
     if path.suffix:
         return writable_file(path, "motion", known)
-    if path.exists():
+    if os.path.exists(path):
         raise InputError(f"ROS 2 bag {path}: exists already; need a new folder")
-    return path
+    return writable_file(path, "ROS 2 bag")
 
 
 def animate_motion(motion: Any, path: str | os.PathLike, **look: float | None) -> Path:

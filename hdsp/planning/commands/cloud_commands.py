@@ -12,6 +12,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.planning.commands.command_parser import takes_file
+from hdsp.planning.commands.output_files import outputs_of, refuse_overwriting
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.map_frame import MapFrame
 from hdsp.terrain.pointcloud import FORMATS, FloorSettings, MapSettings, describe_points, map_points, read_points
@@ -115,6 +116,7 @@ def _map_scan(chosen: argparse.Namespace) -> MadeMap:
         paths, reason = find_files(scan, beside=Path(chosen.scan).parent)
         if not paths:
             raise InputError(reason)
+    refuse_overwriting(outputs_of(chosen, "out", "picture"), paths)
     if len(paths) != len(scan.files):
         raise InputError(f"scan {scan.name}: {len(paths)} files; its description has {len(scan.files)}")
     with chosen.console.progress.during(f"making the map of scan {scan.name}"):

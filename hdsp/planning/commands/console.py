@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import logging
 import math
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from hdsp.base.messages import one_line
 from hdsp.base.progress_line import ProgressLine
 
 #: Exit statuses of the command line; argparse ends with 2 on wrong usage.
@@ -44,7 +46,12 @@ class Console:
     def document(self, fields: Mapping[str, Any]) -> None:
         """Prints the JSON document, if one was asked for."""
         if self.as_json:
-            print(json.dumps(plain(fields), ensure_ascii=False, allow_nan=False))
+            text = json.dumps(plain(fields), ensure_ascii=False, allow_nan=False)
+            try:
+                text.encode(sys.stdout.encoding or "utf-8")
+            except UnicodeEncodeError:  # the escapes of a stream are none of JSON
+                text = json.dumps(plain(fields), allow_nan=False)
+            print(text)
             sys.stdout.flush()
 
     def warn(self, text: str) -> None:
@@ -99,6 +106,23 @@ def plain(value: Any) -> Any:
     return value
 
 
-def close_broken_pipe() -> None:
-    """Keeps Python from writing to a reader that has gone, as in ``hdsp info FILE | head -1``."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def escape_unknown_letters() -> None:
+    """Lets standard output and standard error escape letters that they cannot show, as in names of files."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def drop_output() -> None:
+    """Keeps Python from writing to a full disk, or to a reader that has gone as in ``hdsp info FILE | head -1``."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def about_system_error(error: OSError) -> str:
+    """Returns the words for users on an error of the operating system: the file and the reason."""
+    names = [str(name) for name in (error.filename, error.filename2) if name is not None]
+    return one_line(": ".join(filter(None, (", ".join(names), error.strerror))) or error)

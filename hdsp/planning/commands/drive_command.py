@@ -13,6 +13,7 @@ from hdsp.planning.commands.command_parser import add_heuristic, add_json, add_r
 from hdsp.planning.commands.console import NO_PLAN, Console
 from hdsp.planning.commands.json_documents import map_fields, plan_fields
 from hdsp.planning.commands.map_file_commands import add_cell_size, add_map_reading
+from hdsp.planning.commands.output_files import outputs_of, planning_inputs, refuse_overwriting
 from hdsp.planning.commands.plan_command import prepared_planner
 from hdsp.planning.commands.plan_options import TIME, WEIGHT, goal_pose, start_pose, tolerance_of
 from hdsp.planning.margin import DRIVEN_MARGIN
@@ -115,6 +116,7 @@ def _check_outputs(chosen: argparse.Namespace) -> None:
     import_mujoco()
     if chosen.seed < 0:
         raise InputError(f"--seed is {chosen.seed}; need a number of at least 0")
+    refuse_overwriting(outputs_of(chosen, "video", "record"), planning_inputs(chosen))
     if chosen.video:
         writable_file(chosen.video, "video", _FILMS)
     if chosen.record:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -67,8 +68,8 @@ def _described(
 ) -> tuple[str, Mapping[str, Any]]:
     """Tells about a file; returns its kind, and fields for JSON."""
     tell = chosen.console.tell
-    named = not path.exists() and chosen.file in {*Robot.presets(), *presets()}
-    if named or path.suffix.lower() in (".yaml", ".yml") or (path / "config.json").is_file():
+    named = not os.path.exists(path) and chosen.file in {*Robot.presets(), *presets()}
+    if named or path.suffix.lower() in (".yaml", ".yml") or os.path.isfile(path / "config.json"):
         refuse_given(chosen, parser, ("file",), chosen.file)
         kind, words, fields = _settings(chosen.file, path)
     elif is_map(path):
@@ -77,7 +78,7 @@ def _described(
             refuse_given(chosen, parser, ("file", *map_options(chosen)), f"the height map {path}")
             return "height map", describe_map_file(path, chosen)
         kind, (words, fields) = "labels", shard
-    elif not path.exists() and not path.suffix:
+    elif not os.path.exists(path) and not path.suffix:
         known = ", ".join(sorted({*Robot.presets(), *presets()}))
         raise InputError(f"{chosen.file}: no such file, and none of the robots and abstractions {known}")
     else:
@@ -91,9 +92,9 @@ def _described(
 
 def _settings(name: str, path: Path) -> tuple[str, str, Mapping[str, Any]]:
     """About a robot, an abstraction, a scan or an arena."""
-    if path.is_dir() or (name in presets() and name not in Robot.presets()):
+    if os.path.isdir(path) or (name in presets() and name not in Robot.presets()):
         return "abstraction", *_abstraction(name)
-    values = {} if not path.is_file() else read_yaml(path, "settings").values
+    values = {} if not os.path.isfile(path) else read_yaml(path, "settings").values
     if isinstance(values, Mapping) and "files" in values:
         from hdsp.terrain.scans import load_scan
 
@@ -156,7 +157,7 @@ def _shard(path: Path) -> tuple[str, Mapping[str, Any]] | None:
     """About a shard; None if the file is none. A damaged shard raises InputError."""
     from hdsp.labels.shards import is_shard, read_shard
 
-    if path.suffix.lower() != ".h5" or not path.is_file() or not is_shard(path):
+    if path.suffix.lower() != ".h5" or not os.path.isfile(path) or not is_shard(path):
         return None
     tasks, attributes = read_shard(path)
     names, counts = np.unique(tasks.category, return_counts=True)

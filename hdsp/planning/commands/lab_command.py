@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from importlib import resources
 from pathlib import Path
 from string import Template
@@ -50,12 +51,20 @@ def write_lab(name: str, folder: Path) -> Path:
         folder: a folder that is new or empty.
 
     Raises:
-        InputError: a wrong name, or a folder with files in it.
+        InputError: a wrong name, a folder with files in it, or one that cannot be written.
     """
     if not name.isidentifier() or name != name.lower() or name in _TAKEN:
         raise InputError(f"name {name!r}: need a Python identifier in small letters, none of {', '.join(_TAKEN)}")
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: it exists and is not empty")
+    try:
+        if os.path.exists(folder) and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{folder}: it exists and is not empty")
+        _write_files(name, folder)
+    except OSError as error:
+        raise InputError(f"cannot write {folder}: {error.strerror}") from error
+    return folder
+
+
+def _write_files(name: str, folder: Path) -> None:
     kind = "".join(part.capitalize() for part in name.split("_"))
     templates = resources.files(__package__).joinpath("lab_template")
     for template, place in FILES.items():
@@ -64,4 +73,3 @@ def write_lab(name: str, folder: Path) -> Path:
         text = Template(templates.joinpath(template).read_text(encoding="utf-8"))
         path.write_text(text.substitute(name=name, kind=kind), encoding="utf-8")
     folder.joinpath(name, "__init__.py").write_text("", encoding="utf-8")
-    return folder

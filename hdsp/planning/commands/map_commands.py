@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from hdsp.base.errors import InputError
+from hdsp.base.files import writable_file
 from hdsp.planning.commands.cloud_commands import POINT_FILES, add_cloud_mapping, map_clouds
 from hdsp.planning.commands.command_parser import add_json, takes_file
 from hdsp.planning.commands.json_documents import map_fields
@@ -18,6 +20,7 @@ from hdsp.planning.commands.map_file_commands import (
     map_options,
     refuse_map_options,
 )
+from hdsp.planning.commands.output_files import outputs_of, refuse_overwriting
 from hdsp.terrain.height_map import HeightMap, check_readable
 from hdsp.terrain.map_formats import check_writable, is_map
 
@@ -55,6 +58,7 @@ def _map(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
     """
     if not chosen.files and not chosen.scan:
         raise InputError("map: no file; need a height map, point clouds, or --scan with a description")
+    _check_outputs(chosen)
     if not chosen.scan and any(is_map(path) for path in chosen.files):
         with chosen.console.progress.during(f"converting {Path(chosen.files[0]).name}"):
             terrain = convert_map(chosen, parser)
@@ -63,7 +67,6 @@ def _map(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
     for file in chosen.files:
         check_readable(file)
     refuse_map_options(chosen, ("resolution",))
-    check_writable(chosen.out)
     measured, about = map_clouds(chosen)
     with chosen.console.progress.during("writing the map"):
         terrain, done = conditioned(measured, chosen)
@@ -72,13 +75,27 @@ def _map(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> None:
     _finish(terrain, chosen)
 
 
+def _check_outputs(chosen: argparse.Namespace) -> None:
+    """Checks the output files and the package for the picture before any work."""
+    check_writable(chosen.out)
+    refuse_overwriting(outputs_of(chosen, "out", "picture"), [chosen.scan] if chosen.scan else [])
+    # A height map may be converted in its place.
+    refuse_overwriting(outputs_of(chosen, "picture"), chosen.files)
+    writable_file(chosen.out, "map")
+    if chosen.picture:
+        from hdsp.viz import save_map  # noqa: F401, an extra that may be missing
+
+        writable_file(chosen.picture, "picture", (".png",))
+
+
 def _finish(terrain: HeightMap, chosen: argparse.Namespace) -> None:
     """Draws the picture, if it is wanted, and prints the JSON document."""
     files = {"out": chosen.out}
     if chosen.picture:
         from hdsp.viz import save_map
 
-        title = ", ".join(Path(path).name for path in chosen.files) or Path(chosen.scan).stem
+        names = ", ".join(Path(path).name for path in chosen.files) or Path(chosen.scan).stem
+        title = os.fsencode(names).decode("utf-8", "replace")  # a name of a file is any bytes
         with chosen.console.progress.during("drawing the map"):
             save_map(terrain, chosen.picture, title)
         chosen.console.tell(f"{chosen.picture}: picture")

@@ -17,7 +17,7 @@ from hdsp.planning.commands.json_documents import map_fields
 from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.map_checks import suspicions
-from hdsp.terrain.map_formats import MAP_SUFFIXES, MissingOption, check_writable, map_contents
+from hdsp.terrain.map_formats import MAP_SUFFIXES, MissingOption, map_contents
 
 #: Formats of height maps, for help texts.
 MAP_FILES = f"a height map ({', '.join(MAP_SUFFIXES)}, or the folder of a ROS 2 bag)"
@@ -79,7 +79,6 @@ def convert_map(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> 
         raise InputError(f"map: {len(chosen.files)} files; need one height map, or point clouds only")
     file = chosen.files[0]
     refuse_given(chosen, parser, ("files", "out", "picture", "condition", *_OPTIONS), f"the height map {file}")
-    check_writable(chosen.out)
     read = _read_map(file, chosen)
     terrain, done = conditioned(read, chosen)
     terrain.save(chosen.out)

@@ -12,6 +12,7 @@ from hdsp.detailed.motion.motion_files import check_motion_path
 from hdsp.planning.commands.console import NO_PLAN, Console
 from hdsp.planning.commands.json_documents import map_fields, plan_fields
 from hdsp.planning.commands.map_file_commands import map_options
+from hdsp.planning.commands.output_files import OutputFile, planning_inputs, refuse_overwriting
 from hdsp.planning.commands.plan_options import (
     WEIGHT,
     add_plan_options,
@@ -173,14 +174,21 @@ def _numbered(path: str, number: int, count: int) -> str:
 
 def _check_outputs(chosen: argparse.Namespace) -> None:
     """Checks the output files and the packages for them before the search."""
-    if chosen.out:
-        writable_file(chosen.out, "table", _TABLES)
-    for path in chosen.motions:
-        check_motion_path(path)
     if chosen.picture:
         from hdsp.viz import save_planned_path  # noqa: F401, an extra that may be missing
-
-        writable_file(chosen.picture, "picture", (".png",))
+    files = [("--out", chosen.out), *(("--motion", path) for path in chosen.motions), ("--picture", chosen.picture)]
+    count = len(chosen.goal) if chosen.each else 1
+    outputs = [
+        OutputFile(option, _numbered(path, number, count)) for number in range(count) for option, path in files if path
+    ]
+    refuse_overwriting(outputs, planning_inputs(chosen))
+    for option, path in outputs:
+        if option == "--out":
+            writable_file(path, "table", _TABLES)
+        elif option == "--motion":
+            check_motion_path(path)
+        else:
+            writable_file(path, "picture", (".png",))
 
 
 def _frames(terrain: HeightMap) -> str:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -52,7 +53,7 @@ _HEADER = "std_msgs/Header header\n"
 
 def is_bag_folder(path: Path) -> bool:
     """Whether a folder is a ROS 2 bag."""
-    return path.is_dir() and ((path / "metadata.yaml").is_file() or only_file(path) is not None)
+    return os.path.isdir(path) and (os.path.isfile(path / "metadata.yaml") or only_file(path) is not None)
 
 
 def read_grid_map(path: Path, options: ReadOptions) -> MapFields:

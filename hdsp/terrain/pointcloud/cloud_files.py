@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.base.files import existing_file
+from hdsp.base.files import as_path, existing_file
 from hdsp.terrain.pointcloud.cloud_limits import DEFAULT_LIMITS, CloudLimits
 from hdsp.terrain.pointcloud.las import read_las
 from hdsp.terrain.pointcloud.las_units import metres_in_las
@@ -50,7 +49,7 @@ def read_points(
             axes are invalid.
     """
     limits = CloudLimits.of(max_points, max_bytes)
-    suffixes = [suffix.lower() for suffix in Path(path).suffixes[-2:]]
+    suffixes = [suffix.lower() for suffix in as_path(path, "points").suffixes[-2:]]
     packed = bool(suffixes) and suffixes[-1] in _PACKED
     suffix = (suffixes[-2] if len(suffixes) > 1 else "") if packed else (suffixes[-1] if suffixes else "")
     if suffix not in FORMATS:
