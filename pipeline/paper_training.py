@@ -82,8 +82,8 @@ def table(ours: Sequence[Mapping[str, Any]], theirs: Sequence[Mapping[str, Any]]
     def shown(row, suffix=""):
         return f"{percent(row[f'feasibility_accuracy{suffix}'])} / {row[f'cost_error{suffix}']:.4f}"
 
-    sets = sorted(name.partition("/")[2] for name in ours[0] if name.startswith("cost_error/"))
     chosen, published = best(ours, "feasibility_accuracy/val", "cost_error/val"), best(theirs, *METRICS)
+    sets = sorted(name.partition("/")[2] for name in chosen if name.startswith("cost_error/"))
     rows = [
         ["paper, validation", str(len(theirs)), str(int(published["epoch"])), shown(published)],
         *([f"ours, {name}", str(len(ours)), str(chosen["epoch"]), shown(chosen, f"/{name}")] for name in sets),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import math
 import shutil
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from hdsp.base.errors import InputError
-from hdsp.base.files import replace_folder, replacing
+from hdsp.base.files import replace_folder
 from hdsp.base.storage import Place, is_url, open_folder
 
 from . import served_model, tracking
@@ -139,12 +138,13 @@ def write_results(
 ) -> None:
     """Copies the abstraction, writes reports, and completes the run in MLflow."""
     from hdsp.learning import LearnedAbstraction, count_parameters
+    from hdsp.learning.history import write_columns
     from hdsp.viz import save_training_curves
 
     abstraction_dir = folders.write("models", "abstraction")
     replace_folder(abstraction_dir, {path.name: path.read_bytes() for path in sorted(result.model_dir.iterdir())})
     history = folders.write("reports", "training_history.csv")
-    write_history(history, result.history)
+    write_columns(history, result.history)
     curves = folders.write("reports", "figures", "training_curves.png")
     save_training_curves(result.history, curves)
     summary = {
@@ -267,13 +267,6 @@ def folder_hash(folder: Place) -> str:
 
 def _hash_of(hashes: list[str]) -> str:
     return hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
-
-
-def write_history(path: Path, rows: list[dict[str, Any]]) -> None:
-    with replacing(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def _required(paths: Sequence[Place]) -> TaskSet:

@@ -10,10 +10,11 @@ from typing import Any, Protocol, runtime_checkable
 
 import lightning.pytorch as pl
 import torch
-from lightning.pytorch.callbacks import WeightAveraging
+from lightning.pytorch.callbacks import ModelCheckpoint, WeightAveraging
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from hdsp.learning.learning_settings import LossSettings
+from hdsp.learning.task_data import generator_seed
 from hdsp.learning.task_stream import ResumableBatches
 
 #: Losses, in the order in which rules treat them.
@@ -116,20 +117,52 @@ LOSS_WEIGHT_RULES: dict[str, type[LossWeightRule]] = {"plateau": PlateauLossWeig
 
 
 class EpochPosition(pl.Callback):
-    """Restores the batch position within an epoch from a checkpoint.
+    """Restores a training's position from a checkpoint: the batch within an epoch, and whether training has stopped.
 
     Lightning restores a loader's state only if no code has asked for the number of steps before. Learning rate
-    schedules ask for it, so this callback restores the position.
+    schedules ask for it, so this callback restores the position. Lightning forgets a stop, and would go on by an epoch.
+
+    Random numbers of dropout layers and losses are a function of (seed, epoch, batch) alone, as batches are.
     """
 
-    def __init__(self, batches: ResumableBatches):
-        self.batches = batches
+    def __init__(self, batches: ResumableBatches, seed: int = 0):
+        self.batches, self.seed = batches, seed
+        self.ended = False
+
+    def on_train_batch_start(self, trainer: pl.Trainer, module: pl.LightningModule, batch: Any, index: int) -> None:
+        self.ended = False
+        torch.manual_seed(generator_seed(self.seed, trainer.current_epoch, index))
+
+    def on_train_epoch_end(self, trainer: pl.Trainer, module: pl.LightningModule) -> None:
+        self.ended = True
+        self.batches.end_epoch()
+
+    def on_save_checkpoint(self, trainer: pl.Trainer, module: pl.LightningModule, checkpoint: dict[str, Any]) -> None:
+        checkpoint["stopped"] = self.ended and bool(trainer.should_stop)
+
+    def on_load_checkpoint(self, trainer: pl.Trainer, module: pl.LightningModule, checkpoint: dict[str, Any]) -> None:
+        trainer.should_stop = trainer.should_stop or checkpoint.get("stopped", False)
 
     def state_dict(self) -> dict[str, Any]:
         return self.batches.state_dict()
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.batches.load_state_dict(state)
+
+
+class CheckpointsWithinEpoch(ModelCheckpoint):
+    """Keeps the last state every few minutes within an epoch, where a training can go on.
+
+    Within a window of accumulated batches, their gradients are in no checkpoint. After the last batch, a training that
+    goes on would take the epoch for finished, without its validation.
+    """
+
+    def on_train_batch_end(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
+        done = batch_idx + 1
+        if done % trainer.accumulate_grad_batches == 0 and done < trainer.num_training_batches:
+            super().on_train_batch_end(trainer, pl_module, outputs, batch, batch_idx)
 
 
 class StepRecord(pl.Callback):

@@ -46,14 +46,17 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 
 def checkpoint_to_resume(folder: Path, fingerprint: str) -> Path | None:
-    """Returns the last checkpoint from the same training; removes checkpoints from another training."""
+    """Returns the last checkpoint from the same training; removes checkpoints from another training, and says so."""
     mark = folder / "fingerprint.txt"
-    if mark.is_file() and mark.read_text() == fingerprint:
+    same = mark.is_file() and mark.read_text() == fingerprint
+    if same:
         for path in (folder / "last.ckpt", folder / "best.ckpt"):
             if path.is_file() and _is_whole(path):
                 return path
     if not is_first_process():
         return None
+    if not same and (folder / "last.ckpt").is_file():
+        print(f"{folder} holds a training with other settings, maps or selection set; this one begins anew", flush=True)
     shutil.rmtree(folder, ignore_errors=True)
     with replacing(mark) as temporary:
         temporary.write_text(fingerprint)

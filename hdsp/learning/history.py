@@ -88,7 +88,13 @@ def write_history(folder: Path, rows: list[dict[str, Any]]) -> None:
     """Writes ``history.csv`` and ``history.json`` (a list with one flat mapping per epoch)."""
     with replacing(folder / "history.json") as path:
         path.write_text(json.dumps(rows, indent=1) + "\n")
-    with replacing(folder / "history.csv") as path, path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]) if rows else ["epoch"])
+    write_columns(folder / "history.csv", rows)
+
+
+def write_columns(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Writes the rows as a CSV file; a value is empty where an interrupted training had another set."""
+    names = dict.fromkeys(name for row in rows for name in row)
+    with replacing(path) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(names) or ["epoch"])
         writer.writeheader()
         writer.writerows(rows)

@@ -130,7 +130,7 @@ class BatchSampler(Sampler[BatchIndex]):
     def __iter__(self) -> Iterator[BatchIndex]:
         single = self.settings.by == "task"
         items = self.maps * self.goals if single else self.maps
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
+        generator = torch.Generator().manual_seed(generator_seed(self.seed, self.epoch))
         order = torch.randperm(items, generator=generator) if self.shuffle else torch.arange(items)
         skip, self.skip = self.skip, 0
         for number, chosen in enumerate(order.split(self.settings.size)):
@@ -167,6 +167,14 @@ def task_loader(
     dataset = TaskDataset(tasks, targets)
     sampler = BatchSampler(len(dataset), dataset.goals.shape[1], settings, shuffle, mirror, seed)
     return DataLoader(dataset, batch_size=None, sampler=sampler, collate_fn=as_is)
+
+
+def generator_seed(*numbers: int) -> int:
+    """Returns a seed for a generator of torch, which takes 64 bits, from whole numbers of any size."""
+    seed = 0
+    for number in numbers:
+        seed = seed * 1_000_003 + number
+    return seed % 2**63
 
 
 def mirror_heights(heights: Tensor) -> Tensor:

@@ -21,6 +21,7 @@ from hdsp.learning.task_data import (
     TaskArrays,
     TaskDataset,
     as_is,
+    generator_seed,
 )
 from hdsp.robot.lattice import N_ABSTRACT_ACTIONS
 
@@ -127,13 +128,13 @@ class TaskStream(IterableDataset):
 
     def _groups(self) -> "list[_Group]":
         """The epoch's groups that hold maps, in order."""
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
+        generator = torch.Generator().manual_seed(generator_seed(self.seed, self.epoch))
         count = len(self.paths)
         order = torch.randperm(count, generator=generator) if self.shuffle else torch.arange(count)
         chosen = [part.tolist() for part in order.split(self.shards_in_memory)]
         sizes = [sum(self.maps[k] for k in shards) * self._per_map for shards in chosen]
         starts = accumulate(sizes, initial=0)
-        seeds = ((self.seed * 10_007 + number) * 1_000_003 + self.epoch for number in range(len(chosen)))
+        seeds = (generator_seed(self.seed * 10_007 + number, self.epoch) for number in range(len(chosen)))
         return [
             _Group(tuple(shards), start, start + items, seed if self.shuffle or self.mirror else None, self.shuffle)
             for shards, start, items, seed in zip(chosen, starts, sizes, seeds, strict=False)
@@ -247,6 +248,10 @@ class ResumableBatches:
         for batch in own_parts(self.batches, full=True):
             self.given += 1
             yield batch
+
+    def end_epoch(self) -> None:
+        """Sets the position to the next epoch's first batch; an epoch may end before all batches are given."""
+        self.given = 0
 
     def state_dict(self) -> dict[str, Any]:
         """Returns the number of batches given in this epoch."""

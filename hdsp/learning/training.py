@@ -22,7 +22,13 @@ from hdsp.base.errors import InputError
 from hdsp.base.settings import load_settings
 from hdsp.base.short_repr import short_repr
 from hdsp.learning.abstraction import LearnedAbstraction
-from hdsp.learning.callbacks import LOSS_WEIGHT_RULES, AveragedWeights, EpochPosition, StepRecord
+from hdsp.learning.callbacks import (
+    LOSS_WEIGHT_RULES,
+    AveragedWeights,
+    CheckpointsWithinEpoch,
+    EpochPosition,
+    StepRecord,
+)
 from hdsp.learning.checkpoints import WholeCheckpoints, checkpoint_to_resume, read_checkpoint
 from hdsp.learning.hardware import channels_last
 from hdsp.learning.history import EpochHistory, OnEpoch
@@ -38,7 +44,7 @@ from hdsp.learning.networks import build_network
 from hdsp.learning.networks.base import TaskNetwork
 from hdsp.learning.processes import SharedBatches
 from hdsp.learning.saved_abstraction import Provenance
-from hdsp.learning.task_data import Targets, task_loader
+from hdsp.learning.task_data import Targets, TaskDataset, generator_seed, task_loader
 from hdsp.learning.task_stream import ResumableBatches, TaskStream
 from hdsp.learning.training_parts import TrainingParts, named_profiler
 
@@ -96,8 +102,9 @@ def train(
     """Trains a network and saves the state with the best validation score.
 
     If ``out_dir/checkpoints`` holds the last state of the same training (same model, trainer settings and tasks),
-    training continues from there, within an epoch at the next batch. A state from another training is replaced. If the
-    last state is damaged, the best one takes its place. With several devices, each process runs this call; only the
+    training continues from there, within an epoch at the next batch. A state from another training, or with another
+    selection set, is replaced; other validation sets may come and go. If the last state is damaged, the best one takes
+    its place. With several devices, each process runs this call; only the
     first one writes.
 
     Args:
@@ -131,22 +138,23 @@ def train(
     predicted: Targets = ("cost", "planning_cost") if module.network.predicts_planning_cost else ("cost",)
     source, maps = _training_batches(trainer_settings, train_tasks, predicted, config.hardware.readers)
     batches = ResumableBatches(source)
-    val_loaders = [_validation_batches(tasks, predicted) for tasks in val_sets.values()]
+    val_loaders = {name: _validation_batches(tasks, predicted) for name, tasks in val_sets.items()}
 
     checkpoints = out_dir / "checkpoints"
-    last = checkpoint_to_resume(checkpoints, _fingerprint(config, source))
+    deciding = val_loaders[trainer_settings.selection.set].batches.dataset
+    last = checkpoint_to_resume(checkpoints, _fingerprint(config, source, deciding))
     history = EpochHistory(out_dir, trainer_settings.selection.score, on_epoch, quiet)
-    own = [history, EpochPosition(batches), *_own_callbacks(config, checkpoints, on_step)]
+    own = [history, EpochPosition(batches, trainer_settings.seed), *_own_callbacks(config, checkpoints, on_step)]
     # Loaders and dropout layers draw from the global generator; the fork leaves the caller's state unchanged.
     with _without_lightning_chatter(), torch.random.fork_rng():
-        torch.manual_seed(trainer_settings.seed)
+        torch.manual_seed(generator_seed(trainer_settings.seed))
         trainer = pl.Trainer(
             **_trainer_options(config, parts, out_dir),
             callbacks=[*own, *parts.callbacks, *callbacks],
             logger=[*parts.loggers, *_as_list(logger)] or False,
             enable_progress_bar=progress,
         )
-        trainer.fit(module, batches, val_loaders, ckpt_path=last, weights_only=True if last else None)
+        trainer.fit(module, batches, list(val_loaders.values()), ckpt_path=last, weights_only=True if last else None)
 
     best_epoch = _take_best(module, checkpoints, history.rows, trainer_settings)
     # A training that is repeated saves the same abstraction to the byte, so without its time.
@@ -166,7 +174,7 @@ def _own_callbacks(config: TrainingConfig, checkpoints: Path, on_step: OnEpoch |
     result: list[pl.Callback] = [
         ModelCheckpoint(checkpoints, "best", monitor="score", enable_version_counter=False),
         ModelCheckpoint(checkpoints, "last", enable_version_counter=False),
-        ModelCheckpoint(checkpoints, "last", train_time_interval=within, enable_version_counter=False),
+        CheckpointsWithinEpoch(checkpoints, "last", train_time_interval=within, enable_version_counter=False),
     ]
     if settings.early_stopping:
         result.append(EarlyStopping("score", patience=settings.early_stopping, check_finite=False))
@@ -225,7 +233,7 @@ def _without_score(rows: Sequence[Mapping[str, float]], settings: TrainerSetting
 
 def _module(config: TrainingConfig, val_sets: tuple[str, ...], parts: TrainingParts) -> AbstractionModule:
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.trainer.seed)
+        torch.manual_seed(generator_seed(config.trainer.seed))
         network = channels_last(build_network(config.model))
     trainer, compiled = config.trainer, config.lightning.compile
     if trainer.initial is not None:
@@ -270,8 +278,8 @@ def _validation_batches(tasks: "TaskSet", predicted: Targets) -> SharedBatches:
     return SharedBatches(task_loader(tasks, VALIDATION_BATCH, targets=known))
 
 
-def _fingerprint(config: TrainingConfig, batches: Any) -> str:
-    """Hash over everything that decides whether a checkpoint belongs to this training."""
+def _fingerprint(config: TrainingConfig, batches: Any, deciding: TaskDataset) -> str:
+    """Hash over everything that decides whether a checkpoint belongs to this training; ``deciding``: selection set."""
     trainer = config.trainer
     values = asdict(trainer)
     decisive = {entry.name: values[entry.name] for entry in fields(trainer) if entry.repr}
@@ -279,15 +287,20 @@ def _fingerprint(config: TrainingConfig, batches: Any) -> str:
     later = {name: (getattr(trainer, name), default) for name, default in LATER.items()}
     parts += [f"{name} {value}" for name, (value, default) in later.items() if value != default]
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode())
+    _add_tasks(digest, deciding)
     if isinstance(batches, TaskStream):  # the path of a shard holds its label hash
         order = [batches.shards_in_memory, *map(str, batches.paths), *batches.maps]
         digest.update(json.dumps(order).encode())
         return digest.hexdigest()
-    data = batches.dataset
+    _add_tasks(digest, batches.dataset)
+    return digest.hexdigest()
+
+
+def _add_tasks(digest: Any, data: TaskDataset) -> None:
     planning = [data.planning_cost] if data.planning_cost is not None else []
     for tensor in (data.heights, data.goals, data.feasible, data.cost, *planning):
-        digest.update(memoryview(tensor.numpy()).cast("B"))
-    return digest.hexdigest()
+        array: Any = tensor.numpy()
+        digest.update(memoryview(array).cast("B"))
 
 
 @contextmanager

@@ -86,7 +86,7 @@ def save_training_curves(history: Sequence[Mapping[str, Any]], path: str | os.Pa
         (weights, "loss_weight/", "loss weight", 1.0),
     )
     for axes, prefix, label, scale in panels:
-        names = [name for name in history[0] if name.startswith(prefix)]
+        names = list(dict.fromkeys(name for row in history for name in row if name.startswith(prefix)))
         for name, color in zip(names, _SETS, strict=False):
             values = scale * np.array([_value(row.get(name)) for row in history])
             drawstyle = "steps-mid" if axes is weights else "default"

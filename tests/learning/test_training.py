@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import os
 import signal
 import subprocess
@@ -18,7 +19,10 @@ from hdsp.base.errors import InputError
 from hdsp.labels.shards import write_shard
 from hdsp.learning import HardwareSettings, LearnedAbstraction, train
 from hdsp.learning.callbacks import AveragedWeights
-from hdsp.learning.metrics import combined_score
+from hdsp.learning.learning_settings import BatchSettings
+from hdsp.learning.metrics import combined_score, task_losses
+from hdsp.learning.task_data import BatchSampler, generator_seed
+from hdsp.learning.training_parts import TrainingParts
 from tests import ROOT
 from tests.learning.synthetic import synthetic_tasks, tiny_config
 from tests.learning.test_zoo import model_file
@@ -136,7 +140,7 @@ def test_an_interrupted_training_ends_like_an_undisturbed_one(tasks, val, tmp_pa
 
 
 class StopWithin(pl.Callback):
-    """Interrupts the training within an epoch, after a checkpoint there."""
+    """Interrupts the training within an epoch, after a checkpoint there; at its end, in the validation."""
 
     def __init__(self, epoch, batch):
         self.epoch, self.batch = epoch, batch
@@ -144,6 +148,76 @@ class StopWithin(pl.Callback):
     def on_train_batch_start(self, trainer, module, batch, index):
         if (trainer.current_epoch, index) == (self.epoch, self.batch):
             raise KeyboardInterrupt
+        if (trainer.current_epoch, index) == (self.epoch, self.batch - 1):
+            for kept in trainer.checkpoint_callbacks:  # their interval is over
+                kept._last_time_checked = -math.inf
+
+    def on_validation_start(self, trainer, module):
+        if (trainer.current_epoch, trainer.num_training_batches) == (self.epoch, self.batch):
+            raise KeyboardInterrupt
+
+
+def noisy_losses(cost, logits, feasible, labelled):
+    """The losses, times a random number each, as from a dropout layer."""
+    return tuple(torch.rand(()) * loss for loss in task_losses(cost, logits, feasible, labelled))
+
+
+@pytest.mark.parametrize(
+    ("stop", "trainer"),
+    [
+        # A checkpoint after the third batch would lose its gradients.
+        (StopWithin(1, 3), {"accumulate": 2, "checkpoint_minutes": 1e3}),
+        (StopWithin(1, 6), {}),
+        (StopWithin(1, 2), {"limits": {"train": 4}}),
+        (StopAfter(0), {"limits": {"train": 4}}),  # the next epoch begins at its first batch
+    ],
+)
+def test_a_training_goes_on_wherever_it_was_interrupted(tasks, val, tmp_path, stop, trainer):
+    def trained(name, callbacks=()):
+        config = tiny_config(**{"epochs": 2, "mirror": True, "checkpoint_minutes": 1e-7, **trainer})
+        parts = TrainingParts(loss=noisy_losses)
+        found = train(config, tasks, {"val": val}, tmp_path / name, callbacks=callbacks, quiet=True, parts=parts)
+        weights = (found.model_dir / "model.safetensors").read_bytes()
+        return [{k: v for k, v in row.items() if k != "seconds"} for row in found.history], weights
+
+    with pytest.raises((KeyboardInterrupt, SystemExit)):
+        trained("parts", [stop])
+    assert trained("parts") == trained("whole")
+
+
+def test_a_training_that_has_stopped_early_stays_so_after_a_restart(tasks, val, tmp_path):
+    still = {"optimizer": {"name": "adamw", "lr": 0.0}, "schedule": {"name": "constant"}}
+    for stop in ({"early_stopping": 2}, {"epochs": 3}):
+        config = tiny_config(**{"epochs": 9, **still, **stop})
+        first, second = (
+            train(config, tasks[:16], {"val": val}, tmp_path / next(iter(stop)), quiet=True) for _ in range(2)
+        )
+        assert len(first.history) == second.resumed_from == 3 and second.history == first.history
+
+
+def test_other_validation_sets_come_and_go_but_another_selection_set_begins_anew(tasks, val, tmp_path, capsys):
+    config = tiny_config(epochs=3)
+    with pytest.raises((KeyboardInterrupt, SystemExit)):
+        train(config, tasks, {"val": val, "a": val[:8]}, tmp_path, callbacks=[StopAfter(0)], quiet=True)
+    with pytest.raises((KeyboardInterrupt, SystemExit)):
+        train(config, tasks, {"b": tasks[:8], "val": val}, tmp_path, callbacks=[StopAfter(1)], quiet=True)
+    other = train(config, tasks, {"val": val}, tmp_path, quiet=True)
+    assert other.resumed_from == 2 and "begins anew" not in capsys.readouterr().out
+    with (tmp_path / "history.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [[row[f"cost_error/{name}"] != "" for name in ("val", "a", "b")] for row in rows] == [
+        [True, True, False], [True, False, True], [True, False, False],
+    ]  # fmt: skip
+    again = train(config, tasks, {"val": val[:24]}, tmp_path, quiet=True)
+    assert again.resumed_from == 0 and len(again.history) == 3
+    assert "other settings, maps or selection set; this one begins anew" in capsys.readouterr().out
+
+
+def test_seeds_of_any_size_are_seeds():
+    assert generator_seed(3, 7) == 3 * 1_000_003 + 7
+    for seed in (2**32 - 1, 10**14, 2**63 - 1):
+        sampler = BatchSampler(4, 22, BatchSettings("map", 2), shuffle=True, mirror=True, seed=seed)
+        assert len(list(sampler)) == 2 and 0 <= generator_seed(seed, 1, 2) < 2**63
 
 
 @pytest.mark.parametrize("streamed", [False, True])
