@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hdsp.base.errors import InputError
-from hdsp.base.storage import Place, inside, is_url
+from hdsp.base.storage import Place, inside, is_folder, is_url
 
 from .config_types import Config, is_place
 
@@ -88,7 +88,7 @@ def not_there(place: Place) -> str:
     """Returns the reason for missing tasks at a place."""
     index = re.fullmatch(r"(?P<where>.*?(?P<split>[^/]+))/[0-9a-f]{12}/\d+-maps", str(place))
     if not index:
-        return f"{place} is not there yet"
+        return f"{place} holds no shard (*.h5)" if is_folder(place) else f"{place} is not there yet"
     where, split = index["where"], index["split"]
     makers = " or, for courses, ".join(f"`python -m pipeline.{maker} {split}`" for maker in ("label", "scan_courses"))
     return f"{where} holds no finished labels of this configuration and code; {makers} makes them"

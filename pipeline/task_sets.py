@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hdsp.base.storage import Place, is_folder, is_url
+from hdsp.base.storage import Place, is_url
 
 from .config_types import Config, EvaluationSet
 from .label_places import not_there, shards_place
@@ -20,7 +20,7 @@ ABSENT = "absent.json"
 
 
 def read_set(folder: Place) -> tuple[TaskSet | None, str]:
-    """Returns the tasks in a folder with shards (path or URL), or None and the reason for their absence.
+    """Returns the tasks in a shard or a folder with shards (path or URL), or None and the reason for their absence.
 
     Raises:
         InputError: a shard is damaged.
@@ -29,9 +29,10 @@ def read_set(folder: Place) -> tuple[TaskSet | None, str]:
 
     if not is_url(folder) and (absent := Path(folder) / ABSENT).is_file():
         return None, json.loads(absent.read_text(encoding="utf-8"))["reason"]
-    if not is_folder(folder) or not shard_paths(folder):
+    if not shard_paths(folder):
         return None, not_there(folder)
-    return read_tasks(folder), ""
+    tasks = read_tasks(folder)
+    return (tasks, "") if len(tasks) else (None, f"{folder} holds no maps: its shards are empty")
 
 
 def set_place(entry: EvaluationSet, config: Config, folders: Folders) -> Place:
@@ -46,27 +47,30 @@ def read_evaluation_set(
 ) -> tuple[TaskSet | None, str]:
     """Like `read_set`, for an entry in `evaluation.sets`.
 
-    In an entry, `split` names a labelled split; `tasks` names an input folder or URL with shards; `scans` names any
-    folder with scans, which are labelled first (`hdsp.labels.scan_sets`). `robot` marks labels made elsewhere; they
-    exist for this robot alone.
+    In an entry, `split` names a labelled split; `tasks` names an input folder or URL with shards, or one shard; `scans`
+    names any folder with scans, which are labelled first (`hdsp.labels.scan_sets`). `robot` marks labels made
+    elsewhere; they exist for this robot alone.
 
     Raises:
-        InputError: a shard is damaged, or the folder of scans gives no tasks.
+        InputError: a shard is damaged, or the folder of scans does not exist.
     """
     if (robot := entry.robot) not in (None, config.robot.name):
         return None, f"its labels are of robot {robot}"
     if entry.scans is None:
         return read_set(set_place(entry, config, folders))
-    from hdsp.labels.scan_sets import read_scan_folder
+    from hdsp.labels.scan_sets import NoTasksError, read_scan_folder
 
-    found = read_scan_folder(
-        entry.place,
-        config.robot,
-        config.scans.patches,
-        config.labelling.settings,
-        folders.write("data", "scans", name),
-        config.runtime.data_dir,
-    )
+    try:
+        found = read_scan_folder(
+            entry.place,
+            config.robot,
+            config.scans.patches,
+            config.labelling.settings,
+            folders.write("data", "scans", name),
+            config.runtime.data_dir,
+        )
+    except NoTasksError as error:
+        return None, str(error)
     for scan, maps in found.used.items():
         print(f"{name}: {maps} patches of {scan}")
     for scan, reason in found.skipped.items():

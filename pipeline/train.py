@@ -15,7 +15,7 @@ import yaml
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import replace_folder
-from hdsp.base.storage import Place, is_url, open_folder
+from hdsp.base.storage import Place, is_folder, is_url, open_folder, split_place
 
 from . import served_model, tracking
 from .config import flatten, plain
@@ -88,8 +88,10 @@ def read_sets(config: Config, folders: Folders) -> tuple[TaskSet | list[Place], 
     sets = {"val": _required(deciding)}
     for name in config.evaluation.watched:
         entry = config.evaluation.sets[name]
-        tasks, _ = read_evaluation_set(name, entry, config, folders)
-        if tasks is not None:
+        tasks, reason = read_evaluation_set(name, entry, config, folders)
+        if tasks is None:
+            print(f"{name}: not watched, {reason}")
+        else:
             sets[name], splits[name] = tasks, set_place(entry, config, folders)
     return train_tasks, sets, splits
 
@@ -244,24 +246,24 @@ def part_of(folders: Sequence[Place], trainer: TrainerSettings) -> TaskSet:
 
 
 def folder_hash(folder: Place) -> str:
-    """Hash over all file names and contents in a folder, with subfolders; for a URL without subfolders.
+    """Hash over all file names and contents in a folder, also in subfolders and behind links; or over one file.
 
-    For an index of labels, the hash of everything they depend on.
+    For labels with an index, the hash of everything they depend on.
     """
-    from hdsp.labels.shard_index import read_index
+    from hdsp.labels.shards import index_of
 
-    if (index := read_index(folder)) is not None:
+    if (index := index_of(folder)) is not None:
         return index.digest
-    if is_url(folder):
-        remote = open_folder(folder)
-        files = ((name, remote.read(name)) for name in remote.names())
+    files, names = open_folder(folder), []
+    if is_folder(folder):
+        names = [name for name in sorted(files.stamps()) if not name.rpartition("/")[2].startswith(".")]
     else:
-        paths = sorted(p for p in Path(folder).rglob("*") if p.is_file())
-        files = ((path.relative_to(folder).as_posix(), path.read_bytes()) for path in paths)
+        files, name = split_place(folder)
+        names = [name]
     digest = hashlib.sha256()
-    for name, content in files:
+    for name in names:
         digest.update(f"{name}\0".encode())
-        digest.update(hashlib.sha256(content).digest())
+        digest.update(hashlib.sha256(files.read(name)).digest())
     return digest.hexdigest()
 
 

@@ -128,13 +128,16 @@ class _LocalFolder:
             raise InputError(f"cannot write to {self.path}: {error.strerror}") from error
 
     def names(self) -> list[str]:
-        return sorted(path.name for path in self.path.iterdir() if path.is_file()) if os.path.isdir(self.path) else []
+        return [path.name for path in self._entries() if os.path.isfile(path)]
 
     def folders(self) -> list[str]:
-        return sorted(path.name for path in self.path.iterdir() if path.is_dir()) if os.path.isdir(self.path) else []
+        return [path.name for path in self._entries() if os.path.isdir(path)]
 
     def stamps(self) -> dict[str, str]:
-        return dict(_stamps(str(self.path), "")) if os.path.isdir(self.path) else {}
+        if not os.path.isdir(self.path):
+            return {}
+        with self._listing():
+            return dict(_stamps(str(self.path), "", (os.path.realpath(self.path),)))
 
     def has(self, name: str) -> bool:
         return os.path.isfile(self.path / name)
@@ -168,6 +171,17 @@ class _LocalFolder:
     def remove_all(self) -> None:
         with self._changing(""):
             shutil.rmtree(self.path)
+
+    def _entries(self) -> list[Path]:
+        with self._listing():
+            return sorted(self.path.iterdir()) if os.path.isdir(self.path) else []
+
+    @contextmanager
+    def _listing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise InputError(f"cannot list {error.filename or self.path}: {error.strerror}") from error
 
     @contextmanager
     def _changing(self, name: str) -> Iterator[None]:
@@ -272,11 +286,16 @@ class _RemoteFolder:
             raise InputError(f"{failure}: {_one_line(error)}") from error
 
 
-def _stamps(folder: str, before: str) -> Iterator[tuple[str, str]]:
+def _stamps(folder: str, before: str, around: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    """Stamps below a folder; ``around``: real paths of the folders around it and of itself, to which no link leads."""
     with os.scandir(folder) as entries:
         for entry in entries:
+            if entry.is_symlink() and not os.path.exists(entry.path):
+                continue
             if entry.is_dir():
-                yield from _stamps(entry.path, f"{before}{entry.name}/")
+                real = os.path.realpath(entry.path) if entry.is_symlink() else f"{around[-1]}/{entry.name}"
+                if real not in around:
+                    yield from _stamps(entry.path, f"{before}{entry.name}/", (*around, real))
             else:
                 with suppress(FileNotFoundError):  # another process has removed its temporary file
                     status = entry.stat()

@@ -7,13 +7,16 @@ All files below the folder are searched:
   the line ``# @package scans.sources.NAME``, or else is the description's file name.
 - shards with labelled tasks (``*.h5``): used unchanged.
 - height maps (``.npz``, ``.h5``) and point files that no description names: each is a scan; metres, z up.
+
+Maps with other cells than those of the detailed lattice are resampled as for planning (`hdsp.terrain.conditioning`).
+A file that cannot be used leaves the others in the set, and its reason is given.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,13 +27,18 @@ from hdsp.labels.rules import LabelSettings
 from hdsp.labels.scan_patches import ScanPatchSettings, label_scan
 from hdsp.labels.shards import is_shard, read_shard
 from hdsp.labels.tasks import TaskSet
+from hdsp.robot.lattice import is_detailed
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.map_formats import is_self_contained
 from hdsp.terrain.pointcloud import FORMATS
-from hdsp.terrain.scans import Scan, build_map, find_files, load_scan
+from hdsp.terrain.scans import Scan, build_map, find_files, load_scan, places_beside
 
 _PACKED = (".gz", ".bz2")
+
+
+class NoTasksError(InputError):
+    """Raised if a folder of scans exists and gives no tasks."""
 
 
 class Described(NamedTuple):
@@ -76,7 +84,9 @@ def read_scan_folder(
         data_dir: as in ``hdsp.terrain.scans.find_files``.
 
     Raises:
-        InputError: if the folder does not exist, a description is invalid, a shard is damaged, or there are no tasks.
+        InputError: if the folder does not exist, a description is invalid (units and axes of its files would be
+            unknown), or a shard cannot be written.
+        NoTasksError: if there are no tasks.
     """
     folder, work = Path(folder), Path(work)
     if not os.path.isdir(folder):
@@ -92,30 +102,38 @@ def read_scan_folder(
         sets.append(tasks)
         used[name] = len(tasks)
 
+    def label(name: str, terrain: HeightMap, shard: str, about: Mapping[str, str]) -> None:
+        take(name, label_scan(terrain, robot, patches, rules, work / f"{shard}.h5", about))
+
     named: set[Path] = set()
     for scan, path in _descriptions(folder):
-        files, reason = find_files(scan, data_dir, beside=path.parent)
-        named.update(file.resolve() for file in files)
-        if not files:
+        named.update(_described_files(scan, path.parent))
+        try:
+            files, reason = find_files(scan, data_dir, beside=path.parent)
+            terrain = _detailed(build_map(scan, files)) if files else None
+        except InputError as error:  # e.g. another file than the described one
+            terrain, reason = None, str(error)
+        if terrain is None:
             skipped[scan.name] = reason
             continue
         about = {key: getattr(scan, key) for key in ("place", "sensor", "licence", "source")} | {"scan": scan.name}
-        take(scan.name, label_scan(build_map(scan, files), robot, patches, rules, work / f"{scan.name}.h5", about))
+        label(scan.name, terrain, scan.name, about)
     for path in _maps(folder, named):
         name = path.relative_to(folder).as_posix()
-        if path.suffix == ".h5" and is_shard(path):
-            take(name, read_shard(path).tasks)
-            continue
         try:
-            terrain = HeightMap.load(path)
+            is_labelled = path.suffix == ".h5" and is_shard(path)
+            found = read_shard(path).tasks if is_labelled else _detailed(HeightMap.load(path))
         except InputError as error:  # e.g. a text file about the scans
             skipped[name] = str(error)
             continue
-        digest = hashlib.sha256(name.encode()).hexdigest()[:8]
-        take(name, label_scan(terrain, robot, patches, rules, work / f"{path.stem}-{digest}.h5", {"place": path.stem}))
+        if isinstance(found, TaskSet):
+            take(name, found)
+        else:
+            digest = hashlib.sha256(name.encode()).hexdigest()[:8]
+            label(name, found, f"{path.stem}-{digest}", {"place": path.stem})
     if not sets:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in skipped.items())
-        raise InputError(f"folder of scans {folder} gave no tasks ({reasons or 'it holds none'})")
+        raise NoTasksError(f"folder of scans {folder} gave no tasks ({reasons or 'it holds none'})")
     return ScanFolder(TaskSet.concatenate(sets), used, skipped)
 
 
@@ -124,6 +142,17 @@ def _descriptions(folder: Path) -> Iterator[Described]:
         values = read_yaml(path, "description of a scan").values
         if not {"defaults", "rosbag2_bagfile_information"} & {*values}:  # neither the list of conf/scans nor a bag
             yield Described(load_scan(path), path)
+
+
+def _described_files(scan: Scan, beside: Path) -> set[Path]:
+    """Files beside a description that it names, also those with another checksum; they are no scans of their own."""
+    paths = (place / file.place for place in places_beside(scan, beside) for file in scan.files)
+    return {path.resolve() for path in paths if os.path.isfile(path)}
+
+
+def _detailed(terrain: HeightMap) -> HeightMap:
+    """The map with the cells of the detailed lattice; a map that has them stays as it is."""
+    return terrain if is_detailed(terrain.resolution) else terrain.conditioned().terrain
 
 
 def _maps(folder: Path, named: set[Path]) -> Iterator[Path]:

@@ -149,6 +149,12 @@ def label_sets(split: Place) -> list[Place]:
     return [inside(split, name) for name in open_folder(split).folders() if _SET_NAME.fullmatch(name)]
 
 
+def is_label_set(place: Place) -> bool:
+    """Whether a folder is one label set, finished or not."""
+    name = str(place).rstrip("/").rpartition("/")[2] if is_url(place) else Path(place).resolve().name
+    return _SET_NAME.fullmatch(name) is not None or bool(index_names(open_folder(place)))
+
+
 def complete_indices(place: Place) -> list[Place]:
     """Returns the longest complete index of each label set in the folder of a split, or of one label set."""
     folder = open_folder(place)

@@ -19,7 +19,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
 from hdsp.base.short_repr import short_repr
 from hdsp.base.storage import Place, inside, is_folder, is_url, open_folder, split_place
-from hdsp.labels.shard_index import SHARDS, ShardIndex, complete_indices, label_sets, read_index
+from hdsp.labels.shard_index import ShardIndex, complete_indices, is_label_set, label_sets, read_index
 from hdsp.labels.tasks import FIELDS, OPTIONAL_FIELDS, TaskSet
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "SUFFIX",
     "Shard",
     "TaskSet",
+    "index_of",
     "is_shard",
     "read_arrays",
     "read_shard",
@@ -191,17 +192,20 @@ def shard_paths(folder: Place) -> list[Place]:
 
     Args:
         folder: an index of labels (`hdsp.labels.shard_index`), whose shards alone are returned; a split's folder with
-            one label set, whose longest complete index counts; or a folder with shards and subfolders, in name order.
+            one label set, whose longest complete index counts; a folder with shards and subfolders, in name order; or a
+            shard.
 
     Raises:
         InputError: if the folder holds several label sets, or an index is damaged.
     """
-    if (index := _index_of(folder)) is not None:
+    if not is_folder(folder):
+        files, name = split_place(folder)
+        return [folder] if name and files.has(name) else []
+    if (index := index_of(folder)) is not None:
         return list(index.places)
-    files = open_folder(folder)
-    if label_sets(folder) or SHARDS in files.folders():
+    if label_sets(folder) or is_label_set(folder):
         return []  # label sets, all unfinished
-    return [inside(folder, name) for name in shard_names(sorted(files.stamps()))]
+    return [inside(folder, name) for name in shard_names(sorted(open_folder(folder).stamps()))]
 
 
 def shard_sizes(folder: Place) -> list[tuple[Place, int]]:
@@ -210,7 +214,7 @@ def shard_sizes(folder: Place) -> list[tuple[Place, int]]:
     Raises:
         InputError: as `shard_paths`, or if a shard without an index is damaged.
     """
-    if (index := _index_of(folder)) is not None:
+    if (index := index_of(folder)) is not None:
         return list(zip(index.places, index.kept, strict=True))
     return [(path, len(read_shard(path).tasks)) for path in shard_paths(folder)]
 
@@ -220,8 +224,12 @@ def shard_names(names: list[str]) -> list[str]:
     return [name for name in names if name.endswith(SUFFIX) and not name.rpartition("/")[2].startswith(".")]
 
 
-def _index_of(folder: Place) -> ShardIndex | None:
-    """The index in a folder, or the only complete one below it; None for a folder without an index."""
+def index_of(folder: Place) -> ShardIndex | None:
+    """Returns the index in a folder, or the only complete one below it; None for a folder without an index.
+
+    Raises:
+        InputError: if there are several, or other shards beside it.
+    """
     if (index := read_index(folder)) is not None:
         return index
     indices = complete_indices(folder)

@@ -149,7 +149,7 @@ def find_files(
         InputError: if a file in the data folder has another checksum.
     """
     if beside is not None:
-        for place in (Path(beside) / FOLDER / scan.name, Path(beside) / scan.name, Path(beside)):
+        for place in places_beside(scan, Path(beside)):
             if all(os.path.isfile(place / file.place) for file in scan.files):
                 return [verify(place / file.place, file.sha256) for file in scan.files], ""
     folder = data_folder(data_dir)
@@ -169,6 +169,11 @@ def find_files(
                 f"{FOLDER}/{scan.name}/ in a folder and name that folder in {DATA_DIR_VARIABLE}"
             )
     return paths, ""
+
+
+def places_beside(scan: Scan, folder: Path) -> tuple[Path, ...]:
+    """Returns the folders where a scan's files may be if its description is in ``folder``, the first choice first."""
+    return folder / FOLDER / scan.name, folder / scan.name, folder
 
 
 def build_map(scan: Scan, paths: list[Path]) -> HeightMap:

@@ -10,7 +10,7 @@ import yaml
 from hdsp import HeightMap, InputError, Robot
 from hdsp.labels.rules import LabelSettings
 from hdsp.labels.scan_patches import ScanPatchSettings
-from hdsp.labels.scan_sets import read_scan_folder
+from hdsp.labels.scan_sets import NoTasksError, read_scan_folder
 from hdsp.labels.shards import write_shard
 from tests.learning.synthetic import synthetic_tasks
 from tests.terrain.pointcloud.clouds import box, rectangle
@@ -57,10 +57,28 @@ def test_a_scan_that_is_not_to_be_had_does_not_keep_the_others_from_being_judged
     assert "scan yard" in found.skipped["yard"] and "hall.npz" in found.used
 
 
-def test_a_file_that_is_not_the_described_one_is_refused(folder, tmp_path):
+def test_a_file_that_is_not_the_described_one_is_refused_and_the_others_are_judged(folder, tmp_path):
     (folder / "yard" / "a.xyz").write_text("0 0 0\n")
-    with pytest.raises(InputError, match=r"a.xyz is not the file it should be"):
+    (folder / "damaged.h5").write_bytes((folder / "labelled.h5").read_bytes()[:-100])
+    found = read(folder, tmp_path)
+    assert "a.xyz is not the file it should be" in found.skipped["yard"]
+    assert "damaged.h5 is damaged" in found.skipped["damaged.h5"]
+    assert sorted(found.skipped) == ["damaged.h5", "notes.txt", "yard"] and sorted(found.used) == [
+        "hall.npz",
+        "labelled.h5",
+    ]
+    for name in ("hall.npz", "labelled.h5"):
+        (folder / name).unlink()
+    with pytest.raises(NoTasksError, match=r"a.xyz is not the file it should be"):
         read(folder, tmp_path)
+
+
+def test_maps_with_other_cells_are_resampled_and_unusable_ones_named(folder, tmp_path):
+    HeightMap(np.zeros((50, 50), np.float32), (0.0, 0.0), 0.05).save(folder / "coarse.npz")
+    HeightMap(np.zeros((5, 5), np.float32), (0.0, 0.0), 5.0).save(folder / "country.npz")
+    found = read(folder, tmp_path)
+    assert found.used["coarse.npz"] == 1 and found.used["labelled.h5"] == 3
+    assert "country.npz" not in found.used and "5" in found.skipped["country.npz"]
 
 
 def test_folders_without_tasks_are_named(tmp_path):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from hdsp.base.errors import InputError
 from hdsp.labels.counts import LabelCounts, add_up, counts_by_category
-from hdsp.labels.shards import read_shard, read_tasks, write_shard
+from hdsp.labels.shards import read_shard, read_tasks, shard_paths, write_shard
 from hdsp.labels.tasks import TaskSet
 from tests.labels.task_sets import assert_same_tasks, random_tasks
 
@@ -104,6 +104,16 @@ def test_a_folder_is_read_in_the_order_of_names_and_without_leftovers(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="holds no shard"):
         read_tasks(tmp_path / "empty")
+
+
+def test_a_subfolder_named_shards_is_read_like_any_other_unless_the_folder_is_an_unfinished_label_set(tmp_path):
+    tasks = random_tasks(2)
+    for place in ("mine/shards", "split/0123456789ab/shards", "odd/90-maps", "odd/shards"):
+        write_shard(tmp_path / place / "0.h5", tasks, HASH)
+    assert_same_tasks(read_tasks(tmp_path / "mine"), tasks)
+    assert_same_tasks(read_tasks(f"{tmp_path}/mine/"), tasks)
+    for unfinished in ("split", "split/0123456789ab", "odd"):
+        assert shard_paths(tmp_path / unfinished) == []
 
 
 def test_task_sets_check_shapes_and_costs():

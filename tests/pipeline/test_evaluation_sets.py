@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from hdsp.base.errors import InputError
-from hdsp.labels.shards import write_shard
+from hdsp.labels.shards import shard_sizes, write_shard
+from hdsp.labels.tasks import TaskSet
 from hdsp.learning.learning_settings import TrainerSettings
 from pipeline.config import configure
 from pipeline.config_types import EvaluationSet
 from pipeline.label_places import shards_place
 from pipeline.stage import Folders
 from pipeline.task_sets import read_evaluation_set, read_set
-from pipeline.train import folder_hash, part_of
+from pipeline.train import folder_hash, part_of, read_sets
 from tests.labels.task_sets import random_tasks
 
 
@@ -31,6 +32,61 @@ def test_labels_of_another_robot_are_left_out(config, tmp_path):
 def test_sets_that_are_not_there_yet_are_named(config, tmp_path):
     tasks, reason = read_evaluation_set("x", EvaluationSet("data/x"), config, Folders(Path(tmp_path), tmp_path))
     assert tasks is None and "data/x is not there yet" in reason
+
+
+def test_sets_without_a_map_are_told_as_unavailable_with_their_reason(config, tmp_path):
+    def read(**entry):
+        tasks, reason = read_evaluation_set("mine", EvaluationSet(**entry), config, Folders(tmp_path, tmp_path))
+        assert tasks is None
+        return reason
+
+    write_shard(tmp_path / "real/none.h5", TaskSet.empty(), {"labels_hash": "0"})
+    (tmp_path / "notes").mkdir()
+    assert read(tasks="real") == f"{tmp_path}/real holds no maps: its shards are empty"
+    assert read(tasks="real/none.h5") == f"{tmp_path}/real/none.h5 holds no maps: its shards are empty"
+    assert read(tasks="notes") == f"{tmp_path}/notes holds no shard (*.h5)"
+    assert f"folder of scans {tmp_path}/real gave no tasks (none.h5: " in read(scans=f"{tmp_path}/real")
+    assert read(scans=f"{tmp_path}/notes") == f"folder of scans {tmp_path}/notes gave no tasks (it holds none)"
+
+
+def test_a_watched_set_without_a_map_does_not_stop_a_training(tmp_path, capsys):
+    config = configure(["trainer.splits=[./mine]", "trainer.val_splits=[./more]", "evaluation.watched=[real,random]"])
+    for place, tasks in {"mine": random_tasks(3), "more": random_tasks(2), "data/real": TaskSet.empty()}.items():
+        write_shard(tmp_path / place / "0.h5", tasks, {"labels_hash": "0"})
+    _, sets, _ = read_sets(config, Folders(tmp_path, tmp_path))
+    assert list(sets) == ["val"]
+    assert f"real: not watched, {tmp_path}/data/real holds no maps" in capsys.readouterr().out
+    write_shard(tmp_path / "more/0.h5", TaskSet.empty(), {"labels_hash": "0"})
+    with pytest.raises(InputError, match=r"cannot train: .*more holds no maps"):
+        read_sets(config, Folders(tmp_path, tmp_path))
+
+
+def test_one_shard_is_a_set_with_a_hash_of_its_own(tmp_path):
+    places = [tmp_path / "a.h5", tmp_path / "b.h5"]
+    for number, place in enumerate(places):
+        write_shard(place, random_tasks(2 + number, number), {"labels_hash": "0"})
+        assert len(read_set(place)[0]) == 2 + number
+        assert len(part_of([place], TrainerSettings())) == 2 + number
+    assert folder_hash(places[0]) != folder_hash(places[1])
+    assert shard_sizes(places[0]) == [(places[0], 2)]
+
+
+def test_the_hash_of_a_folder_covers_all_shards_that_are_read_from_it(tmp_path):
+    folder, elsewhere = tmp_path / "mine", tmp_path / "elsewhere"
+    write_shard(folder / "shards/0.h5", random_tasks(2), {"labels_hash": "0"})
+    write_shard(elsewhere / "1.h5", random_tasks(3), {"labels_hash": "0"})
+    alone = folder_hash(folder)
+    (folder / "linked").symlink_to(elsewhere)
+    (folder / "around").symlink_to(tmp_path)  # has the folder itself in it
+    (elsewhere / "loop").symlink_to("loop")
+    (folder / "nothing").symlink_to("none")
+    (elsewhere / "back").symlink_to(folder)
+    read, _ = read_set(folder)
+    assert len(read) == 8  # the linked folder is there twice, by its link and within the link to all
+    both = folder_hash(folder)
+    assert both != alone
+    write_shard(elsewhere / "1.h5", random_tasks(3, 9), {"labels_hash": "0"})
+    assert folder_hash(folder) not in (alone, both)
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,12 @@
 """All label sets in the folder of a split: a list for people, and their removal."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from hdsp.base.storage import Place, open_folder
-from hdsp.labels.shard_index import INDEX, index_names, label_sets
+from hdsp.base.errors import InputError
+from hdsp.base.storage import Folder, Place, open_folder
+from hdsp.labels.shard_index import INDEX, index_names, label_sets, parsed
 from hdsp.labels.shards import SUFFIX, shard_names
 
 
@@ -20,7 +20,7 @@ class StoredSet:
         shards: number of its shards.
         size: bytes of all files.
         leftovers: names of files that killed runs have left unfinished.
-        inputs: everything its labels depend on; None if no index is complete.
+        inputs: everything its labels depend on; None if no index is complete, or the index is damaged.
     """
 
     place: Place
@@ -56,10 +56,19 @@ def _described(place: Place) -> StoredSet:
     folder = open_folder(place)
     files = folder.stamps()
     complete = {name: maps for name, maps in index_names(folder).items() if f"{name}/{INDEX}" in files}
-    inputs = json.loads(folder.read(f"{min(complete)}/{INDEX}"))["inputs"] if complete else None
+    inputs = _inputs(folder, f"{min(complete)}/{INDEX}") if complete else None
     leftovers = tuple(name for name in files if name.endswith(f".tmp{SUFFIX}"))
     size = sum(int(stamp.split()[0]) for stamp in files.values())
     return StoredSet(place, tuple(sorted(complete.values())), len(shard_names(list(files))), size, leftovers, inputs)
+
+
+def _inputs(folder: Folder, index: str) -> dict[str, Any] | None:
+    """Inputs in an index; None if it is damaged, which must not keep the set from being listed and removed."""
+    try:
+        found = parsed(folder, index, folder.read(index)).get("inputs")
+    except InputError:
+        return None
+    return found if isinstance(found, dict) else None
 
 
 def _flat(values: Any, before: str = "") -> dict[str, Any]:

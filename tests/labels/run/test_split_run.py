@@ -11,6 +11,7 @@ import pytest
 
 from hdsp.abstract.transform import feet_at
 from hdsp.base.errors import InputError
+from hdsp.base.storage import open_folder
 from hdsp.detailed.search.outcome import Status
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.counts import LabelCounts, split_summary
@@ -225,7 +226,10 @@ def test_two_settings_in_one_store_of_objects_lose_nothing():
         assert_same_tasks(read_tasks(index), before)
     first, second = stored_sets(place)
     assert first.differs_in(second.inputs) == ["split.seed"] and first.maps == (36,) and first.shards == 5
-    first.remove()
+    open_folder(first.place).write("36-maps/index.json", b"{")
+    damaged, _ = stored_sets(place)
+    assert damaged.maps == (36,) and damaged.shards == 5 and not damaged.differs_in(second.inputs)
+    damaged.remove()
     assert [stored.place for stored in stored_sets(place)] == [second.place]
     assert len(read_tasks(place)) in map(len, found)
 
