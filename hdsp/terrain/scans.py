@@ -180,8 +180,10 @@ def build_map(scan: Scan, paths: list[Path]) -> HeightMap:
     """Builds a scan's height map from its files: reads, levels, registers, fuses and rasterises them.
 
     Raises:
-        InputError: if a file cannot be read, or its points make no map; the message names the scan.
+        InputError: if a file is missing or cannot be read, or its points make no map; the message names the scan.
     """
+    if len(paths) != len(scan.files):
+        raise InputError(f"scan {scan.name}: {len(paths)} files; its description has {len(scan.files)}")
     try:
         clouds = [_cloud(scan, file, path) for file, path in zip(scan.files, paths, strict=True)]
         for k, file in enumerate(scan.files):
@@ -202,6 +204,8 @@ def _cloud(scan: Scan, file: ScanFile, path: Path) -> np.ndarray:
         points = read_points(path, scan.units, scan.axes)
     if scan.drop_within:
         points = points[np.hypot(points[:, 0], points[:, 1]) > scan.drop_within]
+    if len(points) == 0:
+        raise InputError(f"{file.place}: no point is left; look at drop_within, and at camera or elevation")
     return level(points, fit_floor(points, scan.map.floor)) if scan.level_each else points
 
 

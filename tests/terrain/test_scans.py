@@ -1,4 +1,5 @@
 import hashlib
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -87,8 +88,14 @@ def test_a_file_that_was_changed_is_refused(tmp_path):
 
 def test_errors_of_a_scan_name_it(tmp_path):
     scan = described(files=[stored(tmp_path, "a.xyz", room() + (0, 0, 0))], map={"box": [90, 90, 91, 91]})
+    paths = find_files(scan, tmp_path)[0]
     with pytest.raises(InputError, match="scan room: height map of points: none is left in the box"):
-        build_map(scan, find_files(scan, tmp_path)[0])
+        build_map(scan, paths)
+    for more in ({}, {"level_each": True}):
+        with pytest.raises(InputError, match=r"scan room: a\.xyz: no point is left; look at drop_within"):
+            build_map(described(files=[asdict(scan.files[0])], drop_within=99.0, **more), paths)
+    with pytest.raises(InputError, match="scan room: 0 files; its description has 1"):
+        build_map(scan, [])
 
 
 @pytest.mark.parametrize(

@@ -117,8 +117,6 @@ def _map_scan(chosen: argparse.Namespace) -> MadeMap:
         if not paths:
             raise InputError(reason)
     refuse_overwriting(outputs_of(chosen, "out", "picture"), paths)
-    if len(paths) != len(scan.files):
-        raise InputError(f"scan {scan.name}: {len(paths)} files; its description has {len(scan.files)}")
     with chosen.console.progress.during(f"making the map of scan {scan.name}"):
         terrain = build_map(scan, paths)
     return MadeMap(terrain, "; ".join([f"scan {scan.name}: {scan.place}", *terrain.frame.notes]))

@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.base.settings import Natural, Positive, checked
+from hdsp.base.messages import shown, spans
+from hdsp.base.scalars import real
+from hdsp.base.settings import Natural, Positive, checked, load_settings
+from hdsp.terrain.pointcloud.point_arrays import finite_points
 
 _HYPOTHESES = 400
 _REFINEMENTS = 20
@@ -21,6 +25,8 @@ _REFINEMENTS = 20
 _LEAST_SUPPORT = 0.15
 #: m; points at least this far below a plane may belong to another plane.
 _BELOW = 0.12
+_MOST_VOXELS = 1 << 62  # in the box around a cloud
+_NEIGHBOURS = 10  # points around another one, for its normal
 
 
 @checked
@@ -70,13 +76,14 @@ def fit_floor(points: np.ndarray, settings: FloorSettings | None = None) -> Plan
     """Finds a cloud's floor.
 
     Args:
-        points: float64 [n, 3], m, z roughly up.
+        points: float [n, 3], m, z roughly up.
         settings: settings for the detection.
 
     Raises:
-        InputError: if no nearly horizontal plane has enough points.
+        InputError: if points or settings are invalid, or no nearly horizontal plane has enough points.
     """
-    settings = settings or FloorSettings()
+    points = finite_points(points)
+    settings = FloorSettings() if settings is None else load_settings(FloorSettings, settings, "settings")
     return lowest_plane(thinned(points, settings.voxel), settings, len(points))
 
 
@@ -100,7 +107,11 @@ def level(points: np.ndarray, floor: Plane) -> np.ndarray:
     """Levels a cloud: the smallest rotation after which its floor is the plane z = 0.
 
     The floor point below the middle of the cloud keeps its x and y.
+
+    Raises:
+        InputError: if points are invalid.
     """
+    points = finite_points(points)
     foot, turn = _foot(points, floor), _onto_vertical(floor.normal)
     return (points - foot) @ turn.T + (*foot[:2], 0)
 
@@ -125,7 +136,7 @@ def register(
     """Registers a cloud to another one by iterated closest points, point to plane (Chen and Medioni 1992).
 
     Args:
-        points, target: float64 [n, 3], [m, 3], m; most of their area overlaps.
+        points, target: float [n, 3], [m, 3], m; most of their area overlaps.
         guess: float64 [4, 4], initial motion.
         reach: m, initial distance limit for point pairs; it shrinks to two voxels.
         voxel: m, voxel size for thinning both clouds.
@@ -134,15 +145,22 @@ def register(
         float64 [4, 4], ``target = motion @ (points, 1)``.
 
     Raises:
-        InputError: if fewer than 100 pairs remain, because the clouds do not overlap near the guess.
+        InputError: if an argument is out of range, or fewer than 100 pairs remain, because the clouds do not overlap
+            near the guess.
     """
     from scipy.spatial import cKDTree
     from scipy.spatial.transform import Rotation
 
-    points, target = thinned(points, voxel), thinned(target, voxel)
+    for name, value in (("reach", reach), ("voxel", voxel)):
+        if not 0 < real(value) < math.inf:
+            raise InputError(f"{name} is {shown(value)}; need a positive number of metres")
+    motion = _motion(guess)
+    points = thinned(finite_points(points), voxel)
+    target = thinned(finite_points(target, "points of the target"), voxel)
+    if len(target) < _NEIGHBOURS:
+        raise InputError(f"registration: a target of {len(target)} voxels; need at least {_NEIGHBOURS}")
     tree = cKDTree(target)
     across, flat = normals(target, tree)
-    motion = np.eye(4) if guess is None else np.array(guess, dtype=float)
     for limit in np.geomspace(reach, 2 * voxel, 40):
         moved = points @ motion[:3, :3].T + motion[:3, 3]
         distance, nearest = tree.query(moved, distance_upper_bound=limit)
@@ -159,8 +177,28 @@ def register(
     return motion
 
 
+def _motion(guess: Any) -> np.ndarray:
+    """A motion as float64 [4, 4]; the identity for None."""
+    try:
+        motion = np.eye(4) if guess is None else np.array(guess, dtype=float)
+    except (TypeError, ValueError):
+        motion = np.empty(0)
+    if motion.shape != (4, 4) or not np.isfinite(motion).all():
+        raise InputError(f"guess is {shown(guess)}; need a motion [4, 4], all finite numbers")
+    return motion
+
+
 def thinned(points: np.ndarray, voxel: float) -> np.ndarray:
-    """Mean point in each occupied voxel, float64 [k, 3]."""
+    """Mean point in each occupied voxel, float64 [k, 3].
+
+    Raises:
+        InputError: if the cloud spans too many voxels for their numbers.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    with np.errstate(over="ignore"):
+        most = max(np.prod((high - low) / voxel + 2), np.abs([low, high]).max() / voxel)
+    if most > _MOST_VOXELS:
+        raise InputError(f"points span {spans(low, high)} m: too much for voxels of {voxel:g} m; are they in metres?")
     cells = np.floor(points / voxel).astype(np.int64)
     cells -= cells.min(axis=0)
     _, which, count = np.unique(
@@ -222,7 +260,7 @@ def _onto_vertical(normal: np.ndarray) -> np.ndarray:
     return np.eye(3) + skew + skew @ skew / (1 + z)
 
 
-def normals(points: np.ndarray, tree, neighbours: int = 10) -> tuple[np.ndarray, np.ndarray]:
+def normals(points: np.ndarray, tree, neighbours: int = _NEIGHBOURS) -> tuple[np.ndarray, np.ndarray]:
     """Normals [n, 3] from the nearest neighbours, and bool [n]: whether these neighbours lie on a plane."""
     near = points[tree.query(points, neighbours)[1]]
     centred = near - near.mean(axis=1, keepdims=True)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import as_path, existing_file
+from hdsp.base.messages import shown
+from hdsp.base.scalars import real
 from hdsp.terrain.pointcloud.cloud_limits import DEFAULT_LIMITS, CloudLimits
 from hdsp.terrain.pointcloud.las import read_las
 from hdsp.terrain.pointcloud.las_units import metres_in_las
@@ -48,7 +52,8 @@ def read_points(
         InputError: if the file is missing, damaged or too large, has another format or no finite point, or units or
             axes are invalid.
     """
-    limits = CloudLimits.of(max_points, max_bytes)
+    limits, turn = CloudLimits.of(max_points, max_bytes), _turn(axes)
+    units = None if units is None else _positive(units)
     suffixes = [suffix.lower() for suffix in as_path(path, "points").suffixes[-2:]]
     packed = bool(suffixes) and suffixes[-1] in _PACKED
     suffix = (suffixes[-2] if len(suffixes) > 1 else "") if packed else (suffixes[-1] if suffixes else "")
@@ -60,7 +65,7 @@ def read_points(
     try:
         content = limits.read(path, suffix in _TEXTS)
         points = np.asarray(FORMATS[suffix](content, limits), dtype=float)
-        metres = _metres(suffix, content) if units is None else _positive(units)
+        metres = _metres(suffix, content) if units is None else units
     except ImportError as error:
         raise InputError(
             f"point cloud {path}: {error}; install the extra 'scans': pip install 'hdsp[scans]'"
@@ -77,7 +82,8 @@ def read_points(
     finite = points[np.isfinite(points).all(axis=1)]
     if len(finite) == 0:
         raise InputError(f"point cloud {path}: none of its {len(points)} points is finite")
-    return _turned(finite * metres, axes)
+    indices, signs = turn
+    return (finite * metres)[:, indices] * signs
 
 
 def _read_obj(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray:
@@ -109,7 +115,10 @@ FORMATS: dict[str, Callable[[bytes, CloudLimits], np.ndarray]] = {
 _TEXTS = {suffix for suffix, reader in FORMATS.items() if reader in (read_text, _read_obj)}
 
 
-def _turned(points: np.ndarray, axes: Sequence[str]) -> np.ndarray:
+def _turn(axes: Sequence[str]) -> tuple[list[int], list[float]]:
+    """A file's axes, as their numbers and signs."""
+    if not isinstance(axes, Sequence):
+        raise InputError(f"axes are {shown(axes)}; need each of x, y, z once, perhaps with a minus sign")
     picked = [_AXES.get(str(name).lower()) for name in axes]
     indices = [axis[0] for axis in picked if axis]
     signs = [axis[1] for axis in picked if axis]
@@ -119,7 +128,7 @@ def _turned(points: np.ndarray, axes: Sequence[str]) -> np.ndarray:
     order[range(3), indices] = signs
     if np.linalg.det(order) < 0:
         raise InputError(f"axes are {list(axes)}: they mirror the scan; need a right-handed choice, e.g. z, -x, -y")
-    return points[:, indices] * signs
+    return indices, signs
 
 
 def _metres(suffix: str, content: bytes) -> np.ndarray | float:
@@ -127,7 +136,7 @@ def _metres(suffix: str, content: bytes) -> np.ndarray | float:
     return metres_in_las(content) if FORMATS[suffix] is read_las else 1.0
 
 
-def _positive(units: float) -> float:
-    if not (np.isfinite(units) and units > 0):
-        raise InputError(f"units is {units}; need a positive number of metres per unit of the file")
-    return float(units)
+def _positive(units: Any) -> float:
+    if not 0 < real(units) < math.inf:
+        raise InputError(f"units is {shown(units)}; need a positive number of metres per unit of the file")
+    return real(units)

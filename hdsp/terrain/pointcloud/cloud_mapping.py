@@ -15,14 +15,14 @@ from pydantic import Field, model_validator
 from hdsp.base.errors import InputError
 from hdsp.base.messages import shown, spans
 from hdsp.base.scalars import real
-from hdsp.base.settings import Natural, NotNegative, Positive, checked, fault
+from hdsp.base.settings import Natural, NotNegative, Positive, checked, fault, load_settings
 from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.filling import filled, smoothed
-from hdsp.terrain.no_data import unmasked
 from hdsp.terrain.pointcloud.alignment import FloorSettings, Plane, fit_floor, level, thinned, unlevelled
 from hdsp.terrain.pointcloud.faults import Cleaned, check_extent, without_far_points, without_no_data
 from hdsp.terrain.pointcloud.gravity import Gravity, check_up, judge
 from hdsp.terrain.pointcloud.ground import ground_below
+from hdsp.terrain.pointcloud.point_arrays import point_array
 
 _SMALLEST, _LARGEST = 1e-4, 1e4  # m, side of a cell, as in files
 _MOST_UNDER = 0.1  # of the points, that may lie under a floor
@@ -129,13 +129,14 @@ def map_points(points: np.ndarray, settings: MapSettings | None = None, resoluti
         resolution: cell size, m.
 
     Raises:
-        InputError: if no point is left, the extent is implausible for metres, no floor is found, z is not up, or the
-            resolution is no number from 0.0001 to 10,000.
+        InputError: if points or settings are invalid, no point is left, the extent is implausible for metres, no floor
+            is found, z is not up, or the resolution is no number from 0.0001 to 10,000.
     """
     side = real(resolution)
     if not _SMALLEST <= side <= _LARGEST:
         raise InputError(f"resolution is {shown(resolution)}; need {_SMALLEST:g} to {_LARGEST:g} metres per cell")
-    resolution, settings = side, settings or MapSettings()
+    resolution = side
+    settings = MapSettings() if settings is None else load_settings(MapSettings, settings, "settings")
     points = _finite(points)
     given = len(points)
     points, notes = cleaned(points, settings.box)
@@ -233,9 +234,7 @@ def about_gravity(found: Gravity) -> str:
 
 
 def _finite(points: np.ndarray) -> np.ndarray:
-    points = np.asarray(unmasked(points), dtype=float)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"points have shape {points.shape}; need [n, 3]: x, y, z in metres")
+    points = point_array(points)
     finite = points[np.isfinite(points).all(axis=1)]
     if len(finite) == 0:
         raise InputError(f"height map of points: none of {len(points)} points is finite")

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import os
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from pydantic import model_validator
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import existing_file
-from hdsp.base.settings import Count, NotNegative, Positive, checked, fault
+from hdsp.base.messages import shown
+from hdsp.base.settings import Count, NotNegative, Positive, checked, fault, load_settings
 from hdsp.terrain.no_data import unmasked
 
 #: Formats of images by Pillow's names; others, such as PostScript, start programs.
@@ -69,10 +70,12 @@ def depth_points(image: np.ndarray, camera: Camera, pose=None) -> np.ndarray:
 
     Returns:
         float64 [n, 3], m; one point for each pixel with a depth between the camera's nearest and farthest.
+
+    Raises:
+        InputError: if image, camera or pose is invalid.
     """
-    image = np.asarray(unmasked(image), dtype=float)
-    if image.ndim != 2:
-        raise InputError(f"depth image has shape {image.shape}; need [rows, columns]")
+    image = _pixels(image, "depth image", 0)
+    camera = load_settings(Camera, camera, "camera")
     row, column = np.indices(image.shape)[:, :: camera.stride, :: camera.stride]
     depth = image[:: camera.stride, :: camera.stride] * camera.depth_scale
     x, y = (column - camera.cx) / camera.fx * depth, (row - camera.cy) / camera.fy * depth
@@ -81,9 +84,12 @@ def depth_points(image: np.ndarray, camera: Camera, pose=None) -> np.ndarray:
         return points
     from scipy.spatial.transform import Rotation
 
-    values = np.asarray(pose, dtype=float)
+    try:
+        values = np.asarray(pose, dtype=float)
+    except (TypeError, ValueError):
+        values = np.empty(0)
     if values.shape != (7,) or not np.isfinite(values).all() or not np.linalg.norm(values[3:]) > 0.5:
-        raise InputError(f"pose of a depth image is {pose}; need x, y, z and a quaternion qx, qy, qz, qw")
+        raise InputError(f"pose of a depth image is {shown(pose)}; need x, y, z and a quaternion qx, qy, qz, qw")
     return Rotation.from_quat(values[3:]).apply(points) + values[:3]
 
 
@@ -100,18 +106,32 @@ def elevation_points(image: np.ndarray, highest: float, pixel: float, spacing: f
 
     Returns:
         float64 [n, 3], m.
+
+    Raises:
+        InputError: if the image is invalid, or another argument is not positive.
     """
     from scipy.ndimage import map_coordinates
 
-    image = np.asarray(image, dtype=float)[::-1, ::-1]
-    if image.ndim != 2 or min(image.shape) < 2:
-        raise InputError(f"picture of a height map has shape {image.shape}; need [rows, columns], at least 2 x 2")
+    Elevation(highest, pixel, spacing)
+    image = _pixels(image, "picture of a height map", 2)[::-1, ::-1]
     sides = [np.arange(0, (count - 1) * pixel, spacing) for count in image.shape]
     x, y = np.meshgrid(*sides, indexing="ij")
     place = np.stack([x, y]) / pixel
     heights = map_coordinates(image / 255 * highest, place, order=1)
     known = map_coordinates((image > 0).astype(float), place, order=1) > 1 - 1e-6
     return np.stack([x, y, heights], axis=-1)[known]
+
+
+def _pixels(image: Any, name: str, least: int) -> np.ndarray:
+    """An image as float64 [rows, columns] with at least so many rows and columns; NaN for masked pixels."""
+    try:
+        found = np.asarray(unmasked(image), dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is {shown(image)}; need grey values [rows, columns]") from None
+    if found.ndim != 2 or min(found.shape) < least:
+        more = f", at least {least} x {least}" if least else ""
+        raise InputError(f"{name} has shape {found.shape}; need [rows, columns]{more}")
+    return found
 
 
 def read_image(path: str | os.PathLike, max_pixels: int = 100_000_000) -> np.ndarray:

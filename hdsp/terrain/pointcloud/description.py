@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.settings import load_settings
 from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.pointcloud.alignment import FloorSettings, Plane, fit_floor
 from hdsp.terrain.pointcloud.cloud_mapping import MapSettings, about_gravity, about_tilt, cleaned
 from hdsp.terrain.pointcloud.faults import check_extent, millimetres
 from hdsp.terrain.pointcloud.gravity import check_up, judge
+from hdsp.terrain.pointcloud.point_arrays import finite_points
 
 _SPACING_SAMPLE = 2000  # points
 
@@ -18,14 +20,18 @@ def describe_points(points: np.ndarray, settings: FloorSettings | None = None, l
     """Describes a cloud in one line: extents, faults, inclination, and the conversion to a map.
 
     Args:
-        points: float64 [n, 3], m, finite.
+        points: float [n, 3], m, finite.
         settings: settings for floor detection.
         level: whether the floor is levelled in any case.
 
     Returns:
         phrases, separated by semicolons.
+
+    Raises:
+        InputError: points or settings are invalid.
     """
-    settings = settings or FloorSettings()
+    points = finite_points(points)
+    settings = FloorSettings() if settings is None else load_settings(FloorSettings, settings, "settings")
     phrases = [f"{len(points)} points, {_spans(points)} m"]
     try:
         rest, notes = cleaned(points)

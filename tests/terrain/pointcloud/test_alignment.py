@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hdsp.base.errors import InputError
-from hdsp.terrain.pointcloud import FloorSettings, fit_floor, level, register
+from hdsp.terrain.pointcloud import FloorSettings, Plane, describe_points, fit_floor, level, register
 from tests.terrain.pointcloud.clouds import moved, rectangle, room, wall
 
 
@@ -80,3 +80,40 @@ def test_clouds_that_do_not_overlap_are_refused():
 def test_settings_out_of_range_are_named(name):
     with pytest.raises(InputError, match=rf"FloorSettings\.{name} is -1; need a positive number"):
         FloorSettings(**{name: -1})
+
+
+FEW = rectangle((0, 0.1), (0, 0.1), 0)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: fit_floor(np.zeros((0, 3))), "points: there is no point"),
+        (lambda: fit_floor("cloud.pcd"), "points are 'cloud"),
+        (lambda: fit_floor([[1, 2, 3], [1, 2]]), "points are"),
+        (lambda: fit_floor(np.full((4, 3), np.nan)), "points: 4 of 4 are not finite"),
+        (lambda: fit_floor(np.array([[0, 0, 0], [1e30, 1, 1]])), "too much for voxels of 0.05 m; are they in metres"),
+        (lambda: fit_floor(np.array([[0, 0, 0], [1e308, -1e308, 1]])), "too much for voxels"),
+        (lambda: fit_floor(np.zeros((5, 3))), "no floor among 5 points"),
+        (lambda: fit_floor(room(), "steep"), "settings is 'steep'"),
+        (lambda: level(np.zeros((0, 3)), Plane(np.array([0, 0, 1.0]), 0.0, 9)), "there is no point"),
+        (lambda: register(room(), FEW), "a target of [0-9] voxels; need at least 10"),
+        (lambda: register(FEW, room()), r"registration: \d pairs"),
+        (lambda: register(np.zeros((0, 3)), room()), "points: there is no point"),
+        (lambda: register(room(), "cloud.pcd"), "points of the target are 'cloud"),
+        (lambda: register(room(), room(), guess=(1, 2, 3)), r"guess is \[1, 2, 3\]; need a motion \[4, 4\]"),
+        (lambda: register(room(), room(), guess="near"), "guess is 'near'"),
+        (lambda: register(room(), room(), reach=0), "reach is 0; need a positive number of metres"),
+        (lambda: register(room(), room(), voxel="fine"), "voxel is 'fine'"),
+        (lambda: describe_points(np.zeros((0, 3))), "there is no point"),
+        (lambda: describe_points(None), "points"),
+    ],
+)
+def test_clouds_and_arguments_that_are_none_are_refused(call, words):
+    with pytest.raises(InputError, match=words):
+        call()
+
+
+@pytest.mark.parametrize("points", [[[0, 0, 0]], [[0, 0, 0], [1, 1, 0]], (np.eye(3) * 9).tolist()])
+def test_clouds_of_few_points_are_described(points):
+    assert describe_points(points).startswith(f"{len(points)} points")

@@ -278,6 +278,8 @@ def test_units_and_axes_are_changed_to_ours(tmp_path):
         ("b.vtk", "# vtk DataFile Version 3.0\nt\nASCII\nPOINTS 1 int\n1 2 3\n", {}, "points of type int"),
         ("c.bt", "hello\n", {}, "not a binary octree"),
         ("good.xyz", "1 2 3\n", {"units": 0.0}, "units is 0.0"),
+        ("good.xyz", "1 2 3\n", {"units": "mm"}, "units is 'mm'; need a positive number"),
+        ("good.xyz", "1 2 3\n", {"axes": 3}, "axes are 3; need each of x, y, z once"),
         ("good.xyz", "1 2 3\n", {"axes": ("x", "x", "z")}, "need each of x, y, z once"),
         ("good.xyz", "1 2 3\n", {"axes": ("x", "y", "up")}, "need each of x, y, z once"),
         ("good.xyz", "1 2 3\n", {"axes": ("y", "x", "z")}, "mirror the scan"),

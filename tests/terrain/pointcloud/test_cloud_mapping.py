@@ -129,6 +129,11 @@ def test_any_cloud_gives_a_map_inside_its_bounds_or_an_error_of_one_line(seed, c
         (np.zeros((0, 3)), "none of 0 points is finite"),
         (np.full((5, 3), np.nan), "none of 5 points is finite"),
         (np.zeros((5, 2)), r"shape \(5, 2\); need \[n, 3\]"),
+        ("cloud.pcd", r"points are 'cloud\.pcd'; need \[n, 3\].*HeightMap\.load read files"),
+        ([[1, 2, 3], [1, 2]], r"points are \[\[1, 2, 3\], \[1, 2\]\]; need \[n, 3\]"),
+        ([["1", "2", "3"]], "points are .* need"),
+        (5.0, r"shape \(\); need \[n, 3\]"),
+        (None, "points are None|shape"),
         (room() * 0.001, "in metres"),
         (room() * 1000, "more than 100,000,000 cells .* in metres"),
         (room() * (1, 1, 1e6), "in height: are they in metres"),
@@ -138,6 +143,13 @@ def test_any_cloud_gives_a_map_inside_its_bounds_or_an_error_of_one_line(seed, c
 def test_what_is_no_scan_in_metres_is_refused(points, words):
     with pytest.raises(InputError, match=words):
         HeightMap.from_points(points, MapSettings(level=False))
+
+
+def test_settings_are_settings_or_a_mapping():
+    given, expected = (HeightMap.from_points(room(), own) for own in ({"level": False}, MapSettings(level=False)))
+    np.testing.assert_array_equal(given.heights, expected.heights)
+    with pytest.raises(InputError, match="settings is 'level'; need a mapping"):
+        HeightMap.from_points(room(), "level")
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,12 @@ def test_a_picture_of_heights_becomes_a_map_with_its_steps():
         (lambda: depth_points(np.zeros((5, 5)), CAMERA, (0,) * 7), "quaternion"),
         (lambda: Camera(0.0, 1.0, 0.0, 0.0, 1.0), r"Camera\.fx is 0\.0; need a positive number"),
         (lambda: Camera(1.0, 1.0, 0.0, 0.0, 1.0, nearest=5.0), r"Camera\.nearest is 5\.0; need less than farthest"),
+        (lambda: depth_points("depth.png", CAMERA), "depth image is 'depth.png'; need grey values"),
+        (lambda: depth_points([[1], [1, 2]], CAMERA), "depth image is"),
+        (lambda: depth_points(np.zeros((5, 5)), "camera"), "camera is 'camera'; need a mapping"),
+        (lambda: depth_points(np.zeros((5, 5)), CAMERA, "ahead"), "pose of a depth image is 'ahead'"),
         (lambda: elevation_points(np.zeros((1, 5)), 1.0, 0.04), "picture of a height map"),
+        (lambda: elevation_points(np.zeros((5, 5)), 1.0, 0.04, 0), r"Elevation\.spacing is 0; need a positive number"),
     ],
 )
 def test_bad_input_is_named(call, words):
