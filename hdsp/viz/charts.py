@@ -140,7 +140,8 @@ def save_quality_bars(sets: Mapping[str, Mapping[str, Any]], path: str | os.Path
             look = {"color": METHODS.get(method, PURPLE), "label": NAMES.get(method, method)}
             bars = axes.bar(places, values, width * 0.92, **look)
             axes.bar_label(bars, ["" if np.isnan(v) else digits.format(v) for v in values], fontsize=7, padding=1)
-        axes.set_xticks(range(len(shown)), [f"{name}\n{figures['tasks']:,} tasks" for name, figures in shown.items()])
+        names = [f"{name}\n{figures['tasks']:,} tasks" for name, figures in shown.items()]
+        axes.set_xticks(range(len(shown)), names, parse_math=False)
         axes.set_ylabel(label)
         axes.margins(y=0.08)
         quiet(axes)
@@ -238,7 +239,7 @@ def save_planning_bars(runs: Sequence[Mapping[str, Any]], path: str | os.PathLik
     time.set_ylabel("planning time (s)")
     cost.set_ylabel("path cost (unitless)")
     cost.set_xlabel("task")
-    cost.set_xticks(range(len(pairs)), [str(pair) for pair in pairs])
+    cost.set_xticks(range(len(pairs)), [str(pair) for pair in pairs], parse_math=False)
     for axes in (time, cost):
         quiet(axes)
     all_solved = all(run["status"] == "solved" for run in runs)

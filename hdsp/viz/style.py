@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.axis import Tick
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from hdsp.base.files import replacing, writable_file
 from hdsp.terrain.height_map import HeightMap
@@ -55,9 +58,23 @@ _TYPE = 9
 _FLOOR = -0.5, 1.5  # m; the median height of ground whose floor is at 0
 
 
+class PlainFigure(Figure):
+    """A figure whose texts are no formulas: names of files and tasks may have a ``$``.
+
+    Numbers at the axes stay as they are, because those of a logarithmic axis are formulas.
+    """
+
+    def draw(self, renderer: Any) -> None:
+        numbers = {label for tick in self.findobj(Tick) for label in (tick.label1, tick.label2)}
+        for text in self.findobj(Text):
+            if text not in numbers:
+                text.set_parse_math(False)
+        super().draw(renderer)
+
+
 def figure(width: float, height: float) -> Figure:
     """Makes an empty figure; width and height in inches."""
-    made = Figure(figsize=(width, height), dpi=_DPI, layout="constrained")
+    made = PlainFigure(figsize=(width, height), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(made)
     return made
 

@@ -14,7 +14,11 @@ from hdsp.viz import (
     ScanPicture,
     draw_terrain,
     planned_path_figure,
+    save_arena,
     save_example_patches,
+    save_map,
+    save_note,
+    save_pareto,
     save_planned_path,
     save_planned_paths,
     save_planning_bars,
@@ -22,6 +26,7 @@ from hdsp.viz import (
     save_scan_sheet,
     save_training_curves,
 )
+from hdsp.viz.notebook_views import small_png
 from hdsp.viz.patch_figure import JUDGEMENTS, label_figure, spread
 from hdsp.viz.style import figure
 
@@ -106,6 +111,34 @@ def test_patches_and_scans_are_drawn_above_their_floor(level, monkeypatch, tmp_p
     for image in heights:
         (low, high), values = image.get_clim(), image.get_array().compressed()
         assert low <= values.min() and values.max() <= high + 1e-3 and high - low < 1.6
+
+
+def test_a_dollar_in_a_name_is_no_formula(tmp_path):
+    """Matplotlib reads text between two dollars as a formula, and refuses this one."""
+    name, terrain = "map$_^$2", HeightMap.flat((80, 80))
+    states = np.array([[1.0, 1.0, 0.0, 0, 0, 0, 0], [1.1, 1.0, 0.0, 0, 0, 0, 0]])
+    task = {name: ((1.0, 1.0, 0.0), (1.1, 1.0, 0.0))}
+    run = {"pair": name, "heuristic": name, "weight": 1.0, "status": "solved", "seconds": 0.1, "cost": 3.0}
+    result = {"tasks": 220, "methods": {name: {"feasibility_accuracy": 0.95, "cost_error": 0.03}}}
+    tasks, path = some_tasks([name]), tmp_path / "picture.png"
+    scan = ScanPicture(name, name, name, terrain, np.zeros((1, 3), int), tasks)
+    save_map(terrain, path, name)
+    save_note(name, path)
+    save_planned_path(terrain, states, (DRIVE,), MOMARO, path, name)
+    save_planned_paths(terrain, {name: DrawnPath(states, (DRIVE,), 0.4)}, task, MOMARO, path, name)
+    save_quality_bars({name: result}, path)
+    save_planning_bars([run], path)
+    save_pareto({name: 1.0}, {name: {name: 0.1}}, path)
+    save_scan_sheet([scan], path)
+    save_example_patches(tasks, (tasks.feasible, tasks.cost), path, 1)
+    save_arena(None, terrain, terrain, task, path)
+    small_png(label_figure(tasks))
+    made = figure(2, 2)
+    axes = made.subplots()
+    axes.set_yscale("log")
+    for _ in range(2):
+        made.canvas.draw()
+    assert all(label.get_parse_math() for label in axes.get_yticklabels())  # 10² is a formula
 
 
 def test_training_curves(tmp_path):
