@@ -15,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.ticker import ScalarFormatter
 
 from hdsp.base.files import replacing, writable_file
 from hdsp.terrain.height_map import HeightMap
@@ -131,4 +132,9 @@ def draw_terrain(axes, terrain: HeightMap, lowest: float | None = None, highest:
     axes.imshow(darker, **placed)
     axes.set_aspect("equal")
     axes.tick_params(labelsize=_TYPE - 1)
+    for axis in (axes.xaxis, axes.yaxis):
+        numbers = axis.get_major_formatter()
+        if isinstance(numbers, ScalarFormatter):  # whole projected coordinates, no offset at the end of the axis
+            numbers.set_useOffset(False)
+            numbers.set_scientific(False)
     return image

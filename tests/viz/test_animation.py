@@ -13,6 +13,7 @@ from hdsp.detailed.motion.local_motion import relative
 from hdsp.detailed.motion.motion import Motion
 from hdsp.robot.robot import Robot
 from hdsp.viz.motion_figure import motion_profile
+from hdsp.viz.recordings import animation
 from hdsp.viz.recordings.z_buffer import Canvas, ParallelCamera, Triangles
 
 RED, GREEN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
@@ -94,6 +95,15 @@ def test_pictures_on_a_projected_map_are_those_near_zero(motion, tmp_path):
         with Image.open(each.animate(tmp_path / f"{k}.gif", speed=9, fps=2, width=160)) as film:
             frames.append(np.asarray(film.convert("RGB"), float))
     assert np.abs(frames[0] - frames[1]).mean() < 1 and frames[0].std() > 10
+
+
+def test_a_wall_has_one_colour(motion):
+    heights = np.zeros((80, 72), np.float32)
+    heights[:, 50:] = 0.3  # its face lies at 1.25 m, between the cells, exactly also in single precision
+    scene = animation._Film(replace(motion, terrain=HeightMap(heights)), 1.0, 1.0, 320)._scene
+    x, y, z = np.moveaxis(scene.camera.world(scene.depth), -1, 0)
+    wall = (abs(y - 1.25) < 1e-4) & (z > 0.05) & (z < 0.25) & (x > 0.6) & (x < 1.3)
+    assert wall.sum() > 500 and np.ptp(scene.pixels[wall], axis=0).max() < 1e-3
 
 
 def test_the_profile_of_a_motion_keeps_its_height_over_unknown_ground(motion):

@@ -74,6 +74,16 @@ def test_x_is_to_the_right_and_y_up():
     assert axes.get_aspect() == 1.0
 
 
+def test_axes_name_whole_projected_coordinates():
+    made = figure(4, 4)
+    axes = made.subplots()
+    draw_terrain(axes, HeightMap.flat((80, 80), (412345.678, 5654321.123)))
+    made.canvas.draw()
+    for axis, first in ((axes.xaxis, "41234"), (axes.yaxis, "565432")):
+        assert axis.get_offset_text().get_text() == ""
+        assert {label.get_text()[: len(first)] for label in axis.get_ticklabels()} == {first}
+
+
 def test_unknown_ground_has_its_own_colour():
     heights = np.zeros((4, 4), np.float32)
     heights[0, 0] = np.nan

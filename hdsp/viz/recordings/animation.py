@@ -44,6 +44,7 @@ _WORDS = {
     "roll": "rolls on four wheels", "lean": "shifts its weight", "lift": "lifts the {} foot",
     "swing": "swings the {} foot", "lower": "lowers the {} foot",
 }  # fmt: skip
+_INSIDE = 1e-3  # m, from a surface into the ground
 _COLORS, _STRIP = 112, 90  # colours in a GIF; rows of pixels
 _STRENGTH = 0.62  # of the colours of heights
 
@@ -129,7 +130,7 @@ class _Film:
         """Colours the ground by its height."""
         terrain = self._ground
         seen = np.isfinite(canvas.depth)
-        place = canvas.camera.world(canvas.depth)[..., :2]
+        place = canvas.camera.world(canvas.depth + _INSIDE)[..., :2]  # a wall has the colour of the cell behind it
         cell = np.floor((place - terrain.origin) / terrain.resolution).astype(int)
         cell = np.clip(cell, 0, np.array(terrain.shape) - 1)[seen]
         colors = 1 - _STRENGTH * (1 - height_colors(terrain)[..., :3] / 255.0)
