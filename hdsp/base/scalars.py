@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -25,3 +25,11 @@ def real(value: Any) -> float:
         return float(found)
     except OverflowError:
         return math.inf if found > 0 else -math.inf  # type: ignore[operator]
+
+
+def integer(value: Any) -> int | None:
+    """Returns a whole number as int, also a float like ``1e6``; None for everything else."""
+    found = scalar(value)
+    if isinstance(found, float) and found.is_integer():
+        return int(found)
+    return int(found) if isinstance(found, Integral) else None

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.messages import coordinates, shown
-from hdsp.base.scalars import real, scalar
+from hdsp.base.scalars import integer, real
 from hdsp.detailed.search.life_cycle import Progress
 from hdsp.detailed.search.outcome import Limits
 from hdsp.robot.lattice import Grid, metres
@@ -52,12 +51,10 @@ def whole(name: str, value: Any, least: int = 0) -> int:
     Raises:
         InputError: another type, a fraction, or a smaller value.
     """
-    found = scalar(value)
-    if isinstance(found, float) and found.is_integer():
-        found = int(found)
-    if not isinstance(found, Integral) or int(found) < least:
+    found = integer(value)
+    if found is None or found < least:
         raise InputError(f"{name} is {shown(value)}; it must be a whole number >= {least}")
-    return int(found)
+    return found
 
 
 def choice(name: str, value: Any) -> bool:

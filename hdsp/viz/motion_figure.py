@@ -7,11 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from hdsp.base.errors import InputError
+from hdsp.base.messages import shown
+from hdsp.base.scalars import integer
 from hdsp.detailed.motion.motion import Motion
 from hdsp.robot.robot import FEET as FOOT_NAMES
 from hdsp.viz.style import BLACK, FEET, GREY, VERMILLION, figure, quiet, save
 
 _DEPTH = 0.12  # m; drawn thickness of the ground
+_MOST_MOMENTS = 30
 _BODY = 0.22  # m; drawn height of the base above the hips
 
 
@@ -24,9 +28,15 @@ def save_motion(motion: Motion, path: str | os.PathLike, moments: int = 6, title
     Args:
         motion: the motion.
         path: PNG path.
-        moments: number of moments.
+        moments: number of moments, 2 to 30.
         title: figure title.
+
+    Raises:
+        InputError: another number of moments, or a path that cannot be written.
     """
+    if (count := integer(moments)) is None or not 2 <= count <= _MOST_MOMENTS:
+        raise InputError(f"moments {shown(moments)}; need a whole number from 2 to {_MOST_MOMENTS}")
+    moments = count
     along = _along(motion)
     made = figure(9.0, 1.9 + 1.7 * -(-moments // 3))
     grid = made.add_gridspec(1 + -(-moments // 3), 3)

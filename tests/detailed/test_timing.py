@@ -144,7 +144,7 @@ def test_times_and_rates_that_are_no_numbers_are_refused(motion, wrong, tmp_path
         motion.at(wrong)
     with pytest.raises(InputError, match=r"rate is .*; need a positive number"):
         motion.save(tmp_path / "motion.csv", rate=wrong)
-    with pytest.raises(InputError, match=r"speed .*, fps .*, width .*; need"):
+    with pytest.raises(InputError, match=r"speed .*; need a positive number"):
         motion.animate(tmp_path / "motion.gif", speed=wrong)
 
 

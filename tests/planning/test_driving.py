@@ -186,6 +186,9 @@ def test_a_drive_that_ends_at_once_is_a_motion(tmp_path):
     state = run.motion.at([0.0, 0.1])
     assert not state.base_velocity.any() and not state.feet_velocity.any()
     np.testing.assert_array_equal(state.base, run.motion.base[[0, 0]])
+    for wrong in ("soon", np.nan):
+        with pytest.raises(InputError, match="time"):
+            run.motion.at(wrong)
     for name in ("run.csv", "run.json", "run.npz", "run.mcap", "bag"):
         assert run.save(tmp_path / name).exists()
     assert len(Motion.load(tmp_path / "run.npz")) == 1
@@ -349,6 +352,9 @@ def test_a_drive_is_recorded_and_drawn(tmp_path):
     run = plan("momaro", (1.5, 1.25, 0.0)).drive()
     assert run.save(tmp_path / "run.csv").read_text().count("\n") > 50 * run.duration
     assert run.save(tmp_path / "run.mcap", rate=5).stat().st_size > 10_000
+    for look in ({"speed": "2"}, {"width": 200.5}, {"height": "high"}, {"speed": 1e-6}):
+        with pytest.raises(InputError, match=r"need"):
+            save_film(run, tmp_path / "run.gif", **look)
     try:
         save_film(run, tmp_path / "run.gif", speed=1.0, fps=1.0, width=160, height=120)
     except InputError as error:

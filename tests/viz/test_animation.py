@@ -12,8 +12,9 @@ from hdsp import HeightMap, InputError
 from hdsp.detailed.motion.local_motion import relative
 from hdsp.detailed.motion.motion import Motion
 from hdsp.robot.robot import Robot
-from hdsp.viz.motion_figure import motion_profile
+from hdsp.viz.motion_figure import motion_profile, save_motion
 from hdsp.viz.recordings import animation
+from hdsp.viz.recordings.film_settings import FilmSettings
 from hdsp.viz.recordings.z_buffer import Canvas, ParallelCamera, Triangles
 
 RED, GREEN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
@@ -97,10 +98,51 @@ def test_pictures_on_a_projected_map_are_those_near_zero(motion, tmp_path):
     assert np.abs(frames[0] - frames[1]).mean() < 1 and frames[0].std() > 10
 
 
+@pytest.mark.parametrize(
+    ("look", "words"),
+    [
+        ({"speed": "2"}, r"speed '2'; need a positive number"),
+        ({"fps": None}, r"fps None; need 0\.1 to 100"),
+        ({"fps": 0.01}, r"fps 0\.01; need 0\.1 to 100"),
+        ({"width": 200.5}, r"width 200\.5; need a whole number of pixels, 64 to 3840"),
+        ({"width": True}, r"width True; need a whole number"),
+        ({"speed": 1e-4}, r"speed 0\.0001, fps 12\.5: [\d,]+ pictures; need at most 10,000"),
+        ({"speed": 1e-310}, r"pictures; need at most 10,000"),
+    ],
+)
+def test_arguments_out_of_range_are_named(motion, tmp_path, look, words):
+    with pytest.raises(InputError, match=words):
+        motion.animate(tmp_path / "run.gif", **look)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_gif_beyond_memory_is_refused_before_it_is_drawn(motion, tmp_path, monkeypatch):
+    monkeypatch.setattr(animation, "_MOST_PIXELS", 20_000)
+    with pytest.raises(InputError, match=r"GIF: \d+ pictures of 80 x \d+ pixels; need at most 20,000 pixels in all"):
+        motion.animate(tmp_path / "run.gif", width=80)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_default_speed_fits_any_motion(motion, tmp_path):
+    slow = replace(motion, robot=replace(motion.robot, speeds=replace(motion.robot.speeds, drive=1e-5)))
+    assert slow.duration > 20_000
+    with Image.open(slow.animate(tmp_path / "slow.gif", fps=0.5, width=np.int64(100))) as film:
+        assert film.n_frames == 7
+    assert FilmSettings.of(slow.duration, None, 12.5).speed == slow.duration / 12
+    with pytest.raises(InputError, match="rate is 1000: .* states in .* s; need at most 5,000,000"):
+        slow.save(tmp_path / "slow.csv", rate=1000)
+
+
+@pytest.mark.parametrize("moments", [1, 2.5, "6", 31])
+def test_a_strip_has_a_whole_number_of_moments(motion, tmp_path, moments):
+    with pytest.raises(InputError, match="need a whole number from 2 to 30"):
+        save_motion(motion, tmp_path / "strip.png", moments)
+
+
 def test_a_wall_has_one_colour(motion):
     heights = np.zeros((80, 72), np.float32)
     heights[:, 50:] = 0.3  # its face lies at 1.25 m, between the cells, exactly also in single precision
-    scene = animation._Film(replace(motion, terrain=HeightMap(heights)), 1.0, 1.0, 320)._scene
+    scene = animation._Film(replace(motion, terrain=HeightMap(heights)), FilmSettings(1.0, 1.0), 320)._scene
     x, y, z = np.moveaxis(scene.camera.world(scene.depth), -1, 0)
     wall = (abs(y - 1.25) < 1e-4) & (z > 0.05) & (z < 0.25) & (x > 0.6) & (x < 1.3)
     assert wall.sum() > 500 and np.ptp(scene.pixels[wall], axis=0).max() < 1e-3

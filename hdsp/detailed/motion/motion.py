@@ -102,10 +102,7 @@ class Motion:
             InputError: a time before the start or after the end (``numpy.clip(time, 0, motion.duration)`` rests there),
                 or no number.
         """
-        try:
-            given = np.asarray(time, float)
-        except (TypeError, ValueError, OverflowError):
-            raise InputError(f"time {shown(time)}: need numbers from 0 to {self.duration:.6g} s") from None
+        given = self._numbers(time)
         moments = given.ravel()
         outside = ~((moments >= 0) & (moments <= self.duration))
         if outside.any():
@@ -123,6 +120,13 @@ class Motion:
         )  # fmt: skip
         return MotionState(*(value.reshape(given.shape + value.shape[1:]) for value in values))
 
+    def _numbers(self, time: ArrayLike) -> np.ndarray:
+        """Times as a user gives them, float64 of any shape."""
+        try:
+            return np.asarray(time, float)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f"time {shown(time)}: need numbers from 0 to {self.duration:.6g} s") from None
+
     def save(self, path: str | os.PathLike, rate: float = 50.0) -> Path:
         """Writes the motion, whole or not at all; the suffix names the format (docs/motions.md).
 
@@ -138,7 +142,8 @@ class Motion:
             the path.
 
         Raises:
-            InputError: another suffix, a rate that is not positive, a path that cannot be written, or a missing extra.
+            InputError: another suffix, a rate out of range, more than 5 million states, a path that cannot be written,
+                or a missing extra.
         """
         return save_motion_file(self, path, rate)
 
@@ -148,14 +153,15 @@ class Motion:
         Args:
             path: ``.gif`` or ``.mp4``.
             speed: motion seconds per animation second; None: at least 1, at most 12 s in all.
-            fps: pictures per second.
-            width: width in pixels; the height follows from the motion.
+            fps: pictures per second, 0.1 to 100.
+            width: width in pixels, 64 to 3840; the height follows from the motion.
 
         Returns:
             the path.
 
         Raises:
-            InputError: another suffix, a value out of range, a path that cannot be written, or a missing extra.
+            InputError: another suffix, a value out of range, more than 10,000 pictures, a GIF with more than 1,000
+                million pixels, a path that cannot be written, or a missing extra.
         """
         return animate_motion(self, path, speed=speed, fps=fps, width=width)
 

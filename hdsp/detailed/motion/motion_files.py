@@ -40,6 +40,7 @@ _KINDS = {"base": float, "feet": float, "carries": bool, "action": np.int64, "ph
 _SHAPES = {"base": (6,), "feet": (4, 3), "carries": (4,), "action": (), "phase": ()}
 _ARRAYS = tuple(_KINDS)
 _MOST_BYTES = 1 << 30
+_MOST_STATES = 5_000_000
 _DIGITS = 6
 
 
@@ -48,7 +49,10 @@ def save_motion_file(motion: Any, path: str | os.PathLike, rate: float) -> Path:
     path = check_motion_path(path)
     if not 0 < real(rate) <= 10_000:
         raise InputError(f"rate is {shown(rate)}; need a positive number of states per second, at most 10,000")
-    _WRITERS[path.suffix.lower()](motion, path, rate)
+    if path.suffix.lower() not in ANIMATIONS and motion.duration * real(rate) > _MOST_STATES:
+        count = f"{motion.duration * real(rate):,.0f} states in {motion.duration:,.0f} s"
+        raise InputError(f"rate is {shown(rate)}: {count}; need at most {_MOST_STATES:,}, by a lower rate")
+    _WRITERS[path.suffix.lower()](motion, path, real(rate))
     return path
 
 

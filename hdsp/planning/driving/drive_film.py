@@ -16,15 +16,14 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import writable_file
-from hdsp.base.messages import shown
-from hdsp.base.scalars import real
 from hdsp.detailed.motion.local_motion import relative
 from hdsp.detailed.motion.motion_files import ANIMATIONS
 from hdsp.detailed.motion.phases import PHASES
 from hdsp.planning.driving.simulated_robot import SimulatedRobot, import_mujoco
+from hdsp.viz.recordings.film_settings import FilmSettings, side
 from hdsp.viz.viewer.robot_pose import parts
 
-_SHOWN = 12.0  # s; a film without a given speed lasts no longer
+_LARGEST = 1920, 1440  # pixels
 _SIDE, _ELEVATION = 25.0, -18.0  # degrees, of the view against the way of the robot, and over the horizon
 _BEHIND, _HIGH = -20.0, -42.0  # degrees, the same between walls, against the heading
 _WALL = 0.5  # m, above the highest foothold
@@ -43,26 +42,23 @@ def save_film(
         run: the drive, a `hdsp.planning.driving.driven_run.Run`.
         path: ``.gif`` or ``.mp4``.
         speed: simulated seconds per animation second; None: at least 1, at most 12 s in all.
-        fps: pictures per second.
-        width, height: size in pixels, even.
+        fps: pictures per second, 0.1 to 100.
+        width, height: size in pixels, even, 64 to 1920 and 64 to 1440.
 
     Raises:
-        InputError: another suffix, a value out of range, a path that cannot be written, a missing extra, or no
-            rendering on this machine.
+        InputError: another suffix, a value out of range, too many pictures, a path that cannot be written, a missing
+            extra, or no rendering on this machine.
     """
     path = writable_file(path, "animation", ANIMATIONS)
-    speed = max(1.0, run.duration / _SHOWN) if speed is None else speed
-    fits = 0 < real(speed) <= 1000 and 0 < real(fps) <= 100
-    if not (fits and 64 <= real(width) <= 1920 and 64 <= real(height) <= 1440):
-        given = f"speed {shown(speed)}, fps {shown(fps)}, width {shown(width)}, height {shown(height)}"
-        raise InputError(f"{given}; need up to 1000, up to 100, 64 to 1920, 64 to 1440")
+    size = side("width", width, _LARGEST[0]), side("height", height, _LARGEST[1])
+    speed, fps = FilmSettings.of(run.duration, speed, fps)
     try:
         from hdsp.viz.recordings.animation import write_frames
     except ModuleNotFoundError as error:
         raise InputError("animations need Pillow: pip install 'hdsp[record]'") from error
     moments = np.arange(0.0, run.duration, speed / fps) / max(run.duration, 1e-9) * (len(run.motion) - 1)
     rows = np.append(moments, len(run.motion) - 1).astype(int)
-    return write_frames(path, pictures(run, rows.tolist(), (width, height), speed), fps)
+    return write_frames(path, lambda numbers: pictures(run, rows[list(numbers)].tolist(), size, speed), len(rows), fps)
 
 
 def pictures(run: Any, rows: Sequence[int], size: tuple[int, int], speed: float = 1.0) -> Iterator[Any]:

@@ -58,8 +58,14 @@ class DrivenMotion(Motion):
         return tuple(np.gradient(values, self.moments, axis=0) for values in (unwrapped, self.feet))  # type: ignore
 
     def at(self, time: ArrayLike) -> MotionState:
-        """Returns the recorded state nearest to each time."""
-        given = np.asarray(time, float)
+        """Returns the recorded state nearest to each time, s of any shape.
+
+        Raises:
+            InputError: a time that is no number.
+        """
+        given = self._numbers(time)
+        if np.isnan(given).any():
+            raise InputError(f"time nan s: the drive lasts from 0 to {self.duration:.6g} s")
         step = self.moments[1] - self.moments[0] if len(self) > 1 else 0.0
         row = np.clip(np.searchsorted(self.moments, given - 0.5 * step), 0, len(self) - 1)
         base_velocity, feet_velocity = self._velocities

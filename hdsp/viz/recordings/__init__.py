@@ -5,4 +5,5 @@
 - `mcap_recording`: terrain, path, robot, frames and states as MCAP, by foxglove-sdk
 - `ros_bag`: path, trajectories, joint states and frames as a ROS 2 bag, by rosbags
 - `animation`, `robot_mesh`, `z_buffer`: a motion as GIF or MP4, drawn with a depth buffer
+- `film_settings`: speed, picture rate and size of animations
 """

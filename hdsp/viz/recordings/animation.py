@@ -7,7 +7,7 @@ below the robot.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,6 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.files import replacing, writable_file
-from hdsp.base.messages import shown
-from hdsp.base.scalars import real
 from hdsp.detailed.motion.local_motion import local_place, relative
 from hdsp.detailed.motion.motion import Motion
 from hdsp.detailed.motion.motion_files import ANIMATIONS
@@ -25,13 +23,14 @@ from hdsp.robot.robot import FEET
 from hdsp.terrain.height_map import HeightMap
 from hdsp.viz.palette import BLUE, UNKNOWN, VERMILLION
 from hdsp.viz.palette import FEET as FOOT_COLORS
+from hdsp.viz.recordings.film_settings import FilmSettings, side
 from hdsp.viz.recordings.robot_mesh import RobotMesh
 from hdsp.viz.recordings.track import Track
 from hdsp.viz.recordings.z_buffer import Canvas, ParallelCamera, Triangles
 from hdsp.viz.viewer.ground_mesh import filled, ground_mesh
 from hdsp.viz.viewer.textures import height_colors, rgb
 
-_SHOWN = 12.0  # s; an animation without a given speed lasts no longer
+_WIDEST = 3840  # pixels
 _AROUND = 0.55  # m, of ground beyond the feet
 _LIGHT = np.array([-0.35, -0.6, 1.0])
 _FINE = 2  # each pixel is the mean over so many by so many
@@ -45,6 +44,7 @@ _WORDS = {
     "swing": "swings the {} foot", "lower": "lowers the {} foot",
 }  # fmt: skip
 _INSIDE = 1e-3  # m, from a surface into the ground
+_MOST_PIXELS = 1_000_000_000  # in a GIF
 _COLORS, _STRIP = 112, 90  # colours in a GIF; rows of pixels
 _STRENGTH = 0.62  # of the colours of heights
 
@@ -62,41 +62,54 @@ def save_animation(
         width: width, pixels; the height follows from the motion.
 
     Raises:
-        InputError: another suffix, a value out of range, a path that cannot be written, or a missing extra.
+        InputError: another suffix, a value out of range, more pictures than 10,000 or than fit into a GIF, a path that
+            cannot be written, or a missing extra.
     """
     path = writable_file(path, "animation", ANIMATIONS)
-    motion = relative(motion, local_place(motion.terrain))
-    if speed is None:
-        speed = max(1.0, motion.duration / _SHOWN)
-    if not (0 < real(speed) <= 1000 and 0 < real(fps) <= 100 and 64 <= real(width) <= 3840):
-        given = f"speed {shown(speed)}, fps {shown(fps)}, width {shown(width)}"
-        raise InputError(f"{given}; need up to 1000, up to 100, 64 to 3840")
-    return write_frames(path, _Film(motion, fps / speed, speed, width).frames(), fps)
+    columns, chosen = side("width", width, _WIDEST), FilmSettings.of(motion.duration, speed, fps)
+    film = _Film(relative(motion, local_place(motion.terrain)), chosen, columns)
+    return write_frames(path, film.frames, len(film), chosen.fps)
 
 
-def write_frames(path: Path, frames: Iterator[Any], fps: float) -> Path:
-    """Writes Pillow images as ``.gif`` or ``.mp4``, whole or not at all; returns the path."""
+def write_frames(path: Path, draw: Callable[[Sequence[int]], Iterator[Any]], count: int, fps: float) -> Path:
+    """Writes an animation, whole or not at all.
+
+    Args:
+        path: ``.gif`` or ``.mp4``.
+        draw: yields the pictures with these numbers, Pillow images of one size.
+        count: number of pictures.
+        fps: pictures per second.
+
+    Returns:
+        the path.
+
+    Raises:
+        InputError: a path that cannot be written, a missing extra, or a GIF beyond all memory.
+    """
     with replacing(path) as temporary:
-        (_write_gif if path.suffix.lower() == ".gif" else _write_mp4)(temporary, frames, fps)
+        (_write_gif if path.suffix.lower() == ".gif" else _write_mp4)(temporary, draw, count, fps)
     return path
 
 
 class _Film:
     """A motion's pictures."""
 
-    def __init__(self, motion: Motion, rate: float, speed: float, width: int):
-        self._track = Track(motion, rate)
-        self._mesh, self._speed = RobotMesh(self._track), speed
+    def __init__(self, motion: Motion, settings: FilmSettings, width: int):
+        self._track = Track(motion, settings.fps / settings.speed)
+        self._mesh, self._speed = RobotMesh(self._track), settings.speed
         self._ground = _crop(motion)
         self._scene = self._empty(width)
         self._ground_at = self._scene.camera.world(self._scene.depth)[..., :2]
 
-    def frames(self) -> Iterator[Any]:
+    def __len__(self) -> int:
+        return len(self._track)
+
+    def frames(self, numbers: Sequence[int]) -> Iterator[Any]:
         """Yields pictures, Pillow images."""
         from PIL import Image
 
         width, height = (side // _FINE for side in self._scene.camera.size)
-        for k in range(len(self._track)):
+        for k in numbers:
             robot = self._mesh.at(k)
             canvas = self._scene.copy()
             canvas.pixels[self._shaded(robot)] *= _SHADOW
@@ -199,15 +212,18 @@ def _sides(terrain: HeightMap, heights: np.ndarray, floor: float) -> np.ndarray:
     return np.concatenate(quads)
 
 
-def _write_gif(path: Path, frames: Iterator[Any], fps: float) -> None:
+def _write_gif(path: Path, draw: Callable[[Sequence[int]], Iterator[Any]], count: int, fps: float) -> None:
     from PIL import Image
 
-    pictures = list(frames)
     # One palette for all pictures: pixels that do not change stay equal, and cost nothing. Wheels are too small to
     # count among the colours of a picture, so the sample has theirs in a strip.
-    width, height = pictures[0].size
+    samples = list(draw((0, count // 2, count - 1)))
+    width, height = samples[0].size
+    if count * width * height > _MOST_PIXELS:  # Pillow holds them all
+        need = f"at most {_MOST_PIXELS:,} pixels in all, by a higher speed or a lower fps or width, or .mp4"
+        raise InputError(f"GIF: {count:,} pictures of {width} x {height} pixels; need {need}")
     sample = Image.new("RGB", (width, 3 * height + _STRIP))
-    for number, picture in enumerate((pictures[0], pictures[len(pictures) // 2], pictures[-1])):
+    for number, picture in enumerate(samples):
         sample.paste(picture, (0, number * height))
     small = [
         tuple(round(shade * part) for part in rgb(c)) for c in (*FOOT_COLORS, VERMILLION) for shade in (1, 0.8, 0.6)
@@ -216,16 +232,17 @@ def _write_gif(path: Path, frames: Iterator[Any], fps: float) -> None:
         ends = [width * k // len(small) for k in (number, number + 1)]
         sample.paste(color, (ends[0], 3 * height, ends[1], 3 * height + _STRIP))
     palette = sample.quantize(_COLORS, method=Image.Quantize.MEDIANCUT)
-    drawn = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    drawn = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in draw(range(count))]
     lengths = [round(1000 / fps)] * (len(drawn) - 1) + [1500]
     drawn[0].save(path, save_all=True, append_images=drawn[1:], duration=lengths, loop=0, optimize=True, disposal=1)
 
 
-def _write_mp4(path: Path, frames: Iterator[Any], fps: float) -> None:
+def _write_mp4(path: Path, draw: Callable[[Sequence[int]], Iterator[Any]], count: int, fps: float) -> None:
     try:
         from imageio_ffmpeg import write_frames
     except ModuleNotFoundError as error:
         raise InputError("animations as MP4 need imageio-ffmpeg: pip install 'hdsp[video]'") from error
+    frames = draw(range(count))
     first = next(frames)
     size = first.width - first.width % 2, first.height - first.height % 2
     box = (0, 0, *size)
