@@ -129,7 +129,7 @@ def test_a_default_speed_fits_any_motion(motion, tmp_path):
     with Image.open(slow.animate(tmp_path / "slow.gif", fps=0.5, width=np.int64(100))) as film:
         assert film.n_frames == 7
     assert FilmSettings.of(slow.duration, None, 12.5).speed == slow.duration / 12
-    with pytest.raises(InputError, match="rate is 1000: .* states in .* s; need at most 5,000,000"):
+    with pytest.raises(InputError, match=r"rate is 1000: .* states in .* s; need at most 5,000,000"):
         slow.save(tmp_path / "slow.csv", rate=1000)
 
 
