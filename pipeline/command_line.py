@@ -12,6 +12,7 @@ from pathlib import Path
 
 from hdsp.base.ending import Ended, ended_by
 from hdsp.base.errors import InputError
+from hdsp.base.messages import one_line
 
 from .config import CONFIG_NAME, Source
 
@@ -30,11 +31,15 @@ _INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
 
 #: Faults of a disk, which libraries report as they come.
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
+#: Faults of a place that the user names: no rights, a file in place of a folder or the reverse, a name too long.
+_PLACE = (
+    errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP, errno.ENAMETOOLONG,
+)  # fmt: skip
 
 
 @contextmanager
 def ends_in_one_line() -> Iterator[None]:
-    """Ends the process with one line after bad input, a fault of a disk (status 1) or a signal (130, 143)."""
+    """Ends the process with one line after bad input, a fault of a disk or database, or a signal (130, 143)."""
     try:
         with ended_by(signal.SIGINT, signal.SIGTERM):
             yield
@@ -50,12 +55,18 @@ def ends_in_one_line() -> Iterator[None]:
 
 
 def _fault_of_disk(error: BaseException | None) -> str | None:
-    """The fault of a disk behind an error, in words; libraries wrap it in errors of their own."""
+    """The fault of a disk, place or database behind an error, in words; libraries wrap it in errors of their own."""
+    is_own = True  # not an error that another one was handled for
     while error is not None:
+        if is_own and isinstance(error, OSError) and error.errno in _PLACE and error.filename:
+            return f"cannot use {error.filename}: {error.strerror}"
         if isinstance(error, OSError) and error.errno in _DISK:
             return f"cannot write {error.filename or 'a file'}: {error.strerror}"
         if "database or disk is full" in str(error):  # SQLite
             return "cannot write a database: database or disk is full"
+        if type(error).__module__ == "sqlalchemy.exc" and (reason := getattr(error, "orig", None)) is not None:
+            return f"cannot use a database: {one_line(reason)}"
+        is_own = is_own and error.__cause__ is not None
         error = error.__cause__ or error.__context__
     return None
 

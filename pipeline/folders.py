@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hdsp.base.files import replacing
+from hdsp.base.errors import InputError
+from hdsp.base.files import made_folder, replacing
 from hdsp.base.yaml_files import read_json as read_json_file
 
 #: Settings without influence on results.
@@ -38,9 +39,13 @@ class Folders:
         return self.inputs.joinpath(*parts)
 
     def write(self, *parts: str) -> Path:
-        """Returns a path to write to; its folder exists."""
+        """Returns a path to write to; its folder exists.
+
+        Raises:
+            InputError: the folder cannot be made.
+        """
         path = self.outputs.joinpath(*parts)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        made_folder(path.parent)
         return path
 
     @property
@@ -71,10 +76,17 @@ def alone(folder: Path, lock: str) -> Iterator[None]:
     Args:
         folder: the folder, for a line about the wait.
         lock: file in it, which stays.
+
+    Raises:
+        InputError: the folder cannot be written to.
     """
     path = folder / lock
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w") as file:
+    made_folder(path.parent)
+    try:
+        file = path.open("w")
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror}") from error
+    with file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

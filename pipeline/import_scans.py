@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from hdsp.base.files import made_folder
+
 from .config_types import Config
 from .stage import Folders, run_stage, write_json
 from .task_sets import ABSENT
@@ -19,11 +21,9 @@ def import_scans(config: Config, folders: Folders) -> None:
     robot = config.robot
     rules, patches, scans = config.labelling.settings, config.scans.patches, list(config.scans.sources.values())
 
-    folder = folders.write("data", "real")
-    folder.mkdir(exist_ok=True)
+    folder = made_folder(folders.write("data", "real"))
     _remove_others(folder, {f"{scan.name}.h5" for scan in scans})
-    maps = folders.write("data", "real_maps")
-    maps.mkdir(exist_ok=True)
+    maps = made_folder(folders.write("data", "real_maps"))
     report: dict[str, Any] = {"scans": {}, "missing": {}}
     pictures = []
     for scan in scans:

@@ -25,6 +25,7 @@ from hydra.core.override_parser.types import Override
 
 from hdsp.base.ending import Ended, end_children
 from hdsp.base.errors import InputError
+from hdsp.base.files import made_folder
 
 from . import tracking
 from .command_line import PACKAGE, CommandLine, ends_in_one_line, parse
@@ -51,8 +52,7 @@ def search(line: CommandLine) -> dict[str, Any]:
         configure(variant, line.source)
     study = open_study(config)
     distributions = check_same_search(study, config, space)
-    folder = Path(config.runtime.outputs or "outputs") / "search" / settings.name
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = made_folder(Path(config.runtime.outputs or "outputs") / "search" / settings.name)
     best: dict[str, Any] = {}
     with tracking.sweep(line.overrides, f"{shown_place(config)} {settings.name}"):
         failed = run_trials(study, distributions, config, [*own_flags(line), *fixed], folder)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from hydra.core.override_parser.types import ChoiceSweep, IntervalSweep, Override, RangeSweep
 
 from hdsp.base.errors import InputError
-from hdsp.base.messages import one_line, shown
+from hdsp.base.files import made_folder
+from hdsp.base.messages import one_line, shown, without_password
 
 from .config import flatten
 from .config_types import Config
@@ -48,7 +48,7 @@ def open_study(config: Config) -> Study:
     settings = config.search
     with _storage(config):
         if config.search.storage is None:
-            _folder(config).mkdir(parents=True, exist_ok=True)
+            made_folder(_folder(config))
         study = optuna.create_study(
             storage=study_place(config),
             study_name=settings.name,
@@ -109,7 +109,7 @@ def study_place(config: Config) -> str:
 
 def shown_place(config: Config) -> str:
     """Returns the address of the storage without a password, for messages and records."""
-    return re.sub(r"://([^:@/]*):[^@/]*@", r"://\1:***@", study_place(config))
+    return without_password(study_place(config))
 
 
 def place_of(trial: Any) -> str:
@@ -163,6 +163,8 @@ def _storage(config: Config) -> Iterator[None]:
     """Tells in one line of a storage that cannot be used; databases and their drivers have errors of many kinds."""
     try:
         yield
+    except InputError:
+        raise
     except Exception as error:
         words = one_line(str(error).partition("\n")[0]) or type(error).__name__
         raise InputError(f"cannot use search.storage {shown_place(config)}: {words}") from error

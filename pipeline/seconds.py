@@ -25,7 +25,6 @@ def timed(name: str, arguments: Sequence[str], folder: Path = PLACE) -> Iterator
     started = time.perf_counter()
     yield
     seconds = time.perf_counter() - started
-    folder.mkdir(parents=True, exist_ok=True)
     with replacing(folder / f"{'@'.join([name, *arguments])}.json") as path:
         path.write_text(json.dumps({"begun": begun, "seconds": round(seconds, 1)}) + "\n", encoding="utf-8")
 

@@ -17,7 +17,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hdsp.base.errors import InputError
 from hdsp.base.files import replacing
+from hdsp.base.messages import one_line, without_password
 
 from .config import parse_overrides
 from .folders import Folders, in_short, project_root, read_json
@@ -32,6 +34,8 @@ RUN_FILE = ("models", "training", "mlflow_run.json")
 PROCESS = "mlflow.process"  # the page of a run hides tags that begin so
 #: Longest name of a run.
 LONGEST = 120
+#: Longest reason in a message, in characters.
+_LONGEST_REASON = 200
 
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")
@@ -61,6 +65,9 @@ def connect() -> Any:
 
     Addresses are absolute and belong to the repository instead of the working folder, because `dvc exp run --temp`
     works in a copy and removes it afterwards.
+
+    Raises:
+        InputError: the database is damaged or cannot be written, or no server answers.
     """
     import mlflow
 
@@ -68,14 +75,35 @@ def connect() -> Any:
     logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)
     root = project_root().resolve()
     local = not os.environ.get("MLFLOW_TRACKING_URI")
-    if local:
-        mlflow.set_tracking_uri(f"sqlite:///{root / 'mlflow.db'}")
-    with _one_at_a_time(root / ".mlflow.lock") if local else contextlib.nullcontext():
-        if mlflow.get_experiment_by_name(EXPERIMENT) is None:
-            # A server chooses its own artifact location.
-            mlflow.create_experiment(EXPERIMENT, (root / "mlartifacts").as_uri() if local else None)
-    show_results(mlflow, mlflow.set_experiment(EXPERIMENT))
+    address = f"sqlite:///{root / 'mlflow.db'}" if local else os.environ["MLFLOW_TRACKING_URI"]
+    try:
+        if local:
+            mlflow.set_tracking_uri(address)
+        with _one_at_a_time(root / ".mlflow.lock") if local else _few_retries():
+            if mlflow.get_experiment_by_name(EXPERIMENT) is None:
+                # A server chooses its own artifact location.
+                mlflow.create_experiment(EXPERIMENT, (root / "mlartifacts").as_uri() if local else None)
+        show_results(mlflow, mlflow.set_experiment(EXPERIMENT))
+    except Exception as error:  # databases, servers and their drivers have errors of many kinds
+        first: BaseException = error
+        while (cause := first.__cause__ or first.__context__) is not None:
+            first = cause
+        reason = without_password(one_line(first))[:_LONGEST_REASON]
+        raise InputError(f"cannot use MLflow at {without_password(address)}: {reason}") from error
     return mlflow
+
+
+@contextlib.contextmanager
+def _few_retries() -> Iterator[None]:
+    """Lets the first question to a server fail within seconds; MLflow would repeat it for minutes."""
+    name = "MLFLOW_HTTP_REQUEST_MAX_RETRIES"
+    given = os.environ.get(name)
+    os.environ.setdefault(name, "2")
+    try:
+        yield
+    finally:
+        if given is None:
+            os.environ.pop(name, None)
 
 
 @contextlib.contextmanager

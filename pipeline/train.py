@@ -40,12 +40,15 @@ def train(config: Config, folders: Folders) -> float:
     from hdsp.learning import Provenance, TrainingConfig
     from hdsp.learning import train as train_network
     from hdsp.learning.processes import is_first_process
+    from hdsp.learning.training import check_lightning
 
     from .run_logger import RunLogger
 
     config.model.checked_options()  # before the tasks are read
     trainer, lightning = config.trainer, config.runtime.lightning
     parts = training_parts(trainer, lightning)
+    settings = TrainingConfig(config.model, trainer, config.runtime.hardware, lightning)
+    check_lightning(settings)  # this too
     train_tasks, sets, splits = read_sets(config, folders)
     hashes = {name: folder_hash(path) for name, path in splits.items()}
     data_hash = _hash_of([hashes[name] for name in trainer.splits])
@@ -57,7 +60,7 @@ def train(config: Config, folders: Folders) -> float:
     with alone(work, "lock") if first else nullcontext(), tracked as mlflow:
         datasets = log_datasets(mlflow, config, splits, hashes) if mlflow is not None else {}
         result = train_network(
-            TrainingConfig(config.model, trainer, config.runtime.hardware, lightning),
+            settings,
             train_tasks,
             sets,
             work,

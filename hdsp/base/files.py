@@ -140,6 +140,19 @@ def writable_file(path: str | os.PathLike, what: str, suffixes: Collection[str] 
     return path
 
 
+def made_folder(path: Path) -> Path:
+    """Returns a folder after its creation, if it is missing.
+
+    Raises:
+        InputError: it cannot be created, for example because a file is in its place.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write {error.filename or path}: {error.strerror or error}") from error
+    return path
+
+
 def existing_file(path: str | os.PathLike, what: str) -> Path:
     """Returns ``path`` as a Path.
 

@@ -1,6 +1,7 @@
 """Values and keys in messages: short, on one line."""
 
 import difflib
+import re
 import reprlib
 from collections.abc import Iterable
 from typing import Any
@@ -65,6 +66,11 @@ def did_you_mean(key: Any, names: Iterable[str]) -> str:
     """Returns words that name the closest of ``names``, for the end of a message; empty if none is close."""
     near = difflib.get_close_matches(key.lower(), list(names), 1) if isinstance(key, str) else []
     return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def without_password(address: str) -> str:
+    """Returns an address with stars for its password."""
+    return re.sub(r"://([^:@/]*):[^@/]*@", r"://\1:***@", address)
 
 
 def one_line(value: Any) -> str:

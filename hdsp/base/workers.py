@@ -100,7 +100,7 @@ def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
         jobs: number of jobs, which limits the workers in a local cluster.
 
     Raises:
-        InputError: a package is missing, or no scheduler answers.
+        InputError: a package is missing, no scheduler answers, or workers end whenever they do a part of the work.
 
     Warns:
         UserWarning: the scheduler takes work from anybody who reaches it.
@@ -117,7 +117,7 @@ def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
             client = Client(settings.scheduler, timeout="10s")
         except (OSError, ValueError) as error:
             raise InputError(f"no Dask scheduler answers at {settings.scheduler}: {error}") from error
-        with client:
+        with client, _killed_workers_told():
             yield client
         return
     # Workers that are ended leave their folders; in this one they are removed.
@@ -129,7 +129,8 @@ def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
         cluster = _local_cluster(settings, jobs) if is_local else _slurm_cluster(settings.slurm)
         client, at_once = Client(cluster), False
         try:
-            yield client
+            with _killed_workers_told():
+                yield client
         except Ended:
             at_once = is_local  # Dask would wait for the work, or start the ended workers anew
             raise
@@ -141,6 +142,19 @@ def connected(settings: ClusterSettings, jobs: int) -> Iterator["Client"]:
                 client.close()
                 with suppress(TimeoutError):  # on a busy machine, workers end slowly; they end with this process
                     cluster.close()
+
+
+@contextmanager
+def _killed_workers_told() -> Iterator[None]:
+    """Tells in one line of work on which Dask has lost one worker after the other."""
+    from distributed import KilledWorker
+
+    try:
+        yield
+    except KilledWorker as error:
+        raise InputError(
+            "worker processes end whenever they do a part of the work; out of memory? Try again with fewer workers"
+        ) from error
 
 
 def _warn_of_open(scheduler: str | None) -> None:

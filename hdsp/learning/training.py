@@ -17,8 +17,10 @@ import lightning.pytorch as pl
 import torch
 from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
 from lightning.pytorch.loggers import Logger
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
 
 from hdsp.base.errors import InputError
+from hdsp.base.messages import one_line
 from hdsp.base.settings import load_settings
 from hdsp.base.short_repr import short_repr
 from hdsp.learning.abstraction import LearnedAbstraction
@@ -126,6 +128,7 @@ def train(
             that the network predicts, the selection set is missing, or a loss is no number.
     """
     config = load_settings(TrainingConfig, config)
+    check_lightning(config)
     trainer_settings, out_dir = config.trainer, Path(out_dir)
     if trainer_settings.selection.set not in val_sets:
         names = ", ".join(val_sets) or "(none)"
@@ -209,6 +212,23 @@ def _trainer_options(config: TrainingConfig, parts: TrainingParts, out_dir: Path
         "num_sanity_val_steps": 0,
         "log_every_n_steps": lightning.log_every or NEVER,
     }
+
+
+def check_lightning(config: TrainingConfig) -> None:
+    """Checks the names that settings give to Lightning, and whether this machine has what they need, before any work.
+
+    Raises:
+        InputError: Lightning refuses strategy, precision or devices.
+    """
+    options = _trainer_options(config, TrainingParts(), Path())
+    names = ("accelerator", "devices", "num_nodes", "strategy", "precision")
+    given = {name: options[name] for name in names if isinstance(options[name], str | int)}
+    try:
+        with _without_lightning_chatter():
+            pl.Trainer(**given, logger=False, enable_checkpointing=False)
+    except (ValueError, TypeError, ImportError, MisconfigurationException) as error:
+        chosen = f"strategy {given.get('strategy', 'auto')}, precision {given['precision']}, devices {given['devices']}"
+        raise InputError(f"lightning: {chosen}: {one_line(str(error))}") from error
 
 
 def _take_best(

@@ -1,5 +1,6 @@
 """SIGTERM and Ctrl-C end real processes soon, with one line, the right exit status and nothing left behind."""
 
+import contextlib
 import errno
 import os
 import signal
@@ -10,8 +11,12 @@ import time
 from pathlib import Path
 
 import pytest
+import sqlalchemy
+from distributed import KilledWorker
 
 from hdsp.base.ending import LATEST, Ended, ended_by, status_of
+from hdsp.base.errors import InputError
+from hdsp.base.workers import ClusterSettings, connected
 from pipeline.command_line import ends_in_one_line
 from tests import ROOT, heed_interrupts
 
@@ -146,5 +151,24 @@ def test_a_full_disk_is_one_line_however_a_library_wraps_it(capsys):
 
     with pytest.raises(SystemExit, match=r"^error: cannot write a.txt: No space left on device$"), ends_in_one_line():
         wrapped(errno.ENOSPC)
-    with pytest.raises(RuntimeError, match="failed"), ends_in_one_line():
-        wrapped(errno.ENOENT)
+    for number in (errno.ENOENT, errno.EACCES):  # such an error may have been handled, before another one
+        with pytest.raises(RuntimeError, match="failed"), ends_in_one_line():
+            wrapped(number)
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.ENOTDIR, errno.ENAMETOOLONG])
+def test_a_place_that_cannot_be_used_and_a_damaged_database_are_one_line(number):
+    with pytest.raises(SystemExit, match=f"^error: cannot use a.txt: {os.strerror(number)}$"), ends_in_one_line():
+        raise RuntimeError from OSError(number, os.strerror(number), "a.txt")
+    damaged = sqlalchemy.exc.DatabaseError("SELECT 1", (), Exception("file is not a database"))
+    with pytest.raises(SystemExit, match=r"^error: cannot use a database: file is not a database$"), ends_in_one_line():
+        raise RuntimeError from damaged
+
+
+def test_parts_of_the_work_that_end_their_workers_are_one_line(monkeypatch):
+    monkeypatch.setattr("distributed.Client", lambda *_, **__: contextlib.nullcontext())
+    with (
+        pytest.raises(InputError, match=r"^worker processes end whenever .* Try again with fewer workers$"),
+        connected(ClusterSettings(scheduler="inproc://x"), 2),
+    ):
+        raise KilledWorker("part", None, 3)

@@ -4,7 +4,10 @@ import multiprocessing
 import time
 from concurrent.futures import ThreadPoolExecutor
 
-from pipeline.folders import alone
+import pytest
+
+from hdsp.base.errors import InputError
+from pipeline.folders import Folders, alone
 
 
 def test_additions_at_once_lose_no_line(tmp_path):
@@ -37,3 +40,14 @@ def test_a_killed_process_leaves_no_stale_lock(tmp_path, capsys):
     assert (tmp_path / ".lock").is_file()  # it stays, and holds nobody up
     with alone(tmp_path, ".lock"):
         assert "waiting" not in capsys.readouterr().err
+
+
+def test_outputs_below_a_file_are_named(tmp_path):
+    (tmp_path / "file").touch()
+    below = tmp_path / "file" / "out"
+    for act in (lambda: Folders(tmp_path, below).write("reports", "a.json"), lambda: alone(below, ".lock").__enter__()):
+        with pytest.raises(InputError, match=r"^cannot write .*file/out.*: Not a directory$"):
+            act()
+    (tmp_path / ".lock").mkdir()
+    with pytest.raises(InputError, match=r"^cannot write .*\.lock: Is a directory$"), alone(tmp_path, ".lock"):
+        pass
