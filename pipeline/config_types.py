@@ -29,6 +29,8 @@ from hdsp.terrain.sensor_model import SensingSettings
 from hdsp.terrain.simulation.courses import CourseSettings
 from hdsp.terrain.simulation.lidar import Lidar
 
+from .split_roles import check_roles
+
 #: Prefix of names for shipped abstractions.
 SHIPPED = "shipped"
 METHODS = ("trained", SHIPPED, f"{SHIPPED}-NAME", "manual", "flat")
@@ -345,4 +347,5 @@ class Config:
                 raise fault(f"evaluation.sets.{name}.split", entry.split, f"one of {', '.join(splits)}")
         if not self.arena.tasks:
             raise fault("arena.tasks", (), "at least one task")
+        check_roles(self)
         return self

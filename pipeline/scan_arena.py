@@ -83,6 +83,7 @@ def scan_courses(config: Config, folders: Folders, robot: Robot, lidar) -> dict[
     """Writes the simulated patch set and its picture; returns the number of patches per kind."""
     from hdsp.base.workers import ClusterSettings
     from hdsp.labels.course_patches import PatchRun, simulated_courses, task_set
+    from hdsp.labels.label_robots import ROBOT_HASH
     from hdsp.labels.shards import write_shard
     from hdsp.robot.lattice import heading_angle
     from hdsp.viz import save_courses
@@ -102,7 +103,7 @@ def scan_courses(config: Config, folders: Folders, robot: Robot, lidar) -> dict[
             print(f"course {course.number}: {len(course.patches)} patches", flush=True)
     tasks = task_set(run, courses)
     path = folders.write("data", "simulated", "simulated.h5")
-    write_shard(path, tasks, {"labels_hash": run.hash(), "maps": len(tasks)})
+    write_shard(path, tasks, {"labels_hash": run.hash(), "maps": len(tasks), ROBOT_HASH: robot.hash()})
     starts = [[(p.kind, *p.start[:2], float(heading_angle(p.start[2]))) for p in course.patches] for course in courses]
     save_courses([course.terrain for course in courses], starts, folders.write(*FIGURES, PICTURES[1]))
     kinds, counts = np.unique(tasks.category, return_counts=True)

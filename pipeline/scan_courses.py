@@ -20,6 +20,7 @@ def scan_courses(config: Config, folders: Folders, split: str) -> None:
     from hdsp.base.workers import ClusterSettings
     from hdsp.labels.counts import counts_by_category
     from hdsp.labels.course_patches import simulated_courses, task_set
+    from hdsp.labels.label_robots import ROBOT_HASH
     from hdsp.labels.run.label_store import LabelStore
     from hdsp.labels.shard_index import planned_shards
     from hdsp.labels.shards import shard_bytes
@@ -37,6 +38,7 @@ def scan_courses(config: Config, folders: Folders, split: str) -> None:
             tasks, plan = task_set(run, [course]), missing[course.number]
             attributes: dict[str, str | int | float] = {
                 "labels_hash": digest,
+                ROBOT_HASH: run.robot.hash(),
                 "first_map": course.number,
                 "maps": 1,
             }

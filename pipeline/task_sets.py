@@ -14,23 +14,29 @@ from .stage import Folders
 
 if TYPE_CHECKING:
     from hdsp.labels.shards import TaskSet
+    from hdsp.robot.robot import Robot
 
 #: Written by a stage without data; `reason` explains why.
 ABSENT = "absent.json"
 
 
-def read_set(folder: Place) -> tuple[TaskSet | None, str]:
+def read_set(folder: Place, robot: Robot | None = None) -> tuple[TaskSet | None, str]:
     """Returns the tasks in a shard or a folder with shards (path or URL), or None and the reason for their absence.
+
+    With a robot, labels that record another one are a reason.
 
     Raises:
         InputError: a shard is damaged.
     """
+    from hdsp.labels.label_robots import other_robot
     from hdsp.labels.shards import read_tasks, shard_paths
 
     if not is_url(folder) and (absent := Path(folder) / ABSENT).is_file():
         return None, json.loads(absent.read_text(encoding="utf-8"))["reason"]
     if not shard_paths(folder):
         return None, not_there(folder)
+    if robot is not None and (reason := other_robot(folder, robot)):
+        return None, reason
     tasks = read_tasks(folder)
     return (tasks, "") if len(tasks) else (None, f"{folder} holds no maps: its shards are empty")
 
@@ -56,8 +62,10 @@ def read_evaluation_set(
     """
     if (robot := entry.robot) not in (None, config.robot.name):
         return None, f"its labels are of robot {robot}"
-    if entry.scans is None:
+    if entry.split is not None:
         return read_set(set_place(entry, config, folders))
+    if entry.tasks is not None:
+        return read_set(set_place(entry, config, folders), config.robot)
     from hdsp.labels.scan_sets import NoTasksError, read_scan_folder
 
     try:

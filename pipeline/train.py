@@ -19,7 +19,7 @@ from hdsp.base.storage import Place, is_folder, is_url, open_folder, split_place
 
 from . import served_model, tracking
 from .config import flatten, plain
-from .config_types import Config
+from .config_types import Config, is_place
 from .folders import alone
 from .label_places import shards_place
 from .parts import training_parts
@@ -80,9 +80,14 @@ def train(config: Config, folders: Folders) -> float:
 
 def read_sets(config: Config, folders: Folders) -> tuple[TaskSet | list[Place], dict[str, TaskSet], dict[str, Place]]:
     """Returns the training tasks (or their folders), the sets for validation, and the place of each split and set."""
+    from hdsp.labels.label_robots import other_robot
+
     trainer = config.trainer
     names = (*trainer.splits, *trainer.val_splits)
     splits: dict[str, Place] = {name: shards_place(config, folders.inputs, name) for name in names}
+    for name in filter(is_place, names):  # labels elsewhere; those of this configuration have its robot
+        if reason := other_robot(splits[name], config.robot):
+            raise InputError(f"cannot train: {reason}")
     learnt, deciding = ([splits[name] for name in names] for names in (trainer.splits, trainer.val_splits))
     train_tasks = learnt if trainer.stream else part_of(learnt, trainer)
     if trainer.limits.overfit is not None:

@@ -18,6 +18,7 @@ from hdsp.base.errors import InputError
 from hdsp.base.provenance import ROOT, code_fingerprint
 from hdsp.base.settings import Count, Natural, NotNegative, Share, checked
 from hdsp.detailed.world.world import build_world
+from hdsp.labels.label_robots import ROBOT_HASH
 from hdsp.labels.rules import LabelSettings, MapTasks, label_map
 from hdsp.labels.shards import SCHEMA_VERSION, read_shard, write_shard
 from hdsp.labels.tasks import TaskSet, columns_of
@@ -130,7 +131,7 @@ def label_scan(
     if (kept := _valid(Path(path), labels_hash)) is not None:
         return kept
     tasks = labelled_patches(terrain, robot, patches, settings, about["place"])
-    write_shard(path, tasks, {"labels_hash": labels_hash, **about})
+    write_shard(path, tasks, {"labels_hash": labels_hash, ROBOT_HASH: robot.hash(), **about})
     return tasks
 
 

@@ -5,7 +5,7 @@ All files below the folder are searched:
 - ``*.yaml``: scan descriptions as in conf/scans. A scan's files are taken from ``real/NAME/`` or ``NAME/`` beside the
   description, from the description's own folder, or from their usual places (``hdsp.terrain.scans``). NAME comes from
   the line ``# @package scans.sources.NAME``, or else is the description's file name.
-- shards with labelled tasks (``*.h5``): used unchanged.
+- shards with labelled tasks (``*.h5``): used unchanged, but those that record another robot.
 - height maps (``.npz``, ``.h5``) and point files that no description names: each is a scan; metres, z up.
 
 Maps with other cells than those of the detailed lattice are resampled as for planning (`hdsp.terrain.conditioning`).
@@ -23,6 +23,7 @@ from typing import NamedTuple
 from hdsp.base.errors import InputError
 from hdsp.base.short_repr import short_repr
 from hdsp.base.yaml_files import read_yaml
+from hdsp.labels.label_robots import is_of_other_robot
 from hdsp.labels.rules import LabelSettings
 from hdsp.labels.scan_patches import ScanPatchSettings, label_scan
 from hdsp.labels.shards import is_shard, read_shard
@@ -122,7 +123,7 @@ def read_scan_folder(
         name = path.relative_to(folder).as_posix()
         try:
             is_labelled = path.suffix == ".h5" and is_shard(path)
-            found = read_shard(path).tasks if is_labelled else _detailed(HeightMap.load(path))
+            found = _labelled(path, robot) if is_labelled else _detailed(HeightMap.load(path))
         except InputError as error:  # e.g. a text file about the scans
             skipped[name] = str(error)
             continue
@@ -135,6 +136,14 @@ def read_scan_folder(
         reasons = "; ".join(f"{name}: {reason}" for name, reason in skipped.items())
         raise NoTasksError(f"folder of scans {folder} gave no tasks ({reasons or 'it holds none'})")
     return ScanFolder(TaskSet.concatenate(sets), used, skipped)
+
+
+def _labelled(path: Path, robot: Robot) -> TaskSet:
+    """The tasks in a shard; an InputError if it is damaged or records another robot."""
+    shard = read_shard(path)
+    if is_of_other_robot(shard.attributes, robot):
+        raise InputError(f"its labels are of another robot than {robot.name} as it is now")
+    return shard.tasks
 
 
 def _descriptions(folder: Path) -> Iterator[Described]:

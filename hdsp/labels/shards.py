@@ -30,6 +30,7 @@ __all__ = [
     "index_of",
     "is_shard",
     "read_arrays",
+    "read_attributes",
     "read_shard",
     "read_shards",
     "read_tasks",
@@ -143,8 +144,7 @@ def shard_of(content: bytes, where: str = "") -> Shard:
         optional = [name for name in OPTIONAL_FIELDS if name in file]
         arrays = {name: file[name][()] for name in (*FIELDS, *optional, "category")}
         names = np.array([*file.attrs[_CATEGORY_NAMES], ""], dtype=np.str_)
-        attributes = {name: _plain(value) for name, value in file.attrs.items() if name not in _OWN_ATTRIBUTES}
-        return Shard(TaskSet(**{**arrays, "category": names[arrays["category"]]}), attributes)
+        return Shard(TaskSet(**{**arrays, "category": names[arrays["category"]]}), _attributes(file))
 
 
 def read_arrays(path: Place, names: Collection[str]) -> dict[str, np.ndarray]:
@@ -156,6 +156,17 @@ def read_arrays(path: Place, names: Collection[str]) -> dict[str, np.ndarray]:
     folder, name = split_place(path)
     with _opened(folder.read(name), str(path)) as file:
         return {name: file[name][()] for name in names if name in file or name not in OPTIONAL_FIELDS}
+
+
+def read_attributes(path: Place) -> dict[str, str | int | float]:
+    """Reads the attributes of a shard, without its arrays.
+
+    Raises:
+        InputError: as `read_shard`.
+    """
+    folder, name = split_place(path)
+    with _opened(folder.read(name), str(path)) as file:
+        return _attributes(file)
 
 
 def is_shard(path: str | os.PathLike) -> bool:
@@ -251,6 +262,10 @@ def _opened(content: bytes, where: str) -> Iterator[Any]:
             yield file
     except (OSError, KeyError, IndexError, ValueError, TypeError) as error:
         raise InputError(f"shard {where}: {' '.join(str(error).split())}") from error
+
+
+def _attributes(file: Any) -> dict[str, str | int | float]:
+    return {name: _plain(value) for name, value in file.attrs.items() if name not in _OWN_ATTRIBUTES}
 
 
 def _header(version: int, body: bytes) -> bytes:

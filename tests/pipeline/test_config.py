@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from omegaconf import OmegaConf
 
 from hdsp.base.errors import InputError
 from hdsp.labels.rules import LabelSettings
@@ -136,6 +137,60 @@ def test_wrong_values_are_named_before_a_stage_begins(override, says):
         configure([override])
     assert str(caught.value).startswith(says)
     assert "\n" not in str(caught.value)
+
+
+#: Overrides that put maps in two roles, and what is said of them.
+TWICE = {
+    "evaluation.sets.val.scans=x evaluation.watched=[val]": "evaluation.watched[0] is 'val'; need a set with another",
+    "evaluation.sets.train.scans=x evaluation.watched=[train]": "evaluation.watched[0] is 'train'; need a set with an",
+    "trainer.selection.set=random": "trainer.selection.set is 'random'; need val (trainer.val_splits); sets in evaluat",
+    "trainer.val_splits=[val,train]": "trainer.val_splits[1] is 'train'; need other maps than trainer.splits[0], whi",
+    "trainer.splits=[train,random]": "evaluation.sets.random.split is 'random'; need other maps than trainer.splits[1]",
+    "evaluation.sets.x.split=val": "evaluation.sets.x.split is 'val'; need other maps than trainer.val_splits[0]",
+    "trainer.splits=[/a/b] evaluation.sets.x.tasks=/a/b/../b/c": "evaluation.sets.x.tasks is '/a/b/../b/c'; need other",
+    "evaluation.sets.x.scans=data": "evaluation.sets.x.scans is 'data'; need other maps than trainer.splits[0], which",
+    "trainer.val_splits=[./data/labels/train]": "trainer.val_splits[0] is './data/labels/train'; need other maps than",
+    "labelling.splits.val.seed=1": "labelling.splits.val.seed is 1; need another seed than labelling.splits.train",
+    "trainer.splits=[sensed] labelling.splits.sensed.seed=3": "labelling.splits.random.seed is 3; need another seed",
+    "trainer.splits=[courses] simulation.splits.more={seed:21,courses:2,patches_per_course:3} "
+    "evaluation.sets.x.split=more": "simulation.splits.more.seed is 21; need another seed than simulation.splits.",
+    "simulation.splits.courses.seed=4": "simulation.splits.courses.seed is 4; need another seed than simulation.patche",
+}
+
+
+@pytest.fixture(scope="module")
+def changed():
+    """The configuration with some values replaced, which takes less time than composing it."""
+    base = plain(compose())
+
+    def typed_with(words):
+        values = [word.replace(":", ": ") for word in words.split()]
+        return typed(OmegaConf.merge(OmegaConf.create(base), OmegaConf.from_dotlist(values)))
+
+    return typed_with
+
+
+@pytest.mark.parametrize(("words", "says"), TWICE.items())
+def test_no_map_is_in_two_roles(changed, words, says):
+    with pytest.raises(InputError) as caught:
+        changed(words)
+    assert str(caught.value).startswith(says)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "labelling.splits.sensed.seed=1",  # not used
+        "trainer.splits=[train,sensed] labelling.splits.sensed.seed=1",  # both for training
+        "trainer.splits=[blocked] labelling.splits.blocked.seed=3",  # the other maps of the same seed
+        "labelling.splits.val.seed=1 labelling.splits.val.categories=[kerb]",
+        "trainer.splits=[/a/b,/a/c] trainer.val_splits=[/a/bc] evaluation.sets.x.tasks=/a/d",
+        "trainer.splits=[courses] labelling.splits.random.seed=21",  # other scenes
+    ],
+)
+def test_maps_that_are_apart_may_be_used(changed, words):
+    changed(words)
 
 
 def test_a_fault_in_params_is_named_with_its_line(tmp_path):

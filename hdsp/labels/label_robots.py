@@ -1,0 +1,61 @@
+"""The robot behind labels, as far as shards and indices of labels record it."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from hdsp.base.storage import Place, is_folder
+from hdsp.labels.shard_index import ShardIndex
+from hdsp.labels.shards import index_of, read_attributes, shard_paths
+from hdsp.robot.robot import Robot
+
+#: Attribute of shards with ``Robot.hash()``, where no `labels_inputs` name the robot.
+ROBOT_HASH = "robot_hash"
+
+
+def other_robot(place: Place, robot: Robot) -> str:
+    """Returns why labels do not belong to a robot: the first place with those of another one.
+
+    Args:
+        place: shard, or a folder as for `hdsp.labels.shards.shard_paths`.
+        robot: the robot that the labels have to belong to.
+
+    Returns:
+        Words about the labels; empty if they belong to the robot, or record none.
+
+    Raises:
+        InputError: a shard or an index is damaged.
+    """
+    index = index_of(place) if is_folder(place) else None
+    if index is not None:
+        return _words(place, robot) if _is_other(_of_index(index), robot) else ""
+    for path in shard_paths(place):
+        if is_of_other_robot(read_attributes(path), robot):
+            return _words(path, robot)
+    return ""
+
+
+def is_of_other_robot(attributes: Mapping[str, Any], robot: Robot) -> bool:
+    """Returns whether a shard with these attributes records another robot."""
+    found = attributes.get(ROBOT_HASH)
+    if found is None and isinstance(text := attributes.get("labels_inputs"), str):
+        try:
+            found = json.loads(text).get("robot")
+        except (ValueError, AttributeError):  # written by another program
+            found = None
+    return _is_other(found, robot)
+
+
+def _of_index(index: ShardIndex) -> Any:
+    return index.inputs.get("robot") if isinstance(index.inputs, Mapping) else None
+
+
+def _is_other(found: Any, robot: Robot) -> bool:
+    """Whether a recorded robot, a hash or all of its values, is another one."""
+    if isinstance(found, Mapping):
+        return found.get("name") not in (None, robot.name)
+    return found not in (None, robot.hash())
+
+
+def _words(place: Place, robot: Robot) -> str:
+    return f"the labels in {place} are of another robot than {robot.name} as it is now"

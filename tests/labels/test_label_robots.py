@@ -1,0 +1,71 @@
+"""Labels of another robot are told from those of this one, wherever shards and indices record the robot."""
+
+import json
+
+import pytest
+
+from hdsp.base.errors import InputError
+from hdsp.base.storage import open_folder
+from hdsp.labels.label_robots import is_of_other_robot, other_robot
+from hdsp.labels.rules import LabelSettings
+from hdsp.labels.scan_patches import ScanPatchSettings
+from hdsp.labels.scan_sets import read_scan_folder
+from hdsp.labels.shard_index import write_index
+from hdsp.labels.shards import write_shard
+from hdsp.robot.robot import Robot
+from pipeline.config import configure
+from pipeline.stage import Folders
+from pipeline.task_sets import read_set
+from pipeline.train import read_sets
+from tests.labels.task_sets import random_tasks
+
+
+@pytest.fixture(scope="module")
+def robots():
+    return Robot.load("momaro"), Robot.load("anymal_wheels")
+
+
+def attributes(robot):
+    return {"labels_hash": "x", "labels_inputs": json.dumps({"robot": robot.hash(), "code": "c"})}
+
+
+def test_a_shard_records_its_robot_in_any_of_its_ways(robots):
+    mine, theirs = robots
+    for found in (
+        attributes(theirs), {"robot_hash": theirs.hash()}, {"labels_inputs": json.dumps({"robot": theirs.to_dict()})},
+    ):  # fmt: skip
+        assert is_of_other_robot(found, mine) and not is_of_other_robot(found, theirs)
+    for unknown in ({}, {"labels_inputs": "no JSON"}, {"labels_inputs": "[]"}, {"labels_inputs": "{}"}):
+        assert not is_of_other_robot(unknown, mine)
+
+
+@pytest.mark.parametrize("indexed", [False, True])
+def test_folders_with_labels_of_another_robot_are_named(robots, tmp_path, indexed):
+    mine, theirs = robots
+    for name, robot in (("mine", mine), ("theirs", theirs)):
+        place = tmp_path / name / ("abcdefabcdef/shards/00000" if indexed else "")
+        write_shard(place / "0.h5", random_tasks(2), attributes(mine if name == "theirs" and not indexed else robot))
+        write_shard(place / "1.h5", random_tasks(2), attributes(robot))
+        if indexed:
+            index = open_folder(tmp_path / name / "abcdefabcdef/4-maps")
+            shards = [{"name": f"00000/{number}.h5", "kept": 2} for number in range(2)]
+            index.write("00000.json", json.dumps({"shards": shards}).encode())
+            write_index(index, "abcdefabcdef" + "0" * 52, {"robot": robot.hash()}, 4, 1)
+    assert other_robot(tmp_path / "mine", mine) == ""
+    said = other_robot(tmp_path / "theirs", mine)
+    where = "theirs" if indexed else "theirs/1.h5"
+    assert said == f"the labels in {tmp_path / where} are of another robot than momaro as it is now"
+    assert read_set(tmp_path / "theirs", mine) == (None, said) and len(read_set(tmp_path / "theirs")[0]) == 4
+
+    config = configure([f"trainer.splits=[{tmp_path}/mine]", f"trainer.val_splits=[{tmp_path}/theirs]"])
+    with pytest.raises(InputError, match=f"cannot train: the labels in {tmp_path / where} are of another robot"):
+        read_sets(config, Folders(tmp_path, tmp_path))
+
+
+def test_shards_of_another_robot_in_a_folder_of_scans_are_skipped(robots, tmp_path):
+    mine, theirs = robots
+    write_shard(tmp_path / "scans/a.h5", random_tasks(3), attributes(mine))
+    write_shard(tmp_path / "scans/b.h5", random_tasks(3), attributes(theirs))
+    found = read_scan_folder(tmp_path / "scans", mine, ScanPatchSettings(), LabelSettings(), tmp_path / "work")
+    assert found.used == {"a.h5": 3}
+    assert found.skipped == {"b.h5": "its labels are of another robot than momaro as it is now"}
