@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hdsp.base.errors import InputError
 from hdsp.base.files import made_folder
 
 from .config_types import Config
 from .stage import Folders, run_stage, write_json
-from .task_sets import ABSENT
+from .task_sets import ABSENT, remove_results
 
 
 def import_scans(config: Config, folders: Folders) -> None:
@@ -22,7 +25,8 @@ def import_scans(config: Config, folders: Folders) -> None:
     rules, patches, scans = config.labelling.settings, config.scans.patches, list(config.scans.sources.values())
 
     folder = made_folder(folders.write("data", "real"))
-    _remove_others(folder, {f"{scan.name}.h5" for scan in scans})
+    ours = _own_shards(folder)
+    remove_results(folder, *ours - {f"{scan.name}.h5" for scan in scans})
     maps = made_folder(folders.write("data", "real_maps"))
     report: dict[str, Any] = {"scans": {}, "missing": {}}
     pictures = []
@@ -31,7 +35,7 @@ def import_scans(config: Config, folders: Folders) -> None:
         if not paths:
             print(f"skipped: {reason}")
             report["missing"][scan.name] = reason
-            (folder / f"{scan.name}.h5").unlink(missing_ok=True)
+            remove_results(folder, *ours & {f"{scan.name}.h5"})
             continue
         terrain = build_map(scan, paths)
         terrain.save(maps / f"{scan.name}.npz")
@@ -43,7 +47,7 @@ def import_scans(config: Config, folders: Folders) -> None:
             ScanPicture(scan.name, scan.place, scan.licence, terrain, draw_starts(terrain, robot, patches), tasks)
         )
         print(f"{scan.place} ({scan.name}): {len(tasks)} patches, {tasks.feasible.sum()} feasible tasks")
-    if not pictures:
+    if not pictures and not any(folder.glob("*.h5")):
         write_json(folder / ABSENT, {"reason": "; ".join(report["missing"].values())})
     places = {scan["place"]: 0 for scan in report["scans"].values()}
     for scan in report["scans"].values():
@@ -54,11 +58,16 @@ def import_scans(config: Config, folders: Folders) -> None:
     print(f"{report['patches']} patches from {len(places)} places")
 
 
-def _remove_others(folder, names: set[str]) -> None:
-    """Removes shards for scans no longer listed, and the note from a run without any."""
-    for path in folder.iterdir():
-        if path.name not in names:
-            path.unlink()
+def _own_shards(folder: Path) -> set[str]:
+    """Names of the shards in a folder that this stage wrote; a user may have added others."""
+    from hdsp.labels.shards import read_shard
+
+    names = set()
+    for path in folder.glob("*.h5"):
+        with suppress(InputError):  # no shard, or a damaged one, which a scan of this name replaces
+            if read_shard(path).attributes.get("scan") == path.stem:
+                names.add(path.name)
+    return names
 
 
 def _figures(terrain, tasks) -> dict[str, Any]:

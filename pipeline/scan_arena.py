@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from hdsp.robot.robot import Robot
 
 from .config_types import Config
 from .stage import Folders, run_stage, write_json
-from .task_sets import ABSENT
+from .task_sets import ABSENT, remove_results
 
 if TYPE_CHECKING:
     from hdsp.detailed.world.world import World
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
 
 FIGURES = "reports", "figures"
 PICTURES = "arena.png", "simulated_courses.png"
+PATCHES, MAPS = "simulated.h5", ("scanned.npz", "true.npz")
 
 
 def scan_arena(config: Config, folders: Folders) -> None:
@@ -27,8 +27,8 @@ def scan_arena(config: Config, folders: Folders) -> None:
     from hdsp.viz import save_note
 
     simulated, arena = folders.write("data", "simulated"), folders.write("data", "arena")
-    for folder in (simulated, arena):
-        shutil.rmtree(folder, ignore_errors=True)
+    remove_results(simulated, PATCHES)
+    remove_results(arena, *MAPS)
     available, reason = is_available()
     if not available:
         print(f"skipped: {reason}")
@@ -61,8 +61,8 @@ def scan_paper_arena(config: Config, folders: Folders, robot: Robot, lidar) -> d
     tasks = {task.name: (task.start, task.goal) for task in section.tasks}
     start = next(iter(tasks.values()))[0]
     scanned, true = scanned_map(arena, start, lidar, config.simulation.seed), arena.height_map()
-    scanned.save(folders.write("data", "arena", "scanned.npz"))
-    true.save(folders.write("data", "arena", "true.npz"))
+    for terrain, name in zip((scanned, true), MAPS, strict=True):
+        terrain.save(folders.write("data", "arena", name))
     world, grid = build_world(scanned, robot), Grid(scanned.origin, scanned.shape)
     ends = {name: {"start": stands(world, grid, a), "goal": stands(world, grid, b)} for name, (a, b) in tasks.items()}
     save_arena(_picture(arena), scanned, true, tasks, folders.write(*FIGURES, PICTURES[0]))
@@ -102,7 +102,7 @@ def scan_courses(config: Config, folders: Folders, robot: Robot, lidar) -> dict[
         if config.runtime.progress:
             print(f"course {course.number}: {len(course.patches)} patches", flush=True)
     tasks = task_set(run, courses)
-    path = folders.write("data", "simulated", "simulated.h5")
+    path = folders.write("data", "simulated", PATCHES)
     write_shard(path, tasks, {"labels_hash": run.hash(), "maps": len(tasks), ROBOT_HASH: robot.hash()})
     starts = [[(p.kind, *p.start[:2], float(heading_angle(p.start[2]))) for p in course.patches] for course in courses]
     save_courses([course.terrain for course in courses], starts, folders.write(*FIGURES, PICTURES[1]))

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hdsp.base.files import made_folder
 from hdsp.base.storage import Place, is_url
 
 from .config_types import Config, EvaluationSet
@@ -18,6 +19,17 @@ if TYPE_CHECKING:
 
 #: Written by a stage without data; `reason` explains why.
 ABSENT = "absent.json"
+
+
+def remove_results(folder: Path, *names: str) -> None:
+    """Removes the results of a stage's earlier run from a folder, its note included; all other files stay.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    for path in (made_folder(folder) / name for name in (*names, ABSENT)):
+        if not path.is_dir():
+            path.unlink(missing_ok=True)
 
 
 def read_set(folder: Place, robot: Robot | None = None) -> tuple[TaskSet | None, str]:

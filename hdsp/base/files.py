@@ -19,8 +19,8 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """Yields a temporary path beside ``path``, which replaces ``path`` after a successful block.
 
     A missing folder is created. If the process dies in between, ``path`` stays unchanged, and the next write of the
-    file removes the temporary one. Contents and name are on the
-    disk at the end of the block, also after a loss of power.
+    file removes the temporary one. Contents and name are on the disk at the end of the block, also after a loss of
+    power. A link in place of the file is replaced; its target stays, for example in a cache.
 
     Raises:
         InputError: the folder cannot be created or written to, or the disk is full.
@@ -43,14 +43,17 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
 
 
 def replace_folder(folder: Path, files: Mapping[str, bytes]) -> Path:
-    """Writes a folder with these files, by name, in place of an existing one.
+    """Writes a folder with these files, by name, in place of an existing one; behind a link, in place of its target.
 
     If the process dies in between, the former folder stays as it was, or, between two renamings, beside its place under
     a name with a leading dot; the next write removes that.
 
     Raises:
-        InputError: the folder cannot be written, or the disk is full.
+        InputError: the folder cannot be written, the disk is full, or the working folder lies in it.
     """
+    given, folder = folder, Path(os.path.realpath(folder))
+    if _has_working_folder(folder):
+        raise InputError(f"cannot write {given}: the working folder lies in it, and would be lost; name another folder")
     work, former = _temporary(folder), _temporary(folder)
     try:
         work.mkdir(parents=True)
@@ -65,13 +68,20 @@ def replace_folder(folder: Path, files: Mapping[str, bytes]) -> Path:
     except OSError as error:
         if os.path.exists(former) and not os.path.exists(folder):
             former.rename(folder)
-        raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
+        raise InputError(f"cannot write {given}: {error.strerror or error}") from error
     finally:
         shutil.rmtree(work, ignore_errors=True)
         if os.path.exists(folder):
             shutil.rmtree(former, ignore_errors=True)
             _remove_leftovers(folder)
-    return folder
+    return given
+
+
+def _has_working_folder(folder: Path) -> bool:
+    try:
+        return Path.cwd().is_relative_to(folder)
+    except OSError:  # it was removed
+        return False
 
 
 def _temporary(path: Path) -> Path:

@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+import os
 import tempfile
 from collections.abc import Iterator, Mapping
 from copy import copy
@@ -15,13 +16,15 @@ from scipy.special import expit
 
 from hdsp.base.errors import InputError
 from hdsp.learning.calibration import MINIMUM_COST, Calibration, calibration_figures, fit_calibration
-from hdsp.learning.hub_card import CARD, PICTURE, HubCard, picture_of
+from hdsp.learning.hub_card import HubCard, picture_of
 from hdsp.learning.inference.footprint_engine import FootprintEngine, KeptPlace, engine_options
 from hdsp.learning.judgements import Judgements
 from hdsp.learning.learning_settings import HardwareSettings, ModelSettings
 from hdsp.learning.saved_abstraction import (
+    CARD,
     CONFIG,
     FORMAT_VERSION,
+    PICTURE,
     WEIGHTS,
     Precision,
     Provenance,
@@ -292,7 +295,7 @@ class LearnedAbstraction:
             picture: whether to draw judged patches, if the package for pictures is installed.
 
         Raises:
-            InputError: the folder cannot be written, or holds something other than an abstraction.
+            InputError: the folder cannot be written, or holds other files than those of an abstraction.
         """
         if precision not in ("float32", "float16"):
             raise InputError(f"precision {precision!r}: allowed are float32, float16")
@@ -311,7 +314,7 @@ class LearnedAbstraction:
         }
         drawn = picture_of(self.predict) if picture else None
         files = {WEIGHTS: weights, CONFIG: config_text(config).encode()}
-        card = HubCard(Path(folder).name, self.model.architecture, self.provenance, self.metrics)
+        card = HubCard(Path(os.path.abspath(folder)).name, self.model.architecture, self.provenance, self.metrics)
         files[CARD] = card.markdown(text, drawn is not None).encode()
         return write_saved(Path(folder), files | ({PICTURE: drawn} if drawn else {}))
 

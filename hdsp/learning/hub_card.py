@@ -10,16 +10,15 @@ import numpy as np
 import yaml
 
 from hdsp.base.notebook import png_of
+from hdsp.learning.saved_abstraction import PICTURE, Provenance
 from hdsp.robot.lattice import robot_frame_goals
 
 if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
-    from hdsp.learning.saved_abstraction import Provenance
 
 #: (patches, goals) -> feasibility, costs
 Predict = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
-CARD, PICTURE = "README.md", "judged_patches.png"
 #: Kinds of random maps, and maps of each, among which the picture shows those with goals of both judgements.
 _KINDS, _OF_EACH = ("cuboid_1", "staircase", "wall_1", "mixed_2"), 3
 

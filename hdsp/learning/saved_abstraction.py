@@ -29,6 +29,7 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import COST_MODEL_VERSION
 
 CONFIG, WEIGHTS = "config.json", "model.safetensors"
+CARD, PICTURE = "README.md", "judged_patches.png"
 FORMAT_VERSION = 1
 _CHECKSUM = "config_sha256"
 #: Earlier cost models whose abstractions still load; version 3 knows no slopes.
@@ -106,7 +107,7 @@ def write_saved(folder: Path, files: Mapping[str, bytes]) -> Path:
     """Writes a folder with these files, by name; an abstraction in it is replaced as a whole.
 
     Raises:
-        InputError: the folder cannot be written, or holds something other than an abstraction.
+        InputError: the folder cannot be written, or holds other files than those of an abstraction.
     """
     try:
         holds = os.listdir(folder)
@@ -114,8 +115,10 @@ def write_saved(folder: Path, files: Mapping[str, bytes]) -> Path:
         holds = []
     except OSError as error:
         raise InputError(f"cannot write {folder}: {error.strerror}") from error
-    if holds and CONFIG not in holds:
-        raise InputError(f"{folder}: holds other files than a pretrained abstraction; it is not replaced")
+    others = sorted({*holds} - {*files, CONFIG, WEIGHTS, CARD, PICTURE})
+    if others or (holds and CONFIG not in holds):
+        named = f" ({shown(others)})" if others else ""
+        raise InputError(f"{folder}: holds other files than a pretrained abstraction{named}; it is not replaced")
     return replace_folder(folder, files)
 
 

@@ -2,6 +2,7 @@ import errno
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -58,6 +59,25 @@ def test_names_that_the_system_refuses_are_told_in_one_line(tmp_path, monkeypatc
     monkeypatch.setattr(files.os, "stat", refusing)
     with pytest.raises(InputError, match=r"^robot closed/a\.yaml: Permission denied$"):
         existing_file("closed/a.yaml", "robot")
+
+
+def test_a_folder_behind_a_link_is_replaced_and_the_link_stays(tmp_path):
+    disk, link = tmp_path / "disk/model", tmp_path / "model"
+    link.symlink_to(disk)
+    for content in (b"first", b"second"):  # the first one makes the folder to which the link leads
+        assert replace_folder(link, {"a": content}) == link
+        assert link.is_symlink() and (disk / "a").read_bytes() == content
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a", "disk", "model", "model"]
+
+
+def test_the_working_folder_is_not_taken_away(tmp_path, monkeypatch):
+    (tmp_path / "here/below").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "here/below")
+    for place in (".", "..", tmp_path / "here", "/"):
+        with pytest.raises(InputError, match=r"^cannot write .*: the working folder lies in it"):
+            replace_folder(Path(place), {"a": b""})
+    assert replace_folder(Path("../other"), {"a": b"b"}) == Path("../other")
+    assert (tmp_path / "here/other/a").read_bytes() == b"b"
 
 
 def refusing(*_, **__):

@@ -110,6 +110,16 @@ def test_saving_again_replaces_the_whole_folder(abstraction, saved):
     assert [path.name for path in saved.parent.iterdir()] == ["model"]
 
 
+def test_other_files_beside_an_abstraction_are_not_lost(abstraction, saved):
+    (saved / "README.md").write_text("older")
+    abstraction.save_pretrained(saved, picture=False)
+    (saved / ".git").mkdir()
+    (saved / "notes.txt").touch()
+    with pytest.raises(InputError, match=r"other files than a pretrained abstraction \(\['.git', 'notes.txt'\]\)"):
+        abstraction.save_pretrained(saved, picture=False)
+    assert (saved / "notes.txt").exists()
+
+
 def test_a_folder_with_other_files_is_not_replaced(abstraction, tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(InputError, match="not replaced"):

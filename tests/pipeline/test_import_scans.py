@@ -7,8 +7,14 @@ import numpy as np
 import pytest
 import yaml
 
+from hdsp.labels.shards import write_shard
 from hdsp.terrain.height_map import HeightMap
+from pipeline.config import configure
+from pipeline.import_scans import import_scans as stage
+from pipeline.published import published
+from pipeline.stage import Folders
 from pipeline.task_sets import read_set
+from tests.labels.task_sets import random_tasks
 from tests.pipeline.conftest import ROOT, run_python
 from tests.terrain.pointcloud.clouds import box, rectangle
 
@@ -26,6 +32,24 @@ def import_scans(folder, sources):
         overrides.append(f"+scans.sources.{name}={text}")
     where = [f"runtime.data_dir={folder}", f"runtime.outputs={folder}"]
     return run_python("pipeline.import_scans", "profile=tiny", "scans.patches.count=2", *where, *overrides).stdout
+
+
+def test_shards_and_files_that_no_stage_wrote_stay(tmp_path, monkeypatch):
+    config, folders = configure([f"~scans.sources.{name}" for name in REAL]), Folders(tmp_path, tmp_path)
+    real = tmp_path / "data/real"
+    for name, about in {"mine": {}, "gone": {"scan": "gone"}, "copy": {"scan": "gone"}}.items():
+        write_shard(real / f"{name}.h5", random_tasks(1), {"labels_hash": "0", **about})
+    (real / "notes.txt").touch()
+    (real / "folder.h5").mkdir()
+    stage(config, folders)
+    assert sorted(path.name for path in real.iterdir()) == ["copy.h5", "folder.h5", "mine.h5", "notes.txt"]
+    assert len(read_set(real)[0]) == 2
+
+    monkeypatch.setattr("hdsp.labels.published_tasks.find_published", lambda _: (None, "not there"))
+    for name in ("published.h5", "mine.h5"):
+        write_shard(tmp_path / "data/published" / name, random_tasks(1), {"labels_hash": "0"})
+    published(config, folders)
+    assert sorted(path.name for path in (tmp_path / "data/published").iterdir()) == ["absent.json", "mine.h5"]
 
 
 def missing(name):

@@ -65,7 +65,11 @@ def test_an_unknown_split_of_courses_is_named(tmp_path):
 
 def test_without_mujoco_the_stage_says_so_and_later_stages_go_without(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
+    for name in ("scanned.npz", "notes.txt"):
+        (tmp_path / "data/arena").mkdir(parents=True, exist_ok=True)
+        (tmp_path / "data/arena" / name).touch()
     scan_arena(configure(["profile=tiny"]), Folders(tmp_path, tmp_path))
+    assert sorted(path.name for path in (tmp_path / "data/arena").iterdir()) == ["absent.json", "notes.txt"]
     tasks, reason = read_set(tmp_path / "data/simulated")
     assert tasks is None and "pip install 'hdsp[simulation]'" in reason
     assert not json.loads((tmp_path / "reports/arena.json").read_text())["available"]
