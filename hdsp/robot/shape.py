@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from hdsp.base.settings import NotNegative, checked, fault, unit
 from hdsp.robot.lattice import metres, offset_steps
-from hdsp.robot.quantities import Metres, NotNegativeMetres, NotNegativeRadians, PositiveMetres
+from hdsp.robot.quantities import Lean, Metres, NotNegativeMetres, PositiveMetres
 
 OFFSETS = 32  # lattice steps; the number of foot offsets in a state code
 
@@ -132,8 +132,8 @@ class Stance:
     """
 
     base_height: NotNegativeMetres
-    max_roll: NotNegativeRadians
-    max_pitch: NotNegativeRadians
+    max_roll: Lean
+    max_pitch: Lean
     reach_x: NotNegativeMetres
     reach_y: NotNegativeMetres
     mass_x: Metres

@@ -201,5 +201,17 @@ def test_boxes_must_be_a_list_of_boxes():
     assert_refused(changed("body.boxes", [{"above": 1.0}]), "robot.body.boxes[0]", "missing")
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "need"),
+    [
+        ("slope.max_pitch", 1e-9, "at least 0.001"), ("slope.max_roll", 0.0, "at least 0.001"),
+        ("slope.max_roll", 1.6, "less than 1.5708"), ("stance.max_roll", 20.0, "less than 1.5708"),
+        ("stance.max_pitch", 17.0, "less than 1.5708"),
+    ],
+)  # fmt: skip
+def test_inclinations_are_angles_that_a_map_can_show(key, value, need):
+    assert_refused(changed(key, value), f"robot.{key} is {value:g}", need)
+
+
 def test_a_body_without_boxes_is_refused():
     assert_refused(changed("body.boxes", []), "robot.body.boxes is []", "at least 1")
