@@ -14,7 +14,7 @@ from hdsp.base.ending import Ended, ended_by
 from hdsp.base.errors import InputError
 from hdsp.base.messages import one_line
 
-from .config import CONFIG_NAME, Source
+from .config import CONFIG_NAME, Source, with_open_keys
 
 #: This package's name: `pipeline` in a checkout, `hdsp_pipeline` where it is installed.
 PACKAGE = Path(__file__).resolve().parent.name if __package__ in (None, "") else __package__
@@ -153,7 +153,7 @@ def run_hydra(job, name: str, line: CommandLine, flags: Sequence[str] = ()) -> N
     import hydra
 
     folder, more = line.source.primary()
-    argv, sys.argv = sys.argv, [f"{name}.py", *flags, *more, *line.overrides]
+    argv, sys.argv = sys.argv, [f"{name}.py", *flags, *more, *with_open_keys(line.overrides)]
     try:
         hydra.main(version_base=None, config_path=str(folder), config_name=line.source.name)(job)()
     finally:

@@ -80,7 +80,7 @@ def compose(overrides: Sequence[str] = (), source: Source | None = None, hydra: 
     GlobalHydra.instance().clear()
     source = source or Source()
     folder, more = source.primary()
-    overrides = [f"++{override}" if override.startswith(OPEN) else override for override in overrides]
+    overrides = with_open_keys(overrides)
     try:
         with initialize_config_dir(str(folder), version_base=None):
             config = hydra_compose(source.name, overrides=[*more, *overrides], return_hydra_config=hydra)
@@ -89,6 +89,11 @@ def compose(overrides: Sequence[str] = (), source: Source | None = None, hydra: 
     except Exception as error:  # Hydra and OmegaConf raise exceptions of many kinds at unusual overrides
         raise InputError(_one_line(error, overrides)) from error
     return config
+
+
+def with_open_keys(overrides: Sequence[str]) -> list[str]:
+    """Returns overrides as Hydra needs them to add entries to the mappings in `OPEN`."""
+    return [f"++{override}" if override.startswith(OPEN) else override for override in overrides]
 
 
 def configure(overrides: Sequence[str] = (), source: Source | None = None) -> Config:

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from hdsp.abstract.manual import ManualSettings
 from hdsp.abstract.oracle import LabelSettings
 from hdsp.base.extensions import HEURISTICS, extension_place
-from hdsp.base.settings import Count, Name, Natural, NotNegative, Positive, checked, chosen_by, fault
+from hdsp.base.settings import DISTINCT, Count, Name, Natural, NotNegative, Positive, checked, chosen_by, fault
 from hdsp.base.workers import MemorySize, Scheduler, SlurmOptions
 from hdsp.labels.course_patches import CoursePatchSettings
 from hdsp.labels.run.splits import Category, SplitSettings
@@ -91,7 +91,7 @@ class Labelling:
     """
 
     settings: LabelSettings
-    used: tuple[Name, ...]
+    used: Annotated[tuple[Name, ...], DISTINCT]
     splits: dict[str, SplitSettings]
     mixed: tuple[Category, ...]
     rich: tuple[Category, ...]
@@ -161,8 +161,8 @@ class Evaluation:
 
     model: Name
     sets: Annotated[dict[str, EvaluationSet], Field(min_length=1)]
-    watched: tuple[Name, ...]
-    methods: Annotated[tuple[Method, ...], Field(min_length=1)]
+    watched: Annotated[tuple[Name, ...], DISTINCT]
+    methods: Annotated[tuple[Method, ...], Field(min_length=1), DISTINCT]
     examples: Count
     edges_threshold: Annotated[float, Field(gt=0, lt=1)]
 
@@ -190,7 +190,7 @@ class Simulation:
     lidar: Lidar
     seed: Natural
     patches: CoursePatchSettings
-    used: tuple[Name, ...]
+    used: Annotated[tuple[Name, ...], DISTINCT]
     splits: dict[str, CoursePatchSettings]
     courses: CourseSettings
 
@@ -226,7 +226,7 @@ class RandomTaskSettings:
         hard: a task is hard if the first heuristic needs as many expansions.
     """
 
-    heuristics: Annotated[tuple[Heuristic, ...], Field(min_length=1)]
+    heuristics: Annotated[tuple[Heuristic, ...], Field(min_length=1), DISTINCT]
     weight: Weight
     seed: Natural
     arenas: Count
@@ -250,8 +250,8 @@ class PlannerSettings:
         random: random tasks beside those of the arena.
     """
 
-    heuristics: Annotated[tuple[Heuristic, ...], Field(min_length=1)]
-    weights: Annotated[tuple[Weight, ...], Field(min_length=1)]
+    heuristics: Annotated[tuple[Heuristic, ...], Field(min_length=1), DISTINCT]
+    weights: Annotated[tuple[Weight, ...], Field(min_length=1), DISTINCT]
     margin: NotNegative
     limits: PlanLimits
     repeats: Count

@@ -37,7 +37,9 @@ def checked_choices(line: CommandLine) -> set[str]:
     words = [*configured_choices(line.overrides, line.source), *line.overrides]
     for variant in expand_choices(words):
         configure(variant, line.source)
-    return {override.get_key_element() for override in parse_overrides(words) if override.is_sweep_override()}
+    return {
+        override.get_key_element().lstrip("+") for override in parse_overrides(words) if override.is_sweep_override()
+    }
 
 
 def sweep(stage: Callable[..., Any], name: str, line: CommandLine, varied: Collection[str]) -> None:
@@ -85,7 +87,7 @@ class SweptRun:
 
         here = HydraConfig.get()
         overrides = tuple(here.overrides.task)
-        varied = tuple(word for word in overrides if word.partition("=")[0] in self.varied)
+        varied = tuple(word for word in overrides if word.partition("=")[0].lstrip("+") in self.varied)
         words = f"run {here.job.num} ({' '.join(varied)})"
         record = Path(self.records, f"{here.job.num}.json")
         write_json(record, {"run": words, "fault": "its process ended before the run did"})

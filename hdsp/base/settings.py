@@ -64,6 +64,17 @@ def unit(name: str) -> Any:
     return Field(json_schema_extra={"unit": name})
 
 
+def _distinct(values: tuple) -> tuple:
+    for place, value in enumerate(values):
+        if value in values[:place]:
+            raise fault(f"[{place}]", value, "each value once")
+    return values
+
+
+#: Annotation for a tuple field in which no value may be there twice.
+DISTINCT = AfterValidator(_distinct)
+
+
 def one_of(names: Sequence[str]) -> AfterValidator:
     """Annotation for a text field with these allowed names."""
 

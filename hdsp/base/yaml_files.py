@@ -3,7 +3,7 @@
 import json
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import yaml
@@ -15,6 +15,8 @@ from hdsp.base.messages import one_line, shown
 Path = Sequence[str | int]
 
 TOO_DEEP = "nested too deeply, or a part of itself"
+#: Largest number of values that aliases add to those in the text.
+MOST_COPIES = 100_000
 
 
 class Document(NamedTuple):
@@ -65,7 +67,8 @@ def read_yaml(path: str | os.PathLike, what: str) -> Document:
 def parse_yaml(text: str, name: str) -> Document:
     """Parses the mapping in a YAML text.
 
-    A key may appear only once in a mapping; numbers like ``1e-3`` are numbers.
+    A key may appear only once in a mapping; numbers like ``1e-3`` are numbers. Aliases may stand for `MOST_COPIES`
+    values, because readers copy them.
 
     Args:
         text: file text.
@@ -78,6 +81,8 @@ def parse_yaml(text: str, name: str) -> Document:
     try:
         loader = _Loader(text)
         root = loader.get_single_node()
+        if root is not None:
+            _check_copies(root)
         values = None if root is None else loader.construct_document(root)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -96,6 +101,35 @@ def parse_yaml(text: str, name: str) -> Document:
     if not isinstance(values, dict):
         raise InputError(f"{name}, line {root.start_mark.line + 1}: need a mapping, got {shown(values)}")
     return Document(values, name, text, root)
+
+
+def _check_copies(root: yaml.Node) -> None:
+    """Refuses a document that some lines of aliases of aliases make too large; a text without aliases has any size."""
+    sizes: dict[int, int] = {}
+    for node in _innermost_first(root):
+        parts = _parts(node)
+        sizes[id(node)] = 1 + sum(sizes.get(id(part), 0) for part in parts)  # 0: a mapping or list around itself
+        if sizes[id(node)] > len(sizes) + MOST_COPIES:
+            problem = f"aliases stand for more than {MOST_COPIES:,} values"
+            raise yaml.composer.ComposerError(None, None, problem, node.start_mark)
+
+
+def _innermost_first(root: yaml.Node) -> Iterator[yaml.Node]:
+    """Each node once, after those in it."""
+    waiting, seen = [(root, False)], set()
+    while waiting:
+        node, is_done = waiting.pop()
+        if is_done:
+            yield node
+        elif id(node) not in seen:
+            seen.add(id(node))
+            waiting += [(node, True), *((part, False) for part in _parts(node))]
+
+
+def _parts(node: yaml.Node) -> list[yaml.Node]:
+    if isinstance(node, yaml.MappingNode):
+        return [part for pair in node.value for part in pair]
+    return node.value if isinstance(node, yaml.SequenceNode) else []
 
 
 def read_json(path: str | os.PathLike, what: str) -> Any:

@@ -167,6 +167,20 @@ def test_texts_that_hold_no_mapping_are_named_with_their_line(text, says):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("pattern", ["[{}]", "{{<<: [{}]}}"])
+def test_some_lines_of_aliases_that_stand_for_millions_of_values_are_refused(pattern):
+    lines = [f"a{k}: &a{k} {pattern.format(', '.join([f'*a{k - 1}'] * 9))}" for k in range(1, 10)]
+    with pytest.raises(InputError, match=r"^f\.yaml, line 6: not YAML: aliases stand for more than 100,000 values$"):
+        parse_yaml("\n".join(["a0: &a0 {x: 1}", *lines]), "f.yaml")
+
+
+def test_aliases_within_the_limit_and_texts_of_any_size_are_read(monkeypatch):
+    monkeypatch.setattr("hdsp.base.yaml_files.MOST_COPIES", 2000)
+    lists = "".join(f"l{k}: [{', '.join('x' * 99)}]\n" for k in range(40))  # 4000 values
+    values = parse_yaml(f"base: &base [1, 2]\nall: [{', '.join(['*base'] * 500)}]\n{lists}", "f").values
+    assert len(values["all"]) == 500 and values["all"][-1] == [1, 2] and len(values) == 42
+
+
 def test_a_key_of_a_merged_mapping_is_no_duplicate():
     text = "base: &base {x: 1, y: 1}\na: {b: &more {<<: *base, x: 2}}\nc: {<<: *more, y: 3}\nd: {<<: *base, x: 4}\n"
     values = parse_yaml(text, "f").values

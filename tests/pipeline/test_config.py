@@ -263,3 +263,19 @@ def test_what_a_profile_trains_on_has_a_stage(profile):
     assert {*config.trainer.splits, *config.trainer.val_splits} <= made
     assert set(config.labelling.used) <= set(config.labelling.splits)
     assert set(config.simulation.used) <= set(config.simulation.splits)
+
+
+@pytest.mark.parametrize(
+    ("word", "says"),
+    [
+        (
+            "labelling.splits.val.categories=[wall_1,kerb,wall_1]",
+            r"categories\[2\] is 'wall_1'; need each value once",
+        ),
+        ("evaluation.methods=[manual,manual]", r"evaluation\.methods\[1\] is 'manual'; need each value once"),
+        ("planner.weights=[1.0,2.0,1.0]", r"planner\.weights\[2\] is 1\.0; need each value once"),
+    ],
+)
+def test_values_that_are_there_twice_are_named(word, says):
+    with pytest.raises(InputError, match=says):
+        configure([f"++{word}"])

@@ -3,7 +3,7 @@
 import pytest
 
 from hdsp.base.errors import InputError
-from pipeline.command_line import parse
+from pipeline.command_line import parse, show
 from pipeline.config import Source
 from pipeline.stage import read_json, write_json
 from pipeline.sweeps import checked_choices, sweep
@@ -64,6 +64,15 @@ def test_a_run_that_ends_its_process_is_named(tmp_path):
     line = parse(["trainer.seed=5", "-m", f"hydra.sweep.dir={tmp_path}"], "train")
     with pytest.raises(InputError, match=r"run 0 .*: its process ended before the run did"):
         sweep(end, "train", line, checked_choices(line))
+
+
+def test_sets_without_a_plus_are_added_in_sweeps_and_shown_configurations_too(tmp_path, capsys):
+    swept(tmp_path, "evaluation.sets.mine.tasks=x,y", "trainer.seed=4")
+    assert read_json(tmp_path / "1/report.json") == {"title": "tasks=y", "seed": 4}
+    capsys.readouterr()
+    words = ["evaluation.sets.mine.tasks=x", "--cfg", "job", "--package", "evaluation.sets.mine"]
+    show("train", (), parse(words, "train"))
+    assert "tasks: x" in capsys.readouterr().out
 
 
 def test_words_of_a_command_are_told_apart(tmp_path):

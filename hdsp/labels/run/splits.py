@@ -18,7 +18,7 @@ from pydantic import AfterValidator, Field
 from hdsp.base.extensions import TERRAIN, extension_place
 from hdsp.base.messages import did_you_mean
 from hdsp.base.provenance import ROOT, code_fingerprint
-from hdsp.base.settings import Count, Natural, checked, fault
+from hdsp.base.settings import DISTINCT, Count, Natural, checked, fault
 from hdsp.labels.shard_index import ShardPlan, planned_shards
 from hdsp.labels.shards import SCHEMA_VERSION
 from hdsp.labels.tasks import TaskSet, columns_of
@@ -70,13 +70,13 @@ class SplitSettings:
             other maps are infeasible; a network trained without them gives arbitrary predictions there.
 
     Raises:
-        InputError: if a number is out of range, or a category is unknown.
+        InputError: if a number is out of range, or a category is unknown or there twice.
     """
 
     seed: Natural
     maps_per_category: Count
     heading_residues: Annotated[tuple[AbstractHeading, ...], Field(min_length=1)] = (0,)
-    categories: Annotated[tuple[Category, ...], Field(min_length=1)] = CATEGORIES
+    categories: Annotated[tuple[Category, ...], Field(min_length=1), DISTINCT] = CATEGORIES
     maps_per_shard: Count = 90
     sensing: bool = False
     standable: bool = True
