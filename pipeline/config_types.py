@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from hdsp.abstract.manual import ManualSettings
 from hdsp.abstract.oracle import LabelSettings
 from hdsp.base.extensions import HEURISTICS, extension_place
-from hdsp.base.settings import DISTINCT, Count, Name, Natural, NotNegative, Positive, checked, chosen_by, fault
+from hdsp.base.settings import DISTINCT, Count, Name, NotNegative, Positive, Seed, checked, chosen_by, fault
 from hdsp.base.workers import MemorySize, Scheduler, SlurmOptions
 from hdsp.labels.course_patches import CoursePatchSettings
 from hdsp.labels.run.splits import Category, SplitSettings
@@ -188,7 +188,7 @@ class Simulation:
 
     arena: ArenaDescription
     lidar: Lidar
-    seed: Natural
+    seed: Seed
     patches: CoursePatchSettings
     used: Annotated[tuple[Name, ...], DISTINCT]
     splits: dict[str, CoursePatchSettings]
@@ -228,7 +228,7 @@ class RandomTaskSettings:
 
     heuristics: Annotated[tuple[Heuristic, ...], Field(min_length=1), DISTINCT]
     weight: Weight
-    seed: Natural
+    seed: Seed
     arenas: Count
     size: Positive
     tasks: Count
@@ -311,7 +311,7 @@ class SearchSettings:
     jobs: Count
     metric: Name
     direction: Literal["minimize", "maximize"]
-    seed: Natural
+    seed: Seed
     storage: Name | None
 
 

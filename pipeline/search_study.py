@@ -55,8 +55,9 @@ def open_study(config: Config) -> Study:
             direction=settings.direction,
             load_if_exists=True,
         )
-        # A continued search draws other values than the first call.
-        study.sampler = optuna.samplers.TPESampler(seed=settings.seed + len(study.get_trials(deepcopy=False)))
+        # A continued search draws other values than the first call. The sampler takes seeds of 32 bits.
+        seed = (settings.seed + len(study.get_trials(deepcopy=False))) % 2**32
+        study.sampler = optuna.samplers.TPESampler(seed=seed)
         for trial in study.get_trials(states=(optuna.trial.TrialState.RUNNING,)):
             if has_ended(trial.user_attrs.get(PROCESS, "")):
                 study.tell(trial.number, state=optuna.trial.TrialState.FAIL)

@@ -32,8 +32,10 @@ NotNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 #: Number of items, at least one.
 Count = Annotated[int, Field(ge=1)]
-#: Number of items, zero included; a seed.
+#: Number of items, zero included.
 Natural = Annotated[int, Field(ge=0)]
+#: Seed, which also fits in an array of integers.
+Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]
 #: Non-empty text.
 Name = Annotated[str, Field(min_length=1)]
 
@@ -271,6 +273,7 @@ def _need(found: ErrorDetails) -> str:
     if kind == "literal_error":
         allowed = context["expected"]
         return allowed + did_you_mean(found["input"], re.findall("'([^']*)'", allowed))
+    context = {key: f"{value:g}" if isinstance(value, float) else value for key, value in context.items()}
     return _NEEDS[kind].format_map(context) if kind in _NEEDS else found["msg"].removeprefix("Input should be ")
 
 
@@ -286,10 +289,10 @@ _NEEDS = {
     "tuple_type": "a list",
     "too_short": "a list of at least {min_length}",
     "too_long": "a list of at most {max_length}",
-    "greater_than": "more than {gt:g}",
-    "greater_than_equal": "at least {ge:g}",
-    "less_than": "less than {lt:g}",
-    "less_than_equal": "at most {le:g}",
+    "greater_than": "more than {gt}",
+    "greater_than_equal": "at least {ge}",
+    "less_than": "less than {lt}",
+    "less_than_equal": "at most {le}",
 }
 
 

@@ -19,7 +19,7 @@ from pydantic import Field
 
 from hdsp.abstract.transform import feet_at
 from hdsp.base.provenance import ROOT, code_fingerprint
-from hdsp.base.settings import Count, Natural, checked
+from hdsp.base.settings import Count, Seed, checked
 from hdsp.base.short_repr import short_repr
 from hdsp.base.workers import ClusterSettings, connected
 from hdsp.detailed.world.world import build_world
@@ -55,7 +55,7 @@ class CoursePatchSettings:
         InputError: if a number is out of range.
     """
 
-    seed: Natural
+    seed: Seed
     courses: Count
     patches_per_course: Count
     heading_residues: Annotated[tuple[Residue, ...], Field(min_length=1)] = (0,)

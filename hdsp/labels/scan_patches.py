@@ -16,7 +16,7 @@ from pydantic import Field
 from hdsp.abstract.transform import feet_at
 from hdsp.base.errors import InputError
 from hdsp.base.provenance import ROOT, code_fingerprint
-from hdsp.base.settings import Count, Natural, NotNegative, Share, checked
+from hdsp.base.settings import Count, NotNegative, Seed, Share, checked
 from hdsp.detailed.world.world import build_world
 from hdsp.labels.label_robots import ROBOT_HASH
 from hdsp.labels.rules import LabelSettings, MapTasks, label_map
@@ -50,7 +50,7 @@ class ScanPatchSettings:
         InputError: if a value is out of range.
     """
 
-    seed: Natural = 0
+    seed: Seed = 0
     count: Count = 16
     spacing: NotNegative = 0.4
     known: Share = 0.5

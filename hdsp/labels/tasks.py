@@ -9,7 +9,7 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.base.notebook import html_of, png_of
 from hdsp.base.short_repr import shortened
-from hdsp.robot.lattice import N_ABSTRACT_ACTIONS, PATCH_CELLS
+from hdsp.robot.lattice import HEADINGS, N_ABSTRACT_ACTIONS, PATCH_CELLS
 
 #: `TaskSet.reason` for labels without a reason. `hdsp.detailed.search.outcome.Status` defines the other values.
 REASON_UNKNOWN = 255
@@ -33,6 +33,15 @@ FIELDS = {
 
 #: The same for arrays that a set may lack.
 OPTIONAL_FIELDS = {"planning_cost": (np.float32, _GOALS)}
+
+#: Allowed values, in words.
+_NEEDS = {
+    "feasible": "True or False, or 1 or 0",
+    "reason": "whole numbers from 0 to 255",
+    "index": "whole numbers of 64 bits",
+    "seed": "whole numbers of 64 bits",
+    "heading": f"whole numbers from 0 to {HEADINGS - 1}",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +67,8 @@ class TaskSet:
             without it, such as published ones.
 
     Raises:
-        InputError: if an array has the wrong shape, or a cost is not finite; the message names the array.
+        InputError: if an array has the wrong shape, a value does not fit its type or range, or a cost, goal or start is
+            not finite; the message names the array.
     """
 
     heights: np.ndarray
@@ -81,15 +91,20 @@ class TaskSet:
         object.__setattr__(self, "category", category)
         optional = {name: kind for name, kind in OPTIONAL_FIELDS.items() if getattr(self, name) is not None}
         for name, (dtype, shape) in {**FIELDS, **optional}.items():
-            array = np.asarray(getattr(self, name), dtype=dtype)
+            array = _array_of(name, getattr(self, name))
             if array.shape != (len(category), *shape):
                 raise InputError(f"task set: {name} has shape {array.shape}; need {(len(category), *shape)}")
-            object.__setattr__(self, name, array)
+            object.__setattr__(self, name, _as_type(name, array, np.dtype(dtype)))
         for name in ("cost", *optional):
             if not np.isfinite(getattr(self, name)).all():
                 raise InputError(
                     f"task set: {name} is not finite somewhere; infeasible tasks have feasible False and cost 0"
                 )
+        for name in ("goals", "start", "goal"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise InputError(f"task set: {name} is not finite somewhere")
+        if np.inf in (np.fmax.reduce(self.heights, None, initial=0), -np.fmin.reduce(self.heights, None, initial=0)):
+            raise InputError("task set: heights are infinite somewhere; unknown ground is NaN")
 
     def __repr__(self) -> str:
         if not len(self):
@@ -132,6 +147,29 @@ class TaskSet:
         arrays = [tasks.arrays() for tasks in sets if len(tasks)] or [sets[0].arrays()]
         shared = [name for name in arrays[0] if all(name in each for each in arrays)]
         return cls(**{name: np.concatenate([each[name] for each in arrays]) for name in shared})
+
+
+def _array_of(name: str, values: Any) -> np.ndarray:
+    """Numbers or truth values as an array in their own type."""
+    try:
+        array = np.asarray(values)
+    except (TypeError, ValueError) as error:  # rows with different lengths
+        raise InputError(f"task set: {name}: {' '.join(str(error).split())}") from None
+    if array.dtype.kind not in "biuf":
+        raise InputError(f"task set: {name} has values of type {array.dtype}; need {_NEEDS.get(name, 'numbers')}")
+    return array
+
+
+def _as_type(name: str, array: np.ndarray, dtype: np.dtype) -> np.ndarray:
+    """The array in another type, which holds the same values; only rounding changes them."""
+    with np.errstate(invalid="ignore", over="ignore"):  # NaN in an array of integers; a number beyond float32
+        cast = np.asarray(array, dtype)
+    wrong = cast != array if dtype.kind != "f" else np.zeros(0, bool)
+    if name == "heading":
+        wrong = wrong | (array >= HEADINGS)
+    if wrong.any():
+        raise InputError(f"task set: {name} holds {array[wrong][0]}; need {_NEEDS[name]}")
+    return cast
 
 
 def columns_of(rows: Sequence[Any]) -> dict[str, np.ndarray]:

@@ -13,6 +13,7 @@ from hdsp.base.settings import (
     Natural,
     NotNegative,
     Positive,
+    Seed,
     Target,
     checked,
     fault,
@@ -250,7 +251,7 @@ class TrainerSettings:
     """
 
     epochs: Count = 100
-    seed: Natural = 0
+    seed: Seed = 0
     batch: BatchSettings = field(default_factory=BatchSettings)
     mirror: bool = False
     optimizer: Annotated[OptimizerSettings | dict[str, Any], or_target(OptimizerSettings)] = field(

@@ -98,6 +98,8 @@ class TaskStream(IterableDataset):
     def __iter__(self) -> Iterator[Batch | PlanningBatch]:
         size, last = self.settings.size, len(self) * self.ranks
         number, self.skip = self.skip * self.ranks, 0
+        if number >= last:  # fewer batches than processes
+            return
         first = number * size
         groups = [group for group in self._groups() if group.end > first]
         pieces: list[Batch | PlanningBatch] = []

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import ndimage
 
 from hdsp.base.errors import InputError
-from hdsp.base.settings import Count, Natural, Positive, Range, Share, checked
+from hdsp.base.settings import Count, Natural, Positive, Range, Seed, Share, checked
 from hdsp.robot import lattice
 from hdsp.robot.lattice import Grid
 from hdsp.terrain.arenas import Arena, ArenaSize, ArenaTasks
@@ -67,7 +67,7 @@ class RandomArena:
     """
 
     size: ArenaSize
-    seed: Natural
+    seed: Seed
     contents: ArenaSettings = field(default_factory=ArenaSettings)
     tasks: ArenaTasks = ()
     source: Literal["random"] = "random"

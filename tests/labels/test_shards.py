@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import h5py
@@ -122,6 +123,47 @@ def test_task_sets_check_shapes_and_costs():
         TaskSet(**{**arrays, "goals": arrays["goals"][:, 1:]})
     with pytest.raises(InputError, match="cost is not finite"):
         TaskSet(**{**arrays, "cost": np.full((3, 22), np.inf)})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("heading", -4, "heading holds -4; need whole numbers from 0 to 63"),
+        ("heading", 64, "heading holds 64; need whole numbers from 0 to 63"),
+        ("heading", 3.5, "heading holds 3.5; need whole numbers from 0 to 63"),
+        ("reason", 300, "reason holds 300; need whole numbers from 0 to 255"),
+        ("seed", 2**63, "seed holds 9223372036854775808; need whole numbers of 64 bits"),
+        ("seed", 2**64, "seed has values of type object; need whole numbers of 64 bits"),
+        ("index", np.nan, "index holds nan; need whole numbers of 64 bits"),
+        ("feasible", np.nan, "feasible holds nan; need True or False, or 1 or 0"),
+        ("feasible", 2, "feasible holds 2; need True or False, or 1 or 0"),
+        ("feasible", "yes", "feasible has values of type <U3; need True or False, or 1 or 0"),
+        ("cost", "cheap", "cost has values of type <U5; need numbers"),
+        ("cost", 1e300, "cost is not finite somewhere"),
+        ("goals", np.nan, "goals is not finite somewhere"),
+        ("goal", np.inf, "goal is not finite somewhere"),
+        ("start", np.nan, "start is not finite somewhere"),
+        ("heights", np.inf, "heights are infinite somewhere; unknown ground is NaN"),
+        ("heights", -np.inf, "heights are infinite somewhere; unknown ground is NaN"),
+    ],
+)
+def test_values_that_do_not_fit_are_named_instead_of_wrapped(name, value, said):
+    arrays = random_tasks(2).arrays()
+    with pytest.raises(InputError, match=re.escape(f"task set: {said}")):
+        TaskSet(**{**arrays, name: np.full(arrays[name].shape, value)})
+
+
+def test_other_types_with_the_same_values_are_the_same_tasks():
+    tasks = random_tasks(3)
+    arrays = tasks.arrays()
+    others = {
+        "heading": arrays["heading"].astype(float), "feasible": arrays["feasible"].astype(int),
+        "seed": arrays["seed"].astype(np.uint64), "cost": arrays["cost"].astype(float),
+        "goals": arrays["goals"].tolist(),
+    }  # fmt: skip
+    assert_same_tasks(TaskSet(**{**arrays, **others}), tasks)
+    with pytest.raises(InputError, match=r"task set: index: .*inhomogeneous"):
+        TaskSet(**{**arrays, "index": [[1], [2, 3], [4]]})
 
 
 def test_maps_are_picked_like_elements_of_an_array():

@@ -107,6 +107,7 @@ def test_wrong_overrides_are_named_in_one_line(override, says):
         ),
         ("labelling.slurm.jobs=0", "labelling.slurm.jobs is 0; need a whole number of at least 1"),
         ("labelling.splits.val.seed=1.5", "labelling.splits.val.seed is 1.5; need a whole number"),
+        (f"labelling.splits.val.seed={2**63}", f"labelling.splits.val.seed is {2**63}; need at most {2**63 - 1}"),
         ("planner.margin=x", "planner.margin is 'x'; need a finite number"),
         ("planner.weights=[0.5]", "planner.weights[0] is 0.5; need at least 1"),
         ("planner.heuristics=[best]", "planner.heuristics[0] is 'best'; need one of trained, shipped"),

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, Field
 from hdsp.base.extensions import TERRAIN, extension_place
 from hdsp.base.messages import did_you_mean
 from hdsp.base.provenance import ROOT, code_fingerprint
-from hdsp.base.settings import DISTINCT, Count, Natural, checked, fault
+from hdsp.base.settings import DISTINCT, Count, Seed, checked, fault
 from hdsp.labels.shard_index import ShardPlan, planned_shards
 from hdsp.labels.shards import SCHEMA_VERSION
 from hdsp.labels.tasks import TaskSet, columns_of
@@ -73,7 +73,7 @@ class SplitSettings:
         InputError: if a number is out of range, or a category is unknown or there twice.
     """
 
-    seed: Natural
+    seed: Seed
     maps_per_category: Count
     heading_residues: Annotated[tuple[AbstractHeading, ...], Field(min_length=1)] = (0,)
     categories: Annotated[tuple[Category, ...], Field(min_length=1), DISTINCT] = CATEGORIES

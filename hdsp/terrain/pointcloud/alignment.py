@@ -16,7 +16,7 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.base.messages import shown, spans
 from hdsp.base.scalars import real
-from hdsp.base.settings import Natural, Positive, checked, load_settings
+from hdsp.base.settings import Positive, Seed, checked, load_settings
 from hdsp.terrain.pointcloud.point_arrays import finite_points
 
 _HYPOTHESES = 400
@@ -45,7 +45,7 @@ class FloorSettings:
     thickness: Positive = 0.025
     voxel: Positive = 0.05
     reach: Positive = 1.5
-    seed: Natural = 0
+    seed: Seed = 0
 
 
 @dataclass(frozen=True)
