@@ -96,7 +96,7 @@ def robot_frame_goals(abstract_heading: int) -> np.ndarray:
         [1.0, 0.0, 0.0]
     """
     goals = ABSTRACT_ACTIONS.astype(float)
-    goals[:, :2] = goals[:, :2] @ rotation(float(heading_angle(-abstract_heading, ABSTRACT_HEADINGS))).T
+    goals[:, :2] = goals[:, :2] @ rotation(float(heading_angle(-int(abstract_heading), ABSTRACT_HEADINGS))).T
     return goals.astype(np.float32)
 
 

@@ -89,6 +89,7 @@ def test_the_twenty_moves_are_symmetric_and_begin_the_actions():
 @pytest.mark.parametrize("heading", range(ABSTRACT_HEADINGS))
 def test_goals_in_the_frame_of_the_robot_turn_back_to_the_lattice(heading):
     goals = lattice.robot_frame_goals(heading)
+    np.testing.assert_array_equal(lattice.robot_frame_goals(np.uint8(heading)), goals)
     turned = goals[:, :2] @ lattice.rotation(float(lattice.heading_angle(heading, ABSTRACT_HEADINGS))).T
     np.testing.assert_allclose(turned, ABSTRACT_ACTIONS[:, :2], atol=1e-6)
     assert (goals[:, 2] == ABSTRACT_ACTIONS[:, 2]).all()
