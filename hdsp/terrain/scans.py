@@ -77,7 +77,7 @@ class Scan:
         source: web page with the files, for people.
         address: download address for programs; ends with a slash.
         files: at least one file.
-        units, axes: arguments of `read_points` for point files.
+        units, axes: arguments of `read_points` for point files; without ``units``, LAS and LAZ have those of their CRS.
         drop_within: m; points closer to the sensor's vertical axis are dropped, because they show the carrying robot.
         level_each: whether each file is levelled on its floor before the files are fused.
         camera: camera of the depth images; None = the files are no depth images.
@@ -93,7 +93,7 @@ class Scan:
     source: Name
     address: Name
     files: Annotated[tuple[ScanFile, ...], Field(min_length=1)]
-    units: Positive = 1.0
+    units: Positive | None = None
     axes: tuple[Axis, Axis, Axis] = ("x", "y", "z")
     drop_within: NotNegative = 0.0
     level_each: bool = False

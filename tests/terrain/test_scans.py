@@ -10,7 +10,7 @@ from hdsp.base.errors import InputError
 from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.scans import Scan, build_map, find_files
 from tests import ROOT
-from tests.terrain.pointcloud.clouds import moved, room
+from tests.terrain.pointcloud.clouds import las_with_crs, moved, room
 
 CONF = ROOT / "conf/scans"
 NEEDED = {
@@ -53,6 +53,21 @@ def test_a_scan_of_one_file_becomes_its_map(tmp_path):
     assert terrain.resolution == RESOLUTION
     assert terrain.size == pytest.approx((3, 2), abs=0.06)
     assert abs(np.nanmedian(terrain.heights)) < 0.01
+
+
+def test_described_las_files_are_read_in_the_units_of_their_crs(tmp_path):
+    file = {"path": "a.las", "sha256": "0" * 64}
+    feet, degrees = {1024: 1, 3072: 32767, 3076: 9002}, {1024: 2, 2048: 4326}
+    box = {"map": {"box": [-1.5, -1.0, 1.5, 1.0]}}
+    path = las_with_crs(tmp_path / "a.las", feet, points=room() / 0.3048)
+    heights = build_map(described(files=[file], **box), [path]).heights
+    assert (np.abs(heights - 0.3) < 0.05).sum() * RESOLUTION**2 == pytest.approx(0.5 * 0.4, rel=0.2)
+    path = las_with_crs(tmp_path / "a.las", degrees, points=room())
+    with pytest.raises(InputError, match=r"scan room: point cloud .*a\.las: its CRS is in degrees; .* units"):
+        build_map(described(files=[file]), [path])
+    for units in (1, 0.5):  # the description has the last word
+        scan = described(files=[file], units=units)
+        assert build_map(scan, [path]).size == pytest.approx((4 * units, 3 * units), abs=0.06)
 
 
 def test_a_second_file_is_registered_from_its_guess(tmp_path):

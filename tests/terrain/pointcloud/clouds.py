@@ -1,6 +1,9 @@
 """Synthetic clouds: a sensor's view of boxes on a floor."""
 
+import struct
+
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 
@@ -36,3 +39,22 @@ def room(noise=0.005, seed=0, ceiling=None):
 def moved(points, roll=0.0, pitch=0.0, yaw=0.0, shift=(0.0, 0.0, 0.0)):
     """The cloud after a rotation by angles in degrees and a translation."""
     return Rotation.from_euler("xyz", [roll, pitch, yaw], degrees=True).apply(points) + shift
+
+
+def las_with_crs(path, *records, extended=False, points=((10.0, 20.0, 30.0),)):
+    """A LAS file of points with records on its CRS: WKT as text, or GeoTIFF keys."""
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = [1e-3] * 3, [0.0] * 3
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = np.array(points).T
+    if extended:
+        las.evlrs = laspy.vlrs.vlrlist.VLRList()
+    for record in records:
+        keys = isinstance(record, dict)
+        words = [1, 1, 0, len(record), *(word for key in record for word in (key, 0, 1, record[key]))] if keys else []
+        content = struct.pack(f"<{len(words)}H", *words) if keys else record.encode() + b"\0"
+        places = las.evlrs if extended else las.header.vlrs
+        places.append(laspy.VLR("LASF_Projection", 34735 if keys else 2112, "", content))
+    las.write(path)
+    return path

@@ -13,7 +13,7 @@ import hdsp
 from hdsp.base.errors import InputError
 from hdsp.terrain.pointcloud import read_points
 from hdsp.terrain.pointcloud.octree import read_octree
-from tests.terrain.pointcloud.clouds import room
+from tests.terrain.pointcloud.clouds import las_with_crs, room
 
 POINTS = np.random.default_rng(0).uniform(-5, 5, (50, 3)).astype(np.float32)
 
@@ -41,25 +41,6 @@ def write_las(path, points):
     las = laspy.LasData(header)
     las.x, las.y, las.z = np.asarray(points, float).T
     las.write(path)
-
-
-def las_with_crs(path, *records, extended=False):
-    """A LAS file with one point at (10, 20, 30) and records on its CRS: WKT as text, or GeoTIFF keys."""
-    laspy = pytest.importorskip("laspy")
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales, header.offsets = [1e-3] * 3, [0.0] * 3
-    las = laspy.LasData(header)
-    las.x, las.y, las.z = np.array([[10.0], [20.0], [30.0]])
-    if extended:
-        las.evlrs = laspy.vlrs.vlrlist.VLRList()
-    for record in records:
-        keys = isinstance(record, dict)
-        words = [1, 1, 0, len(record), *(word for key in record for word in (key, 0, 1, record[key]))] if keys else []
-        content = struct.pack(f"<{len(words)}H", *words) if keys else record.encode() + b"\0"
-        places = las.evlrs if extended else las.header.vlrs
-        places.append(laspy.VLR("LASF_Projection", 34735 if keys else 2112, "", content))
-    las.write(path)
-    return path
 
 
 def vtk_text(points, encoding="ASCII", kind="float"):
