@@ -2,11 +2,17 @@
 
 import os
 
+from itertools import combinations
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hdsp import HeightMap
+from hdsp.base.errors import InputError
 from hdsp.planning.cli import main
+from hdsp.planning.commands.output_files import OutputFile, refuse_overwriting
 from tests import ROOT
 
 ENDS = ["--start", "0.9", "0.9", "0", "--goal", "1.6", "1.1", "0"]
@@ -68,6 +74,46 @@ def test_outputs_that_would_replace_a_file_are_refused_before_the_work(place, wo
     error = capsys.readouterr().err
     assert told in error and error.count("\n") == 1
     assert contents(place) == before
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--robot go2w --motion go2w",
+        "--heuristic learned:momaro --motion momaro",
+        "--heuristic learned:user/repository --motion user/repository",
+        "--heuristic package:ground.png --picture ground.png",
+        "--robot absent --motion absent",
+    ],
+)
+def test_names_that_are_no_files_may_be_names_of_outputs(place, words, capsys, monkeypatch):
+    def load(*_, **__):
+        raise InputError("the work begins")
+
+    monkeypatch.setattr("hdsp.terrain.height_map.HeightMap.load", load)
+    assert main(["plan", "m.npz", *words.split(), *ENDS]) == 1
+    assert capsys.readouterr().err == "error: the work begins\n"
+
+
+@given(st.lists(st.text("ab/", min_size=1, max_size=5), max_size=4))
+def test_outputs_are_at_one_place_if_one_is_in_the_others_folder(paths):
+    paths = [f"/absent/{path}" for path in paths]
+    places = [os.path.normpath(path) for path in paths]
+    together = any(os.path.commonpath(pair) in pair for pair in combinations(places, 2))
+    outputs = [OutputFile("--out", path) for path in paths]
+    if together:
+        with pytest.raises(InputError, match="is at the same place"):
+            refuse_overwriting(outputs, [])
+    else:
+        refuse_overwriting(outputs, [])
+
+
+def test_each_of_many_outputs_is_looked_at_once(monkeypatch):
+    looked, real = [], os.stat
+    monkeypatch.setattr("os.stat", lambda path, **more: looked.append(path) or real(path, **more))
+    names = [f"plan-{number}.csv" for number in range(300)]
+    refuse_overwriting([OutputFile("--out", name) for name in names], [])
+    assert looked == names
 
 
 def test_numbered_outputs_are_looked_at_with_their_numbers(place, capsys):

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import suppress
+from pathlib import Path
 from typing import NamedTuple
 
 from hdsp.base.errors import InputError
+from hdsp.learning.loading import presets as shipped_abstractions
+from hdsp.robot.robot import Robot
 
 #: Suffixes of the files in a folder of a bag or an abstraction.
 _IN_FOLDERS = (".db3", ".mcap", ".yaml", ".json", ".safetensors")
+
+#: A path without links, or a file's number.
+_Name = str | tuple[int, int]
 
 
 class OutputFile(NamedTuple):
@@ -27,29 +33,39 @@ def outputs_of(chosen: argparse.Namespace, *names: str) -> list[OutputFile]:
 
 
 def planning_inputs(chosen: argparse.Namespace) -> list[str]:
-    """Returns the files and folders behind a plan."""
-    folder = chosen.heuristic.partition(":")[2]
-    return [path for path in (chosen.map, chosen.robot, folder, getattr(chosen, "truth", None)) if path]
+    """Returns the files and folders behind a plan; presets, hub repositories and other names are none."""
+    kind, _, abstraction = chosen.heuristic.partition(":")
+    paths = [chosen.map, getattr(chosen, "truth", None)]
+    if chosen.robot not in Robot.presets():
+        paths.append(chosen.robot)
+    if kind == "learned" and abstraction not in shipped_abstractions():
+        paths.append(abstraction)
+    return [path for path in paths if path and os.path.exists(path)]
 
 
-def refuse_overwriting(outputs: Sequence[OutputFile], inputs: Iterable[str | os.PathLike]) -> None:
+def refuse_overwriting(outputs: Iterable[OutputFile], inputs: Iterable[str | os.PathLike]) -> None:
     """Refuses outputs in place of an input or of each other, also under other names for one file.
 
     Args:
         outputs: all outputs.
-        inputs: files and folders to read; preset names do not matter.
+        inputs: files and folders to read.
 
     Raises:
         InputError: an output is an input, or shares its place or folder with another output.
     """
     read = {name for path in inputs for file in _files_of(path) for name in _names(file)}
-    for number, (option, path) in enumerate(outputs):
-        if not read.isdisjoint(_names(path)):
-            raise InputError(f"{option} {path}: the command reads this file; need another name")
-        for former in outputs[:number]:
-            if not _apart(path, former.path):
-                there = f"{former.option} {former.path} is at the same place"
-                raise InputError(f"{option} {path}: {there}; need another name")
+    taken: dict[_Name, OutputFile] = {}
+    above: dict[_Name, OutputFile] = {}
+    for output in outputs:
+        names, folders = _names(output.path), _folders_above(output.path)
+        told = f"{output.option} {output.path}:"
+        if not read.isdisjoint(names):
+            raise InputError(f"{told} the command reads this file; need another name")
+        formers = [*(taken.get(name) for name in (*names, *folders)), *(above.get(name) for name in names)]
+        if former := next(filter(None, formers), None):
+            raise InputError(f"{told} {former.option} {former.path} is at the same place; need another name")
+        taken |= dict.fromkeys(names, output)
+        above |= dict.fromkeys(folders, output)
 
 
 def _files_of(path: str | os.PathLike) -> list[str]:
@@ -60,16 +76,15 @@ def _files_of(path: str | os.PathLike) -> list[str]:
     return found
 
 
-def _names(path: str) -> set[str | tuple[int, int]]:
+def _names(path: str) -> set[_Name]:
     """The path without links, and an existing file's number, which all its hard links share."""
-    names: set[str | tuple[int, int]] = {os.path.realpath(path)}
+    names: set[_Name] = {os.path.realpath(path)}
     with suppress(OSError):
         found = os.stat(path)
         names.add((found.st_dev, found.st_ino))
     return names
 
 
-def _apart(one: str, other: str) -> bool:
-    """Whether two outputs are different files, and none lies in the other's future folder."""
-    places = [os.path.realpath(path) for path in (one, other)]
-    return _names(one).isdisjoint(_names(other)) and os.path.commonpath(places) not in places
+def _folders_above(path: str) -> list[str]:
+    """All folders above the path without links."""
+    return [str(folder) for folder in Path(os.path.realpath(path)).parents]
