@@ -15,6 +15,8 @@ from hdsp.abstract.flat_table import flat_table
 from hdsp.abstract.oracle import CostKind, checked_kind
 from hdsp.base.errors import InputError
 from hdsp.base.gradual import Steps
+from hdsp.base.messages import shown
+from hdsp.base.scalars import integers
 from hdsp.robot.lattice import (
     ABSTRACT_ACTIONS,
     ABSTRACT_HEADINGS,
@@ -216,10 +218,10 @@ def checked_region(height_map: HeightMap, region: Region | None) -> Region:
     nx, ny = abstract_shape(height_map.shape)
     if region is None:
         region = (0, 0, nx, ny)
-    first_x, first_y, end_x, end_y = (int(value) for value in region)
+    first_x, first_y, end_x, end_y = integers(region, 4) or (0, 0, 0, 0)
     if not (0 <= first_x < end_x <= nx and 0 <= first_y < end_y <= ny):
         raise InputError(
-            f"region {tuple(region)}: need (first ix, first iy, end ix, end iy), not empty, "
+            f"region {shown(region)}: need (first ix, first iy, end ix, end iy), not empty, "
             f"within {nx} x {ny} abstract cells"
         )
     return first_x, first_y, end_x, end_y

@@ -33,3 +33,12 @@ def integer(value: Any) -> int | None:
     if isinstance(found, float) and found.is_integer():
         return int(found)
     return int(found) if isinstance(found, Integral) else None
+
+
+def integers(values: Any, count: int) -> tuple[int, ...] | None:
+    """Returns so many whole numbers as int, each as in `integer`; None for everything else."""
+    try:
+        found = tuple(number for value in values if (number := integer(value)) is not None)
+        return found if len(found) == len(values) == count else None
+    except TypeError:  # neither a sequence nor an array
+        return None

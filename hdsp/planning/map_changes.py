@@ -1,12 +1,11 @@
 """Changes between two height maps."""
 
-from numbers import Integral
-
 import numpy as np
 
 from hdsp.abstract.abstract_costs import Region
 from hdsp.base.errors import InputError
 from hdsp.base.messages import shown
+from hdsp.base.scalars import integers
 from hdsp.terrain.height_map import HeightMap
 
 
@@ -22,11 +21,7 @@ def changed_cells(before: HeightMap, after: HeightMap, region: Region | None = N
     """
     if before.shape != after.shape or before.origin != after.origin:
         return None
-    nx, ny = after.shape
-    four = (0, 0, nx, ny) if region is None else _whole_numbers(region)
-    first_x, first_y, end_x, end_y = four if four is not None else (0, 0, -1, -1)
-    if not (0 <= first_x <= end_x <= nx and 0 <= first_y <= end_y <= ny):
-        raise InputError(f"region {shown(region)}: need (first ix, first iy, end ix, end iy) within {nx} x {ny} cells")
+    first_x, first_y, end_x, end_y = region_of(after, region)
     changed = np.zeros(after.shape, bool)
     part = slice(first_x, end_x), slice(first_y, end_y)
     old, new = before.heights[part], after.heights[part]
@@ -34,10 +29,14 @@ def changed_cells(before: HeightMap, after: HeightMap, region: Region | None = N
     return changed
 
 
-def _whole_numbers(region) -> tuple[int, int, int, int] | None:
-    """Four whole numbers; None for anything else."""
-    values = np.asarray(region, dtype=object).ravel().tolist() if np.size(region) == 4 else []
-    if len(values) != 4 or not all(isinstance(value, Integral) and not isinstance(value, bool) for value in values):
-        return None
-    first_x, first_y, end_x, end_y = (int(value) for value in values)
+def region_of(terrain: HeightMap, region: Region | None) -> Region:
+    """Returns a rectangle (first ix, first iy, end ix, end iy) of a map; None: the whole map.
+
+    Raises:
+        InputError: no four whole numbers, or a rectangle that does not lie within the map.
+    """
+    nx, ny = terrain.shape
+    first_x, first_y, end_x, end_y = (0, 0, nx, ny) if region is None else integers(region, 4) or (0, 0, -1, -1)
+    if not (0 <= first_x <= end_x <= nx and 0 <= first_y <= end_y <= ny):
+        raise InputError(f"region {shown(region)}: need (first ix, first iy, end ix, end iy) within {nx} x {ny} cells")
     return first_x, first_y, end_x, end_y

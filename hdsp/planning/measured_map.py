@@ -9,7 +9,7 @@ import numpy as np
 from hdsp.abstract.abstract_costs import Region
 from hdsp.base.errors import InputError
 from hdsp.base.messages import shown
-from hdsp.planning.map_changes import changed_cells
+from hdsp.planning.map_changes import changed_cells, region_of
 from hdsp.robot.lattice import RESOLUTION, is_detailed
 from hdsp.terrain.conditioning import ConditioningReport, Stages, is_conditioned
 from hdsp.terrain.height_map import HeightMap
@@ -84,7 +84,7 @@ class MeasuredMap:
             return None
         if self._stages is None:
             self.measured = self.terrain = measured
-            return region
+            return None if region is None else region_of(measured, region)
         cells = np.argwhere(changed)
         if len(cells):
             low, high = cells.min(axis=0).tolist(), (cells.max(axis=0) + 1).tolist()

@@ -17,6 +17,7 @@ import numpy as np
 from hdsp.base.errors import InputError
 from hdsp.base.messages import shown
 from hdsp.base.notebook import html_of, png_of
+from hdsp.base.scalars import integers, real
 from hdsp.base.short_repr import short_repr
 from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS, RESOLUTION
@@ -28,6 +29,8 @@ from hdsp.terrain.no_data import implausible_heights, unmasked
 from hdsp.terrain.patches import TIE, checked_side, gather, nearest_cell, patch_offsets
 from hdsp.terrain.pointcloud.cloud_files import FORMATS, read_points
 from hdsp.terrain.pointcloud.cloud_mapping import MapSettings, map_points
+
+_LONGEST = 100_000_000  # cells along one axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +63,7 @@ class HeightMap:
         try:
             with np.errstate(over="ignore"):  # a float64 too large for float32 becomes inf and is rejected below
                 heights = np.array(unmasked(self.heights), dtype=np.float32, order="C")
-            origin = tuple(float(value) for value in self.origin)
-            resolution = float(self.resolution)
+            origin = tuple(real(value) for value in self.origin)
         except (TypeError, ValueError, OverflowError) as error:
             raise InputError(f"height map: {error}; need a 2D array, an origin (x, y) and a resolution") from None
         if heights.ndim != 2 or heights.size == 0:
@@ -70,9 +72,10 @@ class HeightMap:
             cell = tuple(int(index) for index in np.argwhere(np.isinf(heights))[0])
             raise InputError(f"height map: height of cell {cell} is infinite; need finite heights, or NaN for unknown")
         if len(origin) != 2 or not np.isfinite(origin).all():
-            raise InputError(f"height map: origin is {origin}; need two finite numbers (x, y) in metres")
-        if not (math.isfinite(resolution) and resolution > 0):
-            raise InputError(f"height map: resolution is {resolution}; need a positive number of metres per cell")
+            raise InputError(f"height map: origin is {shown(self.origin)}; need two finite numbers (x, y) in metres")
+        if not 0 < (resolution := real(self.resolution)) < math.inf:
+            given = shown(self.resolution)
+            raise InputError(f"height map: resolution is {given}; need a positive number of metres per cell")
         heights.flags.writeable = False
         for name, value in (("heights", heights), ("origin", origin), ("resolution", resolution)):
             object.__setattr__(self, name, value)
@@ -98,11 +101,11 @@ class HeightMap:
     @classmethod
     def flat(cls, shape: tuple[int, int], origin=(0.0, 0.0), resolution: float = RESOLUTION) -> "HeightMap":
         """Makes a map of ``shape`` (nx, ny) cells with all heights 0."""
-        try:
-            heights = np.zeros(shape, np.float32)
-        except (TypeError, ValueError):
-            raise InputError(f"height map: shape is {shown(shape)}; need two whole numbers of cells, >= 1") from None
-        return cls(heights, origin, resolution)
+        sides = integers(shape, 2)
+        if sides is None or min(sides) < 1 or max(sides) > _LONGEST:
+            need = f"two whole numbers of cells, from 1 to {_LONGEST:,}"
+            raise InputError(f"height map: shape is {shown(shape)}; need {need}")
+        return cls(np.zeros(sides, np.float32), origin, resolution)
 
     @classmethod
     def load(cls, path: str | os.PathLike, **options: Any) -> "HeightMap":
@@ -398,8 +401,8 @@ def _pose(pose) -> tuple[float, float, float]:
 def _finite(name: str, given, need: str, count: int) -> list[float]:
     """Returns finite numbers; an error with name and need for anything else."""
     try:
-        found = [float(value) for value in (given if count > 1 else [given])]
-    except (TypeError, ValueError, OverflowError):
+        found = [real(value) for value in (given if count > 1 else [given])]
+    except TypeError:
         found = []
     if len(found) != count or not np.isfinite(found).all():
         raise InputError(f"{name} is {shown(given)}; need {need}")

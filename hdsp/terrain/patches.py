@@ -6,13 +6,13 @@ half the patch size in cells. The x axis is the base heading, and the base stand
 """
 
 import functools
-from numbers import Integral
 
 import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.jit import njit
 from hdsp.base.messages import shown
+from hdsp.base.scalars import integer
 from hdsp.robot import lattice
 from hdsp.robot.lattice import PATCH_CELLS
 from hdsp.terrain.no_data import unmasked
@@ -44,7 +44,8 @@ def crop_patches(
     if heights.ndim != 2 or bases.ndim != 2 or bases.shape[1] != 2:
         raise InputError(f"crop_patches: heights {heights.shape} and bases {bases.shape}; need [nx, ny] and [n, 2]")
     headings = np.broadcast_to(np.mod(np.asarray(headings, np.int64), lattice.HEADINGS), len(bases))
-    shape = (len(bases), checked_side(cells), cells)
+    cells = checked_side(cells)
+    shape = (len(bases), cells, cells)
     patches = np.empty(shape, np.float32) if out is None else out
     if patches.shape != shape or patches.dtype != np.float32 or not patches.flags.c_contiguous:
         raise InputError(f"crop_patches: out is {patches.dtype} {patches.shape}; need contiguous float32 {shape}")
@@ -129,6 +130,7 @@ def _read_only(array: np.ndarray) -> np.ndarray:
 
 def checked_side(cells: int) -> int:
     """The patch side in cells; raises InputError for no whole number, or one out of range."""
-    if not isinstance(cells, Integral) or not 1 <= cells <= _LARGEST_SIDE:
+    found = integer(cells)
+    if found is None or not 1 <= found <= _LARGEST_SIDE:
         raise InputError(f"patch of {shown(cells)} cells; need a whole number from 1 to {_LARGEST_SIDE:,}")
-    return int(cells)
+    return found

@@ -100,7 +100,7 @@ def test_a_region_is_cut_out_of_the_whole(costs, request):
     heights[40:48, 30:60] = 0.5
     terrain = HeightMap(heights)
     np.testing.assert_array_equal(costs.edges(terrain, (3, 5, 12, 20)), costs.edges(terrain)[:, 3:12, 5:20])
-    for region in [(0, 0, 26, 20), (5, 5, 5, 9), (-1, 0, 5, 5)]:
+    for region in [(0, 0, 26, 20), (5, 5, 5, 9), (-1, 0, 5, 5), (0, 0.5, 5, 5), (0, 0, True, 5), (0, 0), 4]:
         with pytest.raises(InputError, match="region"):
             costs.edges(terrain, region)
 

@@ -156,7 +156,9 @@ def test_q6_a_heuristic_of_another_terrain_is_refused(flat):
     one_line(error, "another terrain")
 
 
-@pytest.mark.parametrize("region", [(0, 0, 9), (0, 0, 9.5, 9), ("0", 0, 9, 9), (5, 0, 2, 9), (0, 0, 101, 9), 4, "abcd"])
+@pytest.mark.parametrize(
+    "region", [(0, 0, 9), (0, 0, 9.5, 9), ("0", 0, 9, 9), (5, 0, 2, 9), (0, 0, 101, 9), (0, 0, True, 9), 4, "abcd"]
+)
 def test_q6_a_wrong_region_is_named(flat, region):
     with pytest.raises(InputError) as error:
         flat.update(flat.terrain, region)

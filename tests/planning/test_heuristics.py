@@ -11,6 +11,7 @@ from hdsp.detailed.world.world import build_world, cell_index
 from hdsp.planning.heuristics import AbstractHeuristic, GeometricHeuristic, standing_states
 from hdsp.planning.heuristics.standing import standing_steps, updated_standing
 from hdsp.planning.map_changes import changed_cells
+from hdsp.planning.measured_map import MeasuredMap
 from hdsp.planning.planner import Planner
 from hdsp.robot.lattice import (
     ABSTRACT_ACTIONS,
@@ -238,8 +239,10 @@ def test_changed_cells_are_told_apart_from_unknown_ones():
     after[1, 1], after[0, 4], after[3, 3] = 0.0, np.nan, 0.1
     changed = changed_cells(HeightMap(before), HeightMap(after))
     assert np.argwhere(changed).tolist() == [[0, 4], [1, 1], [3, 3]]
-    inside = changed_cells(HeightMap(before), HeightMap(after), (0, 0, 2, 2))
+    inside = changed_cells(HeightMap(before), HeightMap(after), (0, 0, 2.0, np.int8(2)))
     assert np.argwhere(inside).tolist() == [[1, 1]]
     assert changed_cells(HeightMap(before), HeightMap(after[1:])) is None
     with pytest.raises(InputError, match="region"):
         changed_cells(HeightMap(before), HeightMap(after), (0, 0, 5, 5))
+    _, passed_on = MeasuredMap(HeightMap(before), None).updated(HeightMap(after), (0, 0, 2.0, np.int8(2)))
+    assert passed_on == (0, 0, 2, 2) and {type(value) for value in passed_on} == {int}

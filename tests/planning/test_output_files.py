@@ -1,7 +1,6 @@
 """Outputs of commands never replace an input or each other, and are looked at before the work."""
 
 import os
-
 from itertools import combinations
 
 import numpy as np

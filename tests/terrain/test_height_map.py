@@ -70,6 +70,10 @@ def test_m6_masked_cells_are_unknown(dtype):
         ((np.zeros((2, 2)), (0, 0, 0)), "origin"),
         ((np.zeros((2, 2)), (0, 0), 0.0), "resolution is 0.0"),
         ((np.zeros((2, 2)), (0, 0), math.nan), "resolution is nan"),
+        ((np.zeros((2, 2)), (0, 0), "0.1"), "resolution is '0.1'"),
+        ((np.zeros((2, 2)), (0, 0), True), "resolution is True"),
+        ((np.zeros((2, 2)), "12"), "origin is '12'"),
+        ((np.zeros((2, 2)), (True, 0)), r"origin is \[True, 0\]"),
         (("high",), "2D array"),
         (([[10**400, 0]],), "2D array"),
         ((np.zeros((2, 2)), (10**400, 0)), "origin"),
@@ -228,7 +232,15 @@ def test_a_patch_leads_to_the_source_of_its_map():
         np.testing.assert_allclose(patch.frame.points_to_source(ahead), expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("cells", [0, -1, 1.5, "3", None, 10**400])
+@pytest.mark.parametrize("cells", [3.0, np.float64(3), np.int8(3), np.array(3)])
+def test_a_whole_number_of_any_type_is_a_side(cells):
+    terrain = numbered(6, 6)
+    for patch in (terrain.crop((0.0625, 0.0625, 0.0), cells), terrain.crop_cells(2, 2, 0, cells)):
+        np.testing.assert_array_equal(patch.heights, terrain.heights[1:4, 1:4])
+    assert HeightMap.flat((4, cells)).shape == (4, 3)
+
+
+@pytest.mark.parametrize("cells", [0, -1, 1.5, "3", None, 10**400, True, np.bool_(True)])
 def test_a_side_that_is_none_is_refused(cells):
     with pytest.raises(InputError, match=r"patch of .* need a whole number from 1 to 10,000"):
         numbered(4, 4).crop((0.0, 0.0, 0.0), cells)

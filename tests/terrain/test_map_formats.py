@@ -14,7 +14,7 @@ from PIL import Image
 
 from hdsp.base.errors import InputError
 from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.map_formats import MapFields, MapFormat, map_contents, registry
+from hdsp.terrain.map_formats import MapFields, MapFormat, ReadOptions, map_contents, registry
 from hdsp.terrain.map_frame import MapFrame
 
 #: Rows and columns as a person would look at them: the first row is the northern edge.
@@ -397,8 +397,13 @@ def test_a_no_data_value_amid_heights_is_a_height(tmp_path):
         ({"scale": "mm"}, "option scale is 'mm'"),
         ({"origin": (1, math.nan)}, "option origin"),
         ({"origin": 3}, "option origin is 3; need two numbers"),
+        ({"origin": "12"}, "option origin is '12'; need two finite numbers"),
+        ({"origin": (True, 2)}, r"option origin is \[True, 2\]"),
         ({"message": 1.5}, "option message is 1.5"),
+        ({"message": True}, "option message is True"),
+        ({"max_cells": np.True_}, "option max_cells is "),
         ({"nodata": "none"}, "option nodata is 'none'"),
+        ({"nodata": True}, "option nodata is True"),
         ({"offset": math.inf}, "option offset is inf"),
         (
             {"units": 1},
@@ -409,6 +414,13 @@ def test_a_no_data_value_amid_heights_is_a_height(tmp_path):
 def test_wrong_options_are_named(tmp_path, option, words):
     with pytest.raises(InputError, match=words):
         HeightMap.load(tmp_path / "any.npy", **option)
+
+
+def test_options_are_numbers_of_any_type():
+    options = ReadOptions(np.float32(0.5), np.array([1, 2]), np.int8(2), message=np.int64(-1), max_cells=1e6)
+    assert options == ReadOptions(0.5, (1.0, 2.0), 2.0, message=-1, max_cells=1_000_000)
+    assert {type(value) for value in (options.message, options.max_cells)} == {int}
+    assert math.isnan(ReadOptions(nodata=math.nan).nodata)
 
 
 @pytest.mark.parametrize("path", [3, ("map.npz",), b"map.npz", "a" * 5000 + ".npz"])

@@ -38,6 +38,7 @@ def test_one_heading_serves_all_patches_and_wrong_shapes_are_refused():
     heights = np.arange(120 * 120, dtype=np.float32).reshape(120, 120)
     bases = np.array([[60, 60], [59, 61]])
     np.testing.assert_array_equal(crop_patches(heights, bases, 16), crop_patches(heights, bases, [16, 80]))
+    np.testing.assert_array_equal(crop_patches(heights, bases, 16, 8.0), crop_patches(heights, bases, 16, 8))
     out = np.zeros((2, 72, 72), np.float32)
     assert crop_patches(heights, bases, 16, out=out) is out
     np.testing.assert_array_equal(out, crop_patches(heights, bases, 16))

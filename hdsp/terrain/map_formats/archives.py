@@ -164,7 +164,7 @@ def _own(name: str, small: Mapping[str, np.ndarray], option: Any, options: ReadO
     if name not in small:
         return option
     options.refuse([name], f"the file has its own {name}, {small[name].tolist()}")
-    return small[name] if name == _ORIGIN else small[name][()]
+    return small[name].item() if small[name].size == 1 else small[name]
 
 
 def _small(name: str, entries: Mapping[str, Entry]) -> np.ndarray:

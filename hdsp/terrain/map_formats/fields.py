@@ -6,13 +6,14 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.messages import shown
-from hdsp.base.scalars import real
+from hdsp.base.scalars import integer, real, scalar
 from hdsp.terrain.map_frame import MapFrame
 
 #: Largest number of cells in a file unless the option max_cells is another. A damaged header may claim any size.
@@ -75,22 +76,25 @@ class ReadOptions:
 
     def __post_init__(self):
         for name, need in (("resolution", "positive"), ("scale", "non-zero"), ("offset", "finite")):
-            value = getattr(self, name)
-            if value is None:
+            given = getattr(self, name)
+            if given is None:
                 continue
-            finite = math.isfinite(real(value))
-            if not finite or (need == "positive" and value <= 0) or (need == "non-zero" and value == 0):
-                raise InputError(f"option {name} is {shown(value)}; need a {need} number of metres")
+            value = real(given)
+            if not math.isfinite(value) or (need == "positive" and value <= 0) or (need == "non-zero" and value == 0):
+                raise InputError(f"option {name} is {shown(given)}; need a {need} number of metres")
+            object.__setattr__(self, name, value)
         if self.nodata is not None:
-            if not _is_number(self.nodata):
+            if not isinstance(scalar(self.nodata), Real):  # NaN is a number here
                 raise InputError(f"option nodata is {shown(self.nodata)}; need a number")
             object.__setattr__(self, "nodata", real(self.nodata))
         for name, need in (("message", "whole"), ("max_cells", "positive whole")):
-            value = getattr(self, name)
-            if value is None:
+            given = getattr(self, name)
+            if given is None:
                 continue
-            if isinstance(value, bool) or not isinstance(value, int) or (need != "whole" and value < 1):
-                raise InputError(f"option {name} is {value!r}; need a {need} number")
+            count = integer(given)
+            if count is None or (need != "whole" and count < 1):
+                raise InputError(f"option {name} is {shown(given)}; need a {need} number")
+            object.__setattr__(self, name, count)
         if self.origin is not None:
             object.__setattr__(self, "origin", _point(self.origin))
 
@@ -156,15 +160,11 @@ def frame_of_text(text: str | bytes) -> MapFrame:
         raise ValueError(f"entry frame is damaged: {error}") from None
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
-
-
 def _point(value: Any) -> tuple[float, float]:
     try:
-        x, y = (float(part) for part in value)
-    except (TypeError, ValueError, OverflowError):
+        x, y = (real(part) for part in value)
+    except (TypeError, ValueError):
         raise InputError(f"option origin is {shown(value)}; need two numbers (x, y) in metres") from None
     if not (math.isfinite(x) and math.isfinite(y)):
-        raise InputError(f"option origin is {value!r}; need two finite numbers (x, y) in metres")
+        raise InputError(f"option origin is {shown(value)}; need two finite numbers (x, y) in metres")
     return x, y

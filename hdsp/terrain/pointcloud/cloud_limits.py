@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from hdsp.base.errors import InputError
+from hdsp.base.messages import shown
+from hdsp.base.scalars import integer
 
 _UNPACKED: dict[str, Callable[[Path], Any]] = {".gz": gzip.open, ".bz2": bz2.open}
 _PIECE = 1 << 22
@@ -35,11 +37,10 @@ class CloudLimits(NamedTuple):
             InputError: if a value is no positive whole number.
         """
         for name, value in (("max_points", max_points), ("max_bytes", max_bytes)):
-            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < 1):
-                raise InputError(f"{name} is {value!r}; need a positive whole number")
-        default = cls()
-        points, rows = max_points or default.points, max_points or default.rows
-        return cls(points, rows, max_bytes or default.content)
+            if value is not None and (integer(value) or 0) < 1:
+                raise InputError(f"{name} is {shown(value)}; need a positive whole number")
+        default, most = cls(), integer(max_points)
+        return cls(most or default.points, most or default.rows, integer(max_bytes) or default.content)
 
     def check_points(self, claimed: int) -> None:
         """Refuses a claimed number of points."""

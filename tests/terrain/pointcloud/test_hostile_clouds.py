@@ -137,9 +137,10 @@ def test_h7_limits_can_be_raised(tmp_path):
     refused(tmp_path / "a.xyz", "it has 50 lines; at most 49 are read", max_points=49)
     refused(tmp_path / "a.xyz", "it has 300 bytes; at most 299 are read", max_bytes=299)
     assert read_points(tmp_path / "a.xyz", max_points=50, max_bytes=300).shape == (50, 3)
-    refused_value = {"max_points": 0}
-    with pytest.raises(InputError, match="max_points is 0; need a positive whole number"):
-        read_points(tmp_path / "a.xyz", **refused_value)
+    assert read_points(tmp_path / "a.xyz", max_points=50.0, max_bytes=np.int64(300)).shape == (50, 3)
+    for value in (0, True, 1.5, "9"):
+        with pytest.raises(InputError, match=f"max_points is {value!r}; need a positive whole number"):
+            read_points(tmp_path / "a.xyz", max_points=value)
 
 
 MANY = b"999999999999"
