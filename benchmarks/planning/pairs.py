@@ -6,7 +6,7 @@ Pairs are drawn before any search. No heuristic takes part in the choice.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
@@ -146,7 +146,7 @@ def map_key(terrain: HeightMap) -> str:
 
 def robot_key(robot: Robot) -> str:
     """Hash of the robot and of the version of the cost model: two equal hashes mean equal costs of equal plans."""
-    return hashlib.sha256(f"{asdict(robot)} {COST_MODEL_VERSION}".encode()).hexdigest()[:16]
+    return hashlib.sha256(f"{robot.hash()} {COST_MODEL_VERSION}".encode()).hexdigest()[:16]
 
 
 def pair_key(terrain: str, robot: Robot, start: Pose, goal: Pose) -> str:

@@ -1,6 +1,7 @@
 """The planning benchmark: pairs of its maps, statistics, optima, and a small run from the command line."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -154,6 +155,20 @@ def test_cases_belong_to_a_robot(tmp_path, monkeypatch):
     assert read_case(case.folder) == case
     assert planner_for(case, "manual").robot.name == "go2w"
     assert case.pairs[0].key not in {pair.key for pair in next(make_cases(1000, 1, 3, tmp_path)).pairs}
+
+
+def test_optima_stay_those_of_a_robot_whose_motions_change():
+    """Values that decide no plan are no part of the key, and the kept optima are those of the preset as it is."""
+    robot, poses = Robot.load("momaro"), ((1.0, 1.0, 0.0), (2.0, 2.0, 0.0))
+    key = pair_key("map", robot, *poses)
+    assert key == pair_key("map", replace(robot, speeds=replace(robot.speeds, drive=2 * robot.speeds.drive)), *poses)
+    assert key != pair_key("map", replace(robot, step=replace(robot.step, max_length=0.3)), *poses)
+    arena = next(iter(maps(0, 1)))
+    kept = [entry for key, entry in read_optima().items() if entry["map"].startswith("00 ")]
+    terrain = map_key(Planner(arena.terrain, conditioning=None).terrain)
+    assert kept and all(
+        pair_key(terrain, robot, tuple(entry["start"]), tuple(entry["goal"])) in read_optima() for entry in kept
+    )
 
 
 def test_optima_are_proved_once(tmp_path, monkeypatch):
