@@ -180,10 +180,12 @@ def test_layers_show_what_the_planner_knows():
     brightness = costs_to_go(planner)[..., :3].astype(int).sum(axis=-1)
     assert brightness[88, 32] < brightness[88, 88] < brightness[20, 20]  # the way leads around the wall
 
-    lines = abstract_edges(planner)
+    ground = planner.terrain.with_heights(planner.terrain.heights + 2)
+    lines = abstract_edges(planner, ground)
+    assert (lines.ends[..., 2] > 2).all()
     crossing = (lines.ends[:, :, 0] < 1.45).any(axis=1) & (lines.ends[:, :, 0] > 1.55).any(axis=1)
     assert len(lines.ends) > 500 and not (crossing & (lines.ends[:, :, 1] < 1.2).all(axis=1)).any()
-    assert abstract_edges(Planner(walled_room(), heuristic="geometric")) is None
+    assert abstract_edges(Planner(walled_room(), heuristic="geometric"), ground) is None
 
     answer = SimpleNamespace(request=request, plan=plan, planner=planner)
     seen = searched_cells(answer)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from scipy import ndimage
 
 from hdsp import HeightMap, InputError
 from hdsp.detailed.motion.local_motion import relative
@@ -146,6 +147,16 @@ def test_a_wall_has_one_colour(motion):
     x, y, z = np.moveaxis(scene.camera.world(scene.depth), -1, 0)
     wall = (abs(y - 1.25) < 1e-4) & (z > 0.05) & (z < 0.25) & (x > 0.6) & (x < 1.3)
     assert wall.sum() > 500 and np.ptp(scene.pixels[wall], axis=0).max() < 1e-3
+
+
+def test_films_and_recordings_fill_unknown_ground_once(motion, tmp_path, monkeypatch):
+    filled, fill = [], ndimage.distance_transform_edt
+    monkeypatch.setattr(
+        ndimage, "distance_transform_edt", lambda *args, **more: filled.append(1) or fill(*args, **more)
+    )
+    assert np.isfinite(animation._Film(motion, FilmSettings(1.0, 1.0), 320)._scene.depth).any() and len(filled) == 1
+    motion.save(tmp_path / "run.mcap", rate=2.0)
+    assert len(filled) == 2
 
 
 def test_the_profile_of_a_motion_keeps_its_height_over_unknown_ground(motion):

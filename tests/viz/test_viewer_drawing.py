@@ -10,6 +10,7 @@ import viser
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy import ndimage
 from websockets.exceptions import InvalidStatus
 from websockets.sync import client
 
@@ -18,7 +19,7 @@ from hdsp.detailed.actions.action import Action, ActionKind
 from hdsp.robot.robot import FEET
 from hdsp.viz.failure_marks import Failure, Mark
 from hdsp.viz.viewer import open_server, save_page
-from hdsp.viz.viewer.ground_mesh import STEP, ground_mesh, rectangles
+from hdsp.viz.viewer.ground_mesh import STEP, ground_mesh, rectangles, surface_of
 from hdsp.viz.viewer.local_server import HOST, close_server, free_port
 from hdsp.viz.viewer.plan_scene import PlanScene
 from hdsp.viz.viewer.pose_handle import PoseHandle
@@ -259,6 +260,30 @@ def drawn(origin):
     handle.place(page.terrain, robot, states[0])
     handle.control.moved(SimpleNamespace(phase="end"))
     return list(scene.numbers()), vars(server.initial_camera), np.array([handle.pose(), *released]) - near[:3]
+
+
+def test_unknown_ground_is_filled_once_for_all_that_is_drawn(monkeypatch):
+    filled, fill = [], ndimage.distance_transform_edt
+    monkeypatch.setattr(
+        ndimage, "distance_transform_edt", lambda *args, **more: filled.append(1) or fill(*args, **more)
+    )
+    drawn((412345.678, 5654321.123))
+    assert len(filled) == 1
+
+
+@given(MAPS, st.data())
+@settings(max_examples=30)
+def test_meshes_of_a_filled_map_are_those_of_the_map(heights, data):
+    heights[data.draw(arrays(bool, heights.shape))] = np.nan
+    terrain, known = HeightMap(heights), np.isfinite(heights)
+    surface = surface_of(terrain)
+    assert np.isfinite(surface.heights).all() and np.array_equal(surface.heights[known], heights[known])
+    for one, other in (
+        (ground_mesh(terrain), ground_mesh(surface, known)),
+        (ground_mesh(terrain, ~known, walls=False), ground_mesh(surface, ~known, walls=False)),
+        (ground_mesh(terrain, known | ~known), ground_mesh(surface)),
+    ):
+        assert all(map(np.array_equal, one, other))
 
 
 def test_a_scene_on_a_projected_map_is_the_one_near_zero():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,8 +19,8 @@ from hdsp.robot.lattice import (
     abstract_shape,
 )
 from hdsp.terrain.cost_maps import cost_maps
+from hdsp.terrain.height_map import HeightMap
 from hdsp.viz.palette import RED
-from hdsp.viz.viewer.ground_mesh import filled
 from hdsp.viz.viewer.textures import VALUE_COLORS, mark_colors, shaded, value_colors
 
 _PER_FOOT = 10.0  # the foot cost rises ten times as fast as the state cost, whose share of each foot is 0.1
@@ -105,10 +104,14 @@ def _in_cells(values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     return found
 
 
-def abstract_edges(planner: Planner) -> EdgeLines | None:
+def abstract_edges(planner: Planner, surface: HeightMap) -> EdgeLines | None:
     """Returns the edges between neighbouring abstract cells, coloured by cost per metre.
 
     Each line stands for the cheapest heading and the cheaper direction.
+
+    Args:
+        planner: the planner.
+        surface: its terrain without unknown cells, as by `hdsp.viz.viewer.ground_mesh.surface_of`.
 
     Returns:
         the lines; None for a heuristic without an abstraction.
@@ -133,8 +136,7 @@ def abstract_edges(planner: Planner) -> EdgeLines | None:
         return EdgeLines(np.empty((0, 2, 3)), np.empty((0, 3), np.uint8))
     states = np.concatenate([places, np.zeros((*places.shape[:2], 1), np.int64)], axis=-1)
     at = planner.grid.center(abstract_anchor(states)[..., :2])
-    ground = replace(planner.terrain, heights=filled(planner.terrain.heights))
-    heights = ground.height_at(at[..., 0], at[..., 1]) + _OVER
+    heights = surface.height_at(at[..., 0], at[..., 1]) + _OVER
     colors = shaded(price, VALUE_COLORS, float(price.min()), float(np.percentile(price, 95)))
     return EdgeLines(np.concatenate([at, heights[..., None]], axis=-1), colors)
 

@@ -284,7 +284,7 @@ class MapViewer:
                     self._hide(name)
 
     def _draw_edges(self, answer: PlanningAnswer) -> None:
-        lines = abstract_edges(answer.planner)
+        lines = abstract_edges(answer.planner, self.scene.surface)
         if lines is None:
             self.scene.remove_layer(EDGES)
         else:

@@ -27,7 +27,7 @@ from hdsp.viz.recordings.film_settings import FilmSettings, side
 from hdsp.viz.recordings.robot_mesh import RobotMesh
 from hdsp.viz.recordings.track import Track
 from hdsp.viz.recordings.z_buffer import Canvas, ParallelCamera, Triangles
-from hdsp.viz.viewer.ground_mesh import filled, ground_mesh
+from hdsp.viz.viewer.ground_mesh import ground_mesh, surface_of
 from hdsp.viz.viewer.textures import height_colors, rgb
 
 _WIDEST = 3840  # pixels
@@ -123,7 +123,8 @@ class _Film:
         """The ground without the robot."""
         track, terrain = self._track, self._ground
         (x, y), (length, across) = terrain.origin, terrain.size
-        heights = filled(terrain.heights)
+        surface = surface_of(terrain)
+        heights = surface.heights.astype(float)
         low, (first, last) = float(heights.min()), track.state.base[[0, -1], :2]
         along = np.arctan2(*(last - first)[::-1]) if np.linalg.norm(last - first) > 0.1 else track.state.base[0, 5]
         rim = np.array([(x + i * length, y + j * across, heights[-i, -j]) for i in (0, 1) for j in (0, 1)])
@@ -132,7 +133,7 @@ class _Film:
         fitted = np.concatenate([rim, rim * (1, 1, 0) + (0, 0, low - _FLOOR), robot])
         camera = ParallelCamera(float(along + np.pi / 2 - _SIDE), float(_ELEVATION), fitted, _FINE * width)
         canvas = Canvas(camera)
-        mesh = ground_mesh(terrain, np.ones(terrain.shape, bool))
+        mesh = ground_mesh(surface)
         corners = mesh.vertices[mesh.faces.astype(int)].astype(float)
         canvas.draw(Triangles(np.concatenate([corners, _sides(terrain, heights, low - _FLOOR)]),
                               np.full((len(corners) + 4 * sum(terrain.shape), 3), 0.93)), _LIGHT)  # fmt: skip

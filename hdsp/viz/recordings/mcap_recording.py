@@ -27,7 +27,7 @@ from hdsp.terrain.height_map import HeightMap
 from hdsp.viz.palette import FEET as FOOT_COLORS
 from hdsp.viz.palette import ORANGE, UNKNOWN
 from hdsp.viz.recordings.track import Track, source_transform
-from hdsp.viz.viewer.ground_mesh import ground_mesh
+from hdsp.viz.viewer.ground_mesh import ground_mesh, surface_of
 from hdsp.viz.viewer.robot_pose import link_length, trunk
 from hdsp.viz.viewer.textures import height_colors, rgb
 
@@ -167,7 +167,8 @@ class _Recorder:
         m, parts = self._m, []
         colors = height_colors(terrain)[..., :3] / 255.0
         unknown = np.isnan(terrain.heights)
-        local = HeightMap(terrain.heights, resolution=terrain.resolution)  # viewers round far coordinates to float32
+        # Viewers round far coordinates to float32.
+        local = surface_of(HeightMap(terrain.heights, resolution=terrain.resolution))
         for cells, color in ((~unknown, None), (unknown, UNKNOWN)):
             mesh = ground_mesh(local, cells, walls=color is None)
             if not len(mesh.faces):

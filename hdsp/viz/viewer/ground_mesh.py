@@ -10,6 +10,7 @@ corner of cell (0, 0).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +44,8 @@ def ground_mesh(terrain: HeightMap, cells: np.ndarray | None = None, raised: flo
 
     Args:
         terrain: the map.
-        cells: bool [nx, ny], the cells; None: all known cells. An unknown cell has the height of the nearest known one.
+        cells: bool [nx, ny], the cells; None: all known cells. Unknown cells are filled as by `surface_of`; a map from
+            there saves this work for each further mesh.
         raised: mesh height above the ground, m.
         walls: whether vertical faces at edges belong to the mesh.
 
@@ -53,7 +55,7 @@ def ground_mesh(terrain: HeightMap, cells: np.ndarray | None = None, raised: flo
     cells = np.isfinite(terrain.heights) if cells is None else cells
     if not cells.any():
         return Mesh(np.empty((0, 3), np.float32), np.empty((0, 3), np.uint32), np.empty((0, 2), np.float32))
-    corners = corner_heights(filled(terrain.heights))
+    corners = corner_heights(_filled(terrain.heights))
     quads = [_tops(corners, cells)]
     if walls:
         quads += [_walls(corners, cells), _mirrored(_walls(corners.transpose(1, 0, 2)[:, :, [0, 3, 2, 1]], cells.T))]
@@ -61,8 +63,12 @@ def ground_mesh(terrain: HeightMap, cells: np.ndarray | None = None, raised: flo
     return _joined(places, shades, terrain, raised)
 
 
-def filled(heights: np.ndarray) -> np.ndarray:
-    """Returns heights, float64 [nx, ny], in which unknown cells have the nearest known cell's height, else 0."""
+def surface_of(terrain: HeightMap) -> HeightMap:
+    """Returns a map in which unknown cells have the nearest known cell's height, or 0 without any."""
+    return replace(terrain, heights=_filled(terrain.heights))
+
+
+def _filled(heights: np.ndarray) -> np.ndarray:
     from scipy.ndimage import distance_transform_edt
 
     unknown = np.isnan(heights)

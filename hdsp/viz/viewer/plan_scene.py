@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -15,7 +14,7 @@ from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 from hdsp.viz.failure_marks import Failure
 from hdsp.viz.palette import BLACK, FEET, SKY, VERMILLION
-from hdsp.viz.viewer.ground_mesh import Mesh, filled, ground_mesh
+from hdsp.viz.viewer.ground_mesh import Mesh, ground_mesh, surface_of
 from hdsp.viz.viewer.robot_nodes import RobotNodes
 from hdsp.viz.viewer.robot_pose import standing
 from hdsp.viz.viewer.textures import height_colors, mark_colors, rgb, unknown_colors
@@ -58,17 +57,16 @@ class PlanScene:
     def draw_terrain(self, terrain: HeightMap) -> None:
         """Draws the ground, with hatched surfaces over unknown cells, and looks at it from above."""
         self.terrain, self.place = terrain, local_place(terrain)
-        self.surface = replace(terrain, heights=filled(terrain.heights))
+        self.surface = surface_of(terrain)
         self._ground = relative_map(self.surface, self.place)
-        self._local = terrain = relative_map(terrain, self.place)
-        ground = ground_mesh(terrain)
-        self.scene.add_glb("/terrain", textured(ground, height_colors(terrain)), cast_shadow=False)
         unknown = np.isnan(terrain.heights)
+        ground = ground_mesh(self._ground, ~unknown)
+        self.scene.add_glb("/terrain", textured(ground, height_colors(terrain)), cast_shadow=False)
         self.unknown = None
         if unknown.any():
-            surface = ground_mesh(terrain, unknown, walls=False)
+            surface = ground_mesh(self._ground, unknown, walls=False)
             self.unknown = self.scene.add_glb("/unknown", textured(surface, unknown_colors(terrain)), cast_shadow=False)
-        (x, y), size = terrain.center, max(terrain.size)
+        (x, y), size = self._ground.center, max(terrain.size)
         x += self._aside * size
         self._level = level = float(np.median(ground.vertices[:, 2])) if len(ground.vertices) else 0.0
         camera = self.server.initial_camera
@@ -77,7 +75,7 @@ class PlanScene:
 
     def draw_layer(self, name: str, colors: np.ndarray, visible: bool = True) -> None:
         """Drapes colours, uint8 [nx, ny, 4], over the ground; another layer of the same name is replaced."""
-        surface = ground_mesh(self._local, colors[..., 3] > 0, raised=_ABOVE, walls=False)
+        surface = ground_mesh(self._ground, colors[..., 3] > 0, raised=_ABOVE, walls=False)
         self.remove_layer(name)
         if len(surface.faces):
             self._layers[name] = self.scene.add_glb(
