@@ -1,6 +1,6 @@
 """Arrays with labelled tasks: label makers produce them; learning and evaluation use them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -126,7 +126,10 @@ class TaskSet:
 
     def __getitem__(self, maps) -> "TaskSet":
         """Maps selected by a slice, an index array or a mask."""
-        return TaskSet(**{name: array[maps] for name, array in self.arrays().items()})
+        arrays = {name: array[maps] for name, array in self.arrays().items()}
+        if (shape := arrays["category"].shape) != (arrays["category"].size,):
+            raise InputError(f"task set: selected maps have shape {shape}; need a slice, an index array or a mask")
+        return self._of_checked(arrays)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays by name, without copies and without those that the set lacks."""
@@ -146,7 +149,15 @@ class TaskSet:
             return cls.empty()
         arrays = [tasks.arrays() for tasks in sets if len(tasks)] or [sets[0].arrays()]
         shared = [name for name in arrays[0] if all(name in each for each in arrays)]
-        return cls(**{name: np.concatenate([each[name] for each in arrays]) for name in shared})
+        return cls._of_checked({name: np.concatenate([each[name] for each in arrays]) for name in shared})
+
+    @classmethod
+    def _of_checked(cls, arrays: Mapping[str, np.ndarray]) -> "TaskSet":
+        """A set with maps from other sets, whose values are not checked again: that reads all heights."""
+        tasks = object.__new__(cls)
+        for field in fields(cls):
+            object.__setattr__(tasks, field.name, arrays.get(field.name))
+        return tasks
 
 
 def _array_of(name: str, values: Any) -> np.ndarray:

@@ -172,6 +172,20 @@ def test_maps_are_picked_like_elements_of_an_array():
     assert len(TaskSet.concatenate([])) == 0
 
 
+def test_selected_and_joined_maps_are_not_checked_again(monkeypatch):
+    tasks = random_tasks(6)
+    first, others = TaskSet.concatenate([tasks[:2], TaskSet.empty()]), tasks[np.arange(6) > 1]
+    monkeypatch.setattr(TaskSet, "__post_init__", lambda _: pytest.fail("values are checked again"))
+    joined = TaskSet.concatenate([first, others[:0], others])
+    monkeypatch.undo()
+    assert_same_tasks(joined, tasks)
+    assert_same_tasks(TaskSet(**joined[::2].arrays()), joined[::2])  # shapes and types are those of a checked set
+    assert np.shares_memory(tasks[1:3].heights, tasks.heights)
+    for wrong, shape in ((2, "()"), ([[0, 1]], "(1, 2)")):
+        with pytest.raises(InputError, match=re.escape(f"selected maps have shape {shape}")):
+            tasks[wrong]
+
+
 def test_planning_costs_are_stored_beside_labels_and_may_be_missing(tmp_path):
     tasks = random_tasks(4)
     planned = replace(tasks, planning_cost=0.9 * tasks.cost)
