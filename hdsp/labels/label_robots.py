@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from hdsp.base.errors import InputError
 from hdsp.base.storage import Place, is_folder
 from hdsp.labels.shard_index import ShardIndex
 from hdsp.labels.shards import index_of, read_attributes, shard_paths
@@ -52,9 +53,12 @@ def _of_index(index: ShardIndex) -> Any:
 
 def _is_other(found: Any, robot: Robot) -> bool:
     """Whether a recorded robot, a hash or all of its values, is another one."""
-    if isinstance(found, Mapping):
+    if not isinstance(found, Mapping):
+        return found not in (None, robot.hash())
+    try:
+        return Robot.load(dict(found)).hash() != robot.hash()
+    except InputError:  # recorded with other keys than those of robots now
         return found.get("name") not in (None, robot.name)
-    return found not in (None, robot.hash())
 
 
 def _words(place: Place, robot: Robot) -> str:

@@ -39,6 +39,21 @@ def test_a_shard_records_its_robot_in_any_of_its_ways(robots):
         assert not is_of_other_robot(unknown, mine)
 
 
+def test_a_robot_of_the_same_name_with_other_limits_is_another_one(robots, tmp_path):
+    mine, other = robots
+    values = json.loads(json.dumps(mine.to_dict()))
+    weaker = {**values, "step": {**values["step"], "max_length": values["step"]["max_length"] / 2}}
+    older = {name: value for name, value in values.items() if name != "step"}
+    for found, is_other in ((values, False), (weaker, True), (older, False), ({**older, "name": other.name}, True)):
+        assert is_of_other_robot({"robot_hash": found}, mine) == is_other
+        place = tmp_path / str(len(list(tmp_path.iterdir()))) / "abcdefabcdef/4-maps"
+        write_index(open_folder(place), "abcdefabcdef" + "0" * 52, {"robot": found}, 4, 0)
+        assert bool(other_robot(place.parent.parent, mine)) == is_other
+    for name in Robot.presets():
+        robot = Robot.load(name)
+        assert not is_of_other_robot({"robot_hash": json.loads(json.dumps(robot.to_dict()))}, robot)
+
+
 @pytest.mark.parametrize("indexed", [False, True])
 def test_folders_with_labels_of_another_robot_are_named(robots, tmp_path, indexed):
     mine, theirs = robots
