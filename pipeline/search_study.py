@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 #: Attributes of a trial: the process that runs it; the folder of the killed trial whose training it continues.
 PROCESS, PLACE = "process", "place"
-#: Attributes of a study begin so; each holds a part of the settings that all its trials share.
-SHARED = "shared."
+#: Attribute of a study with all settings that its trials share, written at once: several processes may begin a search.
+SHARED = "shared"
 #: Names of differing settings in a message.
 _SHOWN = 3
 _ANOTHER = "give another search.name"
@@ -79,7 +79,7 @@ def check_same_search(study: Study, config: Config, space: Mapping[str, Override
         "search": {"metric": config.search.metric, "direction": config.search.direction, "space": texts},
         **deciding_settings(config),
     }
-    kept = {name.removeprefix(SHARED): value for name, value in study.user_attrs.items() if name.startswith(SHARED)}
+    kept = study.user_attrs.get(SHARED)
     own = f"search {study.study_name!r} in {shown_place(config)}"
     if kept and (differing := _differing(kept, shared)):
         more = f" and {len(differing) - _SHOWN} more" if len(differing) > _SHOWN else ""
@@ -91,8 +91,7 @@ def check_same_search(study: Study, config: Config, space: Mapping[str, Override
             if distributions.get(key) != old:
                 raise InputError(f"{own} has trials with another {key}, {old}; {_ANOTHER}")
     if not kept:
-        for name, value in shared.items():
-            study.set_user_attr(f"{SHARED}{name}", value)
+        study.set_user_attr(SHARED, shared)
     return distributions
 
 

@@ -158,6 +158,26 @@ def test_a_search_with_another_setting_ends_before_its_first_trial(trainings, tm
     assert len(trainings) == 1
 
 
+def test_processes_that_begin_a_search_at_once_do_not_refuse_each_other(config, tmp_path, monkeypatch):
+    mine = replace(config, search=replace(config.search, storage=f"sqlite:///{tmp_path}/optuna.db"))
+    space = {"trainer.optimizer.lr": parse_overrides([RATE])[0]}
+    study, other, write, looks = open_study(mine), open_study(mine), optuna.Study.set_user_attr, []
+
+    def write_while_the_other_begins(self, key, value):
+        if self is study:
+            looks.append(check_same_search(other, mine, space))
+        write(self, key, value)
+        if self is study:
+            looks.append(check_same_search(other, mine, space))
+
+    monkeypatch.setattr(optuna.Study, "set_user_attr", write_while_the_other_begins)
+    found = check_same_search(study, mine, space)
+    assert looks and all(look == found for look in looks)
+    for process in (study, other):
+        with pytest.raises(InputError, match=r"trainer\.seed was 0, is 7; give another"):
+            check_same_search(process, replace(mine, trainer=replace(mine.trainer, seed=7)), space)
+
+
 def test_a_study_without_record_of_its_settings_is_compared_by_direction_and_space(config):
     study, space = optuna.create_study(), {"trainer.optimizer.lr": parse_overrides([RATE])[0]}
     with pytest.raises(InputError, match="has the direction minimize, not maximize"):
