@@ -50,7 +50,7 @@ def train(config: Config, folders: Folders) -> float:
     settings = TrainingConfig(config.model, trainer, config.runtime.hardware, lightning)
     check_lightning(settings)  # this too
     train_tasks, sets, splits = read_sets(config, folders)
-    hashes = {name: folder_hash(path) for name, path in splits.items()}
+    hashes = hashes_of(config, splits, sets)
     data_hash = _hash_of([hashes[name] for name in trainer.splits])
     first = is_first_process()  # others share its work, and write nothing
     tracked: AbstractContextManager[Any] = nullcontext()
@@ -251,6 +251,29 @@ def part_of(folders: Sequence[Place], trainer: TrainerSettings) -> TaskSet:
     if not kept.any():
         raise InputError(f"cannot train: no map is left of {len(tasks)} by trainer.share and trainer.residues")
     return tasks if kept.all() else tasks[kept]
+
+
+def hashes_of(config: Config, places: Mapping[str, Place], sets: Mapping[str, TaskSet]) -> dict[str, str]:
+    """Returns the hash of each split and watched set.
+
+    Files of a scan may lie outside the folder with its description, so the hash of such a set is that of its tasks.
+
+    Args:
+        config: the configuration.
+        places: place of each split and set.
+        sets: the tasks of the watched sets.
+    """
+    watched = config.evaluation.watched
+    scanned = {name for name in watched if name in sets and config.evaluation.sets[name].scans is not None}
+    return {name: _tasks_hash(sets[name]) if name in scanned else folder_hash(at) for name, at in places.items()}
+
+
+def _tasks_hash(tasks: TaskSet) -> str:
+    digest = hashlib.sha256("\0".join(tasks.category).encode())
+    for name, array in tasks.arrays().items():
+        if name != "category":
+            digest.update(f"{name} {array.dtype.str} {array.shape}\0".encode() + array.tobytes())
+    return digest.hexdigest()
 
 
 def folder_hash(folder: Place) -> str:

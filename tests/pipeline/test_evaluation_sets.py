@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from hdsp.base.errors import InputError
+from hdsp.base.storage import open_folder
+from hdsp.labels.shard_index import write_index
 from hdsp.labels.shards import shard_sizes, write_shard
 from hdsp.labels.tasks import TaskSet
 from hdsp.learning.learning_settings import TrainerSettings
@@ -14,7 +16,7 @@ from pipeline.config_types import EvaluationSet
 from pipeline.label_places import shards_place
 from pipeline.stage import Folders
 from pipeline.task_sets import read_evaluation_set, read_set
-from pipeline.train import folder_hash, part_of, read_sets
+from pipeline.train import folder_hash, hashes_of, part_of, read_sets
 from tests.labels.task_sets import random_tasks
 
 
@@ -87,6 +89,30 @@ def test_the_hash_of_a_folder_covers_all_shards_that_are_read_from_it(tmp_path):
     assert both != alone
     write_shard(elsewhere / "1.h5", random_tasks(3, 9), {"labels_hash": "0"})
     assert folder_hash(folder) not in (alone, both)
+
+
+def test_a_watched_folder_of_scans_with_several_label_sets_has_the_hash_of_its_tasks(tmp_path):
+    folder = tmp_path / "scans"
+    for name in ("abcdefabcdef", "123456123456"):
+        write_shard(folder / name / "shards/00000/0.h5", random_tasks(2), {"labels_hash": name})
+        write_index(open_folder(folder / name / "2-maps"), name + "0" * 52, {}, 2, 0)
+    for name in ("mine", "more"):
+        write_shard(tmp_path / name / "0.h5", random_tasks(3), {"labels_hash": "0"})
+    words = ["trainer.splits=[./mine]", "trainer.val_splits=[./more]", "evaluation.watched=[here]"]
+    config = configure([*words, f"evaluation.sets.here={{scans: {folder}}}"])
+
+    def hashes():
+        _, sets, places = read_sets(config, Folders(tmp_path, tmp_path))
+        return len(sets["here"]), hashes_of(config, places, sets)
+
+    maps, before = hashes()
+    assert maps == 4 and hashes() == (4, before)
+    assert {name: before[name] for name in ("./mine", "./more")} == {
+        name: folder_hash(tmp_path / name) for name in ("./mine", "./more")
+    }
+    write_shard(folder / "beside.h5", random_tasks(2, 5), {"labels_hash": "0"})
+    maps, after = hashes()
+    assert maps == 6 and after["here"] != before["here"] and after["./more"] == before["./more"]
 
 
 @pytest.mark.parametrize(
