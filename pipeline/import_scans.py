@@ -60,12 +60,12 @@ def import_scans(config: Config, folders: Folders) -> None:
 
 def _own_shards(folder: Path) -> set[str]:
     """Names of the shards in a folder that this stage wrote; a user may have added others."""
-    from hdsp.labels.shards import read_shard
+    from hdsp.labels.shards import read_attributes
 
     names = set()
     for path in folder.glob("*.h5"):
         with suppress(InputError):  # no shard, or a damaged one, which a scan of this name replaces
-            if read_shard(path).attributes.get("scan") == path.stem:
+            if read_attributes(path).get("scan") == path.stem:
                 names.add(path.name)
     return names
 
