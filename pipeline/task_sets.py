@@ -14,7 +14,7 @@ from .label_places import not_there, shards_place
 from .stage import Folders
 
 if TYPE_CHECKING:
-    from hdsp.labels.shards import TaskSet
+    from hdsp.labels.tasks import TaskSet
     from hdsp.robot.robot import Robot
 
 #: Written by a stage without data; `reason` explains why.
@@ -35,21 +35,23 @@ def remove_results(folder: Path, *names: str) -> None:
 def read_set(folder: Place, robot: Robot | None = None) -> tuple[TaskSet | None, str]:
     """Returns the tasks in a shard or a folder with shards (path or URL), or None and the reason for their absence.
 
-    With a robot, labels that record another one are a reason.
+    With a robot, labels that record another one are a reason. Each shard is read once.
 
     Raises:
         InputError: a shard is damaged.
     """
-    from hdsp.labels.label_robots import other_robot
-    from hdsp.labels.shards import read_tasks, shard_paths
+    from hdsp.labels.label_robots import OtherRobotError, read_own_tasks
+    from hdsp.labels.shards import shard_paths
+    from hdsp.labels.tasks import TaskSet
 
     if not is_url(folder) and (absent := Path(folder) / ABSENT).is_file():
         return None, json.loads(absent.read_text(encoding="utf-8"))["reason"]
     if not shard_paths(folder):
         return None, not_there(folder)
-    if robot is not None and (reason := other_robot(folder, robot)):
-        return None, reason
-    tasks = read_tasks(folder)
+    try:
+        tasks = TaskSet.concatenate(read_own_tasks(folder, robot))
+    except OtherRobotError as error:
+        return None, str(error)
     return (tasks, "") if len(tasks) else (None, f"{folder} holds no maps: its shards are empty")
 
 

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from hdsp.labels.tasks import TaskSet
     from hdsp.learning import TrainResult
     from hdsp.learning.learning_settings import TrainerSettings
+    from hdsp.robot.robot import Robot
 
 
 def train(config: Config, folders: Folders) -> float:
@@ -85,15 +86,16 @@ def read_sets(config: Config, folders: Folders) -> tuple[TaskSet | list[Place], 
     trainer = config.trainer
     names = (*trainer.splits, *trainer.val_splits)
     splits: dict[str, Place] = {name: shards_place(config, folders.inputs, name) for name in names}
-    for name in filter(is_place, names):  # labels elsewhere; those of this configuration have its robot
-        if reason := other_robot(splits[name], config.robot):
-            raise InputError(f"cannot train: {reason}")
     learnt, deciding = ([splits[name] for name in names] for names in (trainer.splits, trainer.val_splits))
-    train_tasks = learnt if trainer.stream else part_of(learnt, trainer)
     if trainer.limits.overfit is not None:
-        train_tasks = part_of(learnt, trainer)[: trainer.limits.overfit]
-        return train_tasks, {"val": train_tasks}, splits
-    sets = {"val": _required(deciding)}
+        few = part_of(learnt, trainer, config.robot)[: trainer.limits.overfit]
+        return few, {"val": few}, splits
+    if trainer.stream:
+        for name in filter(is_place, trainer.splits):  # labels elsewhere; those of this configuration have its robot
+            if reason := other_robot(splits[name], config.robot):
+                raise InputError(f"cannot train: {reason}")
+    train_tasks = learnt if trainer.stream else part_of(learnt, trainer, config.robot)
+    sets = {"val": _required(deciding, config.robot)}
     for name in config.evaluation.watched:
         entry = config.evaluation.sets[name]
         tasks, reason = read_evaluation_set(name, entry, config, folders)
@@ -218,30 +220,35 @@ def data_notes(config: Config, splits: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def part_of(folders: Sequence[Place], trainer: TrainerSettings) -> TaskSet:
+def part_of(folders: Sequence[Place], trainer: TrainerSettings, robot: Robot | None = None) -> TaskSet:
     """Returns the maps that `trainer.share` and `trainer.residues` select; depends on both and the labels alone.
 
     Only as many shards are read as this share needs; each shard is a sample from its split.
 
     Raises:
-        InputError: a split does not exist, or no map is left.
+        InputError: a split does not exist or records another robot than the one given, or no map is left.
     """
     import numpy as np
 
-    from hdsp.labels.shards import read_tasks, shard_paths
+    from hdsp.labels.label_robots import OtherRobotError, read_own_tasks
+    from hdsp.labels.shards import shard_paths
     from hdsp.labels.tasks import TaskSet
     from hdsp.robot.lattice import HEADINGS, HEADINGS_PER_ABSTRACT
 
     share = trainer.share
     if share == 1:
-        tasks = _required(folders)
+        tasks = _required(folders, robot)
     else:
         parts, random = [], np.random.default_rng(0)
         for folder in folders:
             shards = shard_paths(folder)
             wanted = share * len(shards)
-            read = [read_tasks(shards[k]) for k in sorted(random.permutation(len(shards))[: math.ceil(wanted)])]
-            found = TaskSet.concatenate(read) if read else _required([folder])
+            chosen = [shards[k] for k in sorted(random.permutation(len(shards))[: math.ceil(wanted)])]
+            try:
+                read = read_own_tasks(folder, robot, chosen)
+            except OtherRobotError as error:
+                raise InputError(f"cannot train: {error}") from None
+            found = TaskSet.concatenate(read) if read else _required([folder], robot)
             left = round(len(found) * wanted / max(len(read), 1))
             parts.append(found[np.sort(random.permutation(len(found))[:left])])
         tasks = TaskSet.concatenate(parts)
@@ -302,13 +309,13 @@ def _hash_of(hashes: list[str]) -> str:
     return hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
 
 
-def _required(paths: Sequence[Place]) -> TaskSet:
+def _required(paths: Sequence[Place], robot: Robot | None) -> TaskSet:
     """Joins the tasks from several splits in one set."""
     from hdsp.labels.tasks import TaskSet
 
     sets = []
     for path in paths:
-        tasks, reason = read_set(path)
+        tasks, reason = read_set(path, robot)
         if tasks is None:
             raise InputError(f"cannot train: {reason}")
         sets.append(tasks)

@@ -1,17 +1,22 @@
 """The robot behind labels, as far as shards and indices of labels record it."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hdsp.base.errors import InputError
 from hdsp.base.storage import Place, is_folder
 from hdsp.labels.shard_index import ShardIndex
-from hdsp.labels.shards import index_of, read_attributes, shard_paths
+from hdsp.labels.shards import index_of, read_attributes, read_shard, shard_paths
+from hdsp.labels.tasks import TaskSet
 from hdsp.robot.robot import Robot
 
 #: Attribute of shards with ``Robot.hash()``, where no `labels_inputs` name the robot.
 ROBOT_HASH = "robot_hash"
+
+
+class OtherRobotError(InputError):
+    """Raised if labels belong to another robot than they should."""
 
 
 def other_robot(place: Place, robot: Robot) -> str:
@@ -30,10 +35,32 @@ def other_robot(place: Place, robot: Robot) -> str:
     index = index_of(place) if is_folder(place) else None
     if index is not None:
         return _words(place, robot) if _is_other(_of_index(index), robot) else ""
-    for path in shard_paths(place):
-        if is_of_other_robot(read_attributes(path), robot):
-            return _words(path, robot)
-    return ""
+    others = (path for path in shard_paths(place) if is_of_other_robot(read_attributes(path), robot))
+    return next((_words(path, robot) for path in others), "")
+
+
+def read_own_tasks(place: Place, robot: Robot | None, paths: Sequence[Place] | None = None) -> list[TaskSet]:
+    """Reads the tasks in each shard at a place, and compares their robot in the same pass.
+
+    Args:
+        place: as for `other_robot`.
+        robot: the robot to which the labels have to belong, unless they record none; None = any labels.
+        paths: shards to read; None = all.
+
+    Raises:
+        OtherRobotError: the labels are of another robot.
+        InputError: a shard or an index is damaged.
+    """
+    index = index_of(place) if is_folder(place) else None
+    if robot is not None and index is not None and _is_other(_of_index(index), robot):
+        raise OtherRobotError(_words(place, robot))
+    sets = []
+    for path in shard_paths(place) if paths is None else paths:
+        tasks, attributes = read_shard(path)
+        if robot is not None and index is None and is_of_other_robot(attributes, robot):
+            raise OtherRobotError(_words(path, robot))
+        sets.append(tasks)
+    return sets
 
 
 def is_of_other_robot(attributes: Mapping[str, Any], robot: Robot) -> bool:

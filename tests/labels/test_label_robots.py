@@ -84,3 +84,31 @@ def test_shards_of_another_robot_in_a_folder_of_scans_are_skipped(robots, tmp_pa
     found = read_scan_folder(tmp_path / "scans", mine, ScanPatchSettings(), LabelSettings(), tmp_path / "work")
     assert found.used == {"a.h5": 3}
     assert found.skipped == {"b.h5": "its labels are of another robot than momaro as it is now"}
+
+
+@pytest.mark.parametrize(
+    ("word", "shards"),
+    [
+        ("trainer.share=1", 5),
+        ("trainer.share=0.5", 3),
+        ("trainer.limits.overfit=2", 4),
+        ("trainer.stream=true", 5),
+    ],
+)
+def test_each_shard_is_read_once_on_the_way_into_a_training(robots, tmp_path, monkeypatch, word, shards):
+    for name, robot in zip(("mine", "theirs"), robots, strict=True):
+        for number in range(4):
+            write_shard(tmp_path / f"{name}/{number}.h5", random_tasks(2, number), attributes(robot))
+    write_shard(tmp_path / "val/0.h5", random_tasks(2, 9), attributes(robots[0]))
+    kind, seen = type(open_folder(tmp_path)), []
+    read = kind.read
+    monkeypatch.setattr(kind, "read", lambda self, name: seen.append(f"{self.path}/{name}") or read(self, name))
+
+    def sets(folder):
+        places = [f"trainer.splits=[{tmp_path}/{folder}]", f"trainer.val_splits=[{tmp_path}/val]"]
+        return read_sets(configure(["evaluation.watched=[]", *places, word]), Folders(tmp_path, tmp_path))
+
+    sets("mine")
+    assert len(seen) == len(set(seen)) == shards
+    with pytest.raises(InputError, match=r"^cannot train: the labels in .*theirs/\d\.h5 are of another robot than mom"):
+        sets("theirs")
