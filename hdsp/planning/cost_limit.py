@@ -27,6 +27,8 @@ def at_most(search: Solver) -> Solver:
 
     def searched(query: Query, hopeless: Hopeless | None) -> Plan:
         plan = search(replace(query, limits=within_rounding(query)), hopeless)
+        if plan.status == Status.COST_LIMIT:
+            return plan.renewed({"lower_bound": query.limits.cost})
         if not plan.solved or plan.cost <= query.limits.cost:
             return plan
         # Between the limit and the limit with its rounding: another plan may cost less.

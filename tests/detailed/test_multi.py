@@ -203,9 +203,10 @@ limits_group = pytest.mark.xdist_group("search cuboid_wall")
 @limits_group
 @pytest.mark.parametrize("weights", [(1.0, 1.0), (1.5, 2.0), (4.0, 4.0)])
 def test_a_cost_limit_ends_with_its_own_status(dear_task, weights):
-    below = found(dear_task, [exaggerated(dear_task)], *weights, limits=Limits(cost=0.99 * dear_task.cost))
+    limit = 0.99 * dear_task.cost
+    below = found(dear_task, [exaggerated(dear_task)], *weights, limits=Limits(cost=limit))
     assert below.status == [Status.COST_LIMIT] and np.isinf(below.cost[0]) and np.isinf(below.bound)
-    assert below.lower_bound == 0.99 * dear_task.cost
+    assert below.lower_bound == limit * (1 - rounding(dear_task.world) * limit), "as far as single precision proves"
     for task in search_tasks("cuboid_wall")[::4]:
         within = found(task, [exaggerated(task)], *weights, limits=Limits(cost=1.01 * task.cost))
         assert within.cost[0] <= 1.01 * task.cost + 1e-6
