@@ -11,7 +11,9 @@ import fcntl
 import json
 import logging
 import os
+import shutil
 import subprocess
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -80,6 +82,8 @@ def connect() -> Any:
         if local:
             mlflow.set_tracking_uri(address)
         with _one_at_a_time(root / ".mlflow.lock") if local else _few_retries():
+            if local and not (root / "mlflow.db").exists():
+                _make_database(mlflow, root / "mlflow.db")
             if mlflow.get_experiment_by_name(EXPERIMENT) is None:
                 # A server chooses its own artifact location.
                 mlflow.create_experiment(EXPERIMENT, (root / "mlartifacts").as_uri() if local else None)
@@ -91,6 +95,17 @@ def connect() -> Any:
         reason = without_password(one_line(first))[:_LONGEST_REASON]
         raise InputError(f"cannot use MLflow at {without_password(address)}: {reason}") from error
     return mlflow
+
+
+def _make_database(mlflow: Any, path: Path) -> None:
+    """Makes an empty database, which is whole or absent: MLflow's migrations cannot go on after an interruption."""
+    with tempfile.TemporaryDirectory(prefix="mlflow-") as folder:
+        made = Path(folder) / path.name
+        client = mlflow.MlflowClient(f"sqlite:///{made}")
+        client.search_experiments()
+        client._tracking_client.store.engine.dispose()  # nothing is left in a journal
+        with replacing(path) as temporary:
+            shutil.copyfile(made, temporary)
 
 
 @contextlib.contextmanager
@@ -227,7 +242,7 @@ def _git(*arguments: str) -> str:
 
 @contextlib.contextmanager
 def _one_at_a_time(path: Path) -> Iterator[None]:
-    """Serialises database creation: two processes at the same time would break its migrations."""
+    """Serialises the creation of database and experiment."""
     with path.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield

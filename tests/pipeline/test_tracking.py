@@ -28,6 +28,19 @@ def test_a_damaged_database_is_named(project):
         tracking.connect()
 
 
+def test_a_database_whose_creation_was_interrupted_is_made_again(project, monkeypatch):
+    def interrupted(engine):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("mlflow.store.db.utils._upgrade_db", interrupted)  # the first tables are there already
+        tracking.connect()
+    assert not list(project.glob("mlflow.db*"))
+    mlflow = tracking.connect()
+    assert mlflow.get_experiment_by_name(tracking.EXPERIMENT) is not None
+    assert [path.name for path in project.glob("*mlflow*db*")] == ["mlflow.db"]
+
+
 def test_a_server_that_does_not_answer_is_named_soon_and_without_its_password(project, monkeypatch):
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://me:secret@127.0.0.1:9")
     begun = time.monotonic()
