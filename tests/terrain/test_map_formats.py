@@ -16,33 +16,9 @@ from hdsp.base.errors import InputError
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.map_formats import MapFields, MapFormat, ReadOptions, map_contents, registry
 from hdsp.terrain.map_frame import MapFrame
+from tests.terrain.rasters import HEIGHTS, NORTH_UP, PICTURE, equal, geotiff
 
-#: Rows and columns as a person would look at them: the first row is the northern edge.
-PICTURE = np.array([[1, 2, 3], [4, 5, 6]], float)
-#: The same as heights[ix, iy].
-HEIGHTS = [[4, 1], [5, 2], [6, 3]]
 RANDOM = np.random.default_rng(7)
-NORTH_UP = Affine(0.5, 0, 100, 0, -0.5, 200)
-
-
-def geotiff(path, rows=PICTURE, transform=NORTH_UP, *, mask=None, tags=None, **profile):
-    """A GeoTIFF by rasterio; ``tags`` are attributes of the dataset, such as scales."""
-    rows = np.asarray(rows)
-    bands = rows if rows.ndim == 3 else rows[None]
-    shape = {"count": len(bands), "height": bands.shape[1], "width": bands.shape[2]}
-    with rasterio.open(path, "w", driver="GTiff", dtype=rows.dtype, transform=transform, **shape, **profile) as file:
-        file.write(bands)
-        if mask is not None:
-            file.write_mask(mask)
-        for name, value in (tags or {}).items():
-            setattr(file, name, value)
-    return path
-
-
-def equal(terrain, heights, origin=(0.0, 0.0), resolution=0.5):
-    np.testing.assert_allclose(terrain.heights, heights, rtol=1e-6)
-    assert terrain.origin == pytest.approx(origin) and terrain.resolution == pytest.approx(resolution)
-    return True
 
 
 def test_m7_a_geotiff_keeps_its_place_and_crs(tmp_path):
@@ -95,48 +71,9 @@ def test_m7_no_data_masks_scale_offset_and_units_of_a_raster_count(tmp_path):
     assert "unknown vertical units 'cubits', taken as metres" in terrain.frame.notes
 
 
-SITE_IN_FEET = 'LOCAL_CS["site",UNIT["foot",0.3048]]'
-UTM_WITH_HEIGHTS_IN_FEET = """PROJCRS["UTM with heights",
-    BASEGEOGCRS["WGS 84",DATUM["World Geodetic System 1984",ELLIPSOID["WGS 84",6378137,298.257223563]]],
-    CONVERSION["UTM zone 32N",METHOD["Transverse Mercator"],PARAMETER["Latitude of natural origin",0],
-        PARAMETER["Longitude of natural origin",9],PARAMETER["Scale factor at natural origin",0.9996],
-        PARAMETER["False easting",500000],PARAMETER["False northing",0]],
-    CS[Cartesian,3],AXIS["E",east,LENGTHUNIT["metre",1]],AXIS["N",north,LENGTHUNIT["metre",1]],
-    AXIS["h",up,LENGTHUNIT["foot",0.3048]]]"""
-
-
-def test_heights_in_feet_of_the_crs_become_metres(tmp_path):
-    for name, crs, foot in (
-        ("compound", "EPSG:32632+6360", 1200 / 3937),
-        ("solid", UTM_WITH_HEIGHTS_IN_FEET, 0.3048),
-        ("international", "EPSG:32632+8228", 0.3048),
-    ):
-        terrain = HeightMap.load(geotiff(tmp_path / f"{name}.tif", crs=crs))
-        assert equal(terrain, np.array(HEIGHTS) * foot, (100, 199)) and terrain.resolution == 0.5
-        assert any("foot to metres" in note for note in terrain.frame.notes)
-    terrain = HeightMap.load(geotiff(tmp_path / "metres.tif", crs="EPSG:32632+5703"))
-    assert equal(terrain, HEIGHTS, (100, 199)) and terrain.frame.notes == ()
-    own = geotiff(tmp_path / "own.tif", crs="EPSG:32632+6360", tags={"units": ("m",)})  # the band has the last word
-    assert equal(HeightMap.load(own), HEIGHTS, (100, 199))
-    (tmp_path / "a.asc").write_text("ncols 3\nnrows 2\nxllcorner 10\nyllcorner 20\ncellsize 0.5\n1 2 3\n4 5 6\n")
-    (tmp_path / "a.prj").write_text(rasterio.CRS.from_string("EPSG:32632+6360").to_wkt())
-    assert equal(HeightMap.load(tmp_path / "a.asc"), np.array(HEIGHTS) * 1200 / 3937, (10, 20))
-
-
-@pytest.mark.parametrize("crs", ['LOCAL_CS["site",UNIT["metre",1]]', 'LOCAL_CS["site"]', "EPSG:32632"])
-def test_a_plane_in_metres_is_welcome(tmp_path, crs):
-    assert equal(HeightMap.load(geotiff(tmp_path / "a.tif", crs=crs)), HEIGHTS, (100, 199))
-
-
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ({"crs": "EPSG:4326"}, "EPSG:4326 is in degrees; reproject it to metres"),
-        ({"crs": "EPSG:2263"}, "in units of US survey foot; reproject it"),
-        ({"crs": SITE_IN_FEET}, "in units of foot; scale its transform to metres"),
-        ({"crs": "EPSG:2263+5703"}, "in units of US survey foot; reproject it"),
-        ({"crs": "EPSG:4979"}, "EPSG:4979 is in degrees"),
-        ({"crs": "EPSG:4978"}, "EPSG:4978 is geocentric; need metres on a plane"),
         ({"transform": Affine(0.5, 0, 0, 0, -0.25, 0)}, r"pixels are 0\.5 x 0\.25 m; need squares"),
         ({"transform": Affine(0.5, 0.2, 0, 0, -0.5, 0)}, "need squares"),
         ({"rows": np.stack([PICTURE, PICTURE])}, "it has 2 bands: 1, 2; name one with the option layer"),
