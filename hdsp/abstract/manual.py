@@ -123,7 +123,8 @@ class ManualCosts:
         reach, end = self._reach(), abstract_shape(height_map.shape)
         low = max(first_x - reach, 0), max(first_y - reach, 0)
         features = _features_in(height_map.heights, (*low, end_x + reach, end_y + reach))
-        ground, known = _ground(features, self.robot), Known.nothing(*features.ground.shape)
+        ground = _ground(features, self.robot, int(np.abs(self._cells.body).max(initial=0)))
+        known = Known.nothing(*features.ground.shape)
         yield
         edges = np.full((*shape, N_ABSTRACT_ACTIONS), np.inf, np.float32)
         end_of_map = end[0] - low[0], end[1] - low[1]
@@ -183,7 +184,7 @@ class ManualCosts:
         tables = self._goals(distinct, distinct, self._flat.costs(distinct))
         cost, place = np.full(goals.shape[:2], np.inf, np.float32), np.array([[center, center]])
         for index, chosen in enumerate(which):
-            ground = _ground(Features(*(values[index] for values in features)), self.robot)
+            ground = _ground(Features(*(values[index] for values in features)), self.robot, None)
             known, row = Known.nothing(*ground.tops.shape), cost[index : index + 1]
             find_costs(ground, self._cells, known, 0, place, ground.tops.shape, tables, chosen, *self._prices, row)
         return np.isfinite(cost), cost
@@ -204,7 +205,14 @@ class ManualCosts:
             places.append([(*_place(cell, rotated), above) for above, each in below for cell in each])
         limits = np.array([length, width, *robot.slope.steepest()])
         feet_cells, (near, nears), (low, lows) = np.array(under), filled(around, 2, np.int64), filled(body, 2, np.int64)
-        return CoarsePoseCells(feet_cells, near, nears, low, filled(places, 3, np.float64)[0], lows, limits)
+        at = filled(places, 3, np.float64)[0]
+        farthest = [
+            [max(abs(x) for x, _, _ in each), max(abs(y) for _, y, _ in each), min(z for *_, z in each)]
+            if each
+            else [0.0, 0.0, math.inf]
+            for each in places
+        ]
+        return CoarsePoseCells(feet_cells, near, nears, low, at, lows, np.array(farthest), limits)
 
     @cached_property
     def _actions(self) -> Goals:
@@ -256,11 +264,18 @@ def _features_in(heights: np.ndarray, region: Region) -> Features:
     return Features(*(values[x, y] for values in coarse_features(heights[part])))
 
 
-def _ground(features: Features, robot: Robot) -> CoarseGround:
+def _ground(features: Features, robot: Robot, reach: int | None) -> CoarseGround:
+    """Terrain for kernels, with the highest ground within ``reach`` cells; None leaves it unbounded."""
     ranges, wall, edge = features.height_range, np.float32(robot.step.max_height), np.float32(robot.drive.highest_edge)
     walls = np.isnan(features.ground) | (ranges > wall)
     tops, heights = np.ascontiguousarray(features.top), np.ascontiguousarray(features.ground)
-    return CoarseGround(walls, ranges > edge, np.nan_to_num(ranges), tops, heights)
+    near = np.full_like(tops, np.inf)
+    if reach is not None:
+        from scipy.ndimage import maximum_filter  # half a second to import
+
+        known = np.where(np.isnan(tops), np.float32(-np.inf), tops)
+        near = maximum_filter(known, 2 * reach + 1, mode="constant", cval=-np.inf)
+    return CoarseGround(walls, ranges > edge, np.nan_to_num(ranges), tops, heights, near)
 
 
 def _cells_on_the_way(dx: float, dy: float) -> list[tuple[int, int]]:

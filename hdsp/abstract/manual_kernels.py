@@ -14,6 +14,7 @@ _FEET = 4
 _CLOSED, _KNOWN = np.uint8(1 << _FEET), np.uint8(2 << _FEET)
 _STEPS = np.uint8(_CLOSED - 1)
 _ZERO, _ONE = np.float32(0), np.float32(1)
+_ROUNDING = 1e-4  # m
 
 
 class CoarseGround(NamedTuple):
@@ -25,6 +26,7 @@ class CoarseGround(NamedTuple):
         ranges: float32, height range, m; 0 where unknown.
         tops: float32, highest ground, m; NaN where unknown.
         heights: float32, mean height, m; likewise.
+        near_tops: float32, an upper bound on the highest ground below the body of a robot in this cell, m.
     """
 
     walls: np.ndarray
@@ -32,6 +34,7 @@ class CoarseGround(NamedTuple):
     ranges: np.ndarray
     tops: np.ndarray
     heights: np.ndarray
+    near_tops: np.ndarray
 
 
 class CoarsePoseCells(NamedTuple):
@@ -44,6 +47,7 @@ class CoarsePoseCells(NamedTuple):
         body: int64 [16, n, 2], cells below the body.
         places: float64 [16, n, 3], their place in the robot frame (m), and the body height above ground (m).
         body_counts: int64 [16], rows in use.
+        farthest: float64 [16, 3], greatest distance of these cells ahead and aside, and least body height (m).
         limits: float64 [4], half of the feet's distance along x and along y (m), steepest gradients ahead and left.
     """
 
@@ -53,6 +57,7 @@ class CoarsePoseCells(NamedTuple):
     body: np.ndarray
     places: np.ndarray
     body_counts: np.ndarray
+    farthest: np.ndarray
     limits: np.ndarray
 
 
@@ -81,15 +86,17 @@ class Known(NamedTuple):
     Attributes:
         codes: uint8 [16, nx, ny], bits as above; 0 = not looked at.
         unevenness: float32 [16, nx, ny], mean height range, m.
+        measured: bool [16], headings at which the unevenness is known.
     """
 
     codes: np.ndarray
     unevenness: np.ndarray
+    measured: np.ndarray
 
     @classmethod
     def nothing(cls, nx: int, ny: int) -> Known:
         shape = ABSTRACT_HEADINGS, nx, ny
-        return cls(np.zeros(shape, np.uint8), np.empty(shape, np.float32))
+        return cls(np.zeros(shape, np.uint8), np.empty(shape, np.float32), np.zeros(ABSTRACT_HEADINGS, bool))
 
 
 def filled(rows: list[list], width: int, kind: type) -> tuple[np.ndarray, np.ndarray]:
@@ -117,6 +124,12 @@ def find_costs(ground, cells, known, heading, places, shape, goals, which, uneve
         unevenness_cost, step_cost: as in the settings, float32 and float64.
         costs: float32 [n, m], result; inf = infeasible.
     """
+    _measure(ground, cells, known, heading)
+    for goal in which:
+        if goals.turns[goal] != 0:
+            _measure(ground, cells, known, (heading + goals.turns[goal]) % ABSTRACT_HEADINGS)
+    ny = known.codes.shape[2]
+    codes, unevenness = known.codes[heading].reshape(-1), known.unevenness[heading].reshape(-1)
     for n in range(len(places)):
         a, b = places[n, 0], places[n, 1]
         for m in range(len(which)):
@@ -128,9 +141,15 @@ def find_costs(ground, cells, known, heading, places, shape, goals, which, uneve
             met, uneven = np.uint8(0), _ZERO
             for i in range(count):
                 x, y = a + goals.met[goal, i, 0], b + goals.met[goal, i, 1]
-                met |= _look(ground, cells, known, heading, x, y)
-                uneven += known.unevenness[heading, x, y]
-            if goals.turns[goal] != 0:
+                at = np.uint64(x * ny + y)
+                code = codes[at]
+                if code == 0:
+                    code = _look(ground, cells, known, heading, x, y)
+                met |= code
+                if met & _CLOSED:
+                    break
+                uneven += unevenness[at]
+            if goals.turns[goal] != 0 and not met & _CLOSED:
                 turned = (heading + goals.turns[goal]) % ABSTRACT_HEADINGS
                 met |= _look(ground, cells, known, turned, a, b)
                 uneven += known.unevenness[turned, a, b]
@@ -152,14 +171,38 @@ def find_costs(ground, cells, known, heading, places, shape, goals, which, uneve
 def _look(ground, cells, known, heading, a, b):
     code = known.codes[heading, a, b]
     if code == 0:
-        code, known.unevenness[heading, a, b] = _pose(ground, cells, heading, a, b)
+        code = _pose(ground, cells, heading, a, b)
         known.codes[heading, a, b] = code
     return code
 
 
+@njit(allocates=False, nogil=True)
+def _measure(ground, cells, known, heading):
+    """Completes the unevenness of all poses at a heading."""
+    if known.measured[heading]:
+        return
+    known.measured[heading] = True
+    nx, ny = ground.ranges.shape
+    count = cells.around_counts[heading]
+    for a in range(nx):
+        total = known.unevenness[heading, a]
+        total[:] = _ZERO
+        # Single precision and this order of the sum are part of the costs, to the last bit.
+        for i in range(count):
+            x, aside = a + cells.around[heading, i, 0], cells.around[heading, i, 1]
+            if 0 <= x < nx:
+                first, end = max(-aside, 0), min(ny - aside, ny)
+                if first < end:
+                    part, ranges = total[first:end], ground.ranges[x, first + aside : end + aside]
+                    for b in range(len(part)):
+                        part[b] += ranges[b]
+        for b in range(ny):
+            total[b] /= np.float32(count)
+
+
 @njit(allocates=False)
 def _pose(ground, cells, heading, a, b):
-    """Code and unevenness of a pose."""
+    """Code of a pose."""
     nx, ny = ground.walls.shape
     code = _KNOWN
     for foot in range(_FEET):
@@ -176,13 +219,7 @@ def _pose(ground, cells, heading, a, b):
                 code |= _CLOSED
     if not code & _CLOSED and _body_hits(ground, cells, heading, a, b):
         code |= _CLOSED
-    # Single precision and this order of the sum are part of the costs, to the last bit.
-    total = _ZERO
-    for i in range(cells.around_counts[heading]):
-        x, y = a + cells.around[heading, i, 0], b + cells.around[heading, i, 1]
-        if 0 <= x < nx and 0 <= y < ny:
-            total += ground.ranges[x, y]
-    return code, np.float32(total / np.float32(cells.around_counts[heading]))
+    return code
 
 
 @njit(inline="always")
@@ -204,6 +241,9 @@ def _body_hits(ground, cells, heading, a, b):
     ahead = min(max(ahead, -steepest_ahead), steepest_ahead)
     left = min(max(left, -steepest_left), steepest_left)
     height = np.float32((z0 + z1 + z2 + z3) / np.float32(_FEET))
+    lowest = height - cells.farthest[heading, 0] * abs(ahead) - cells.farthest[heading, 1] * abs(left)
+    if ground.near_tops[a, b] - lowest < cells.farthest[heading, 2] - _ROUNDING:
+        return False
     for i in range(cells.body_counts[heading]):
         x, y = a + cells.body[heading, i, 0], b + cells.body[heading, i, 1]
         if 0 <= x < nx and 0 <= y < ny:

@@ -181,27 +181,43 @@ def requirement_points(options: PoseRequirementOptions) -> list[np.ndarray]:
     return [np.asarray(group, np.float32) for group in groups]
 
 
-def requirement_reach(options: PoseRequirementOptions) -> dict[str, int]:
-    """Returns, for each encoded channel, the distance in cells from the start within which requirements read it."""
+def requirement_reach(options: PoseRequirementOptions) -> dict[str, np.ndarray]:
+    """Returns, for each encoded channel, the distance within which requirements read it.
+
+    Distances are int64 [2], along x and along y, in cells from the start.
+    """
     points = requirement_points(options)
-    straight = [np.abs(group.round()).max() + REACH for group in points]
-    turned = [np.abs(rotated(group, turn_angles()).round()).max() for group in points]
-    _, feet, contacts, *bodies = (int(max(far)) for far in zip(straight, turned, strict=True))
-    return {"height": max(feet, *bodies), "unevenness": contacts, "edge": feet + options.clearance_cells}
+    straight = [np.abs(group.round()).max(axis=0) + REACH for group in points]
+    turned = [np.abs(rotated(group, turn_angles()).round()).max(axis=(0, 1)) for group in points]
+    _, feet, contacts, *bodies = np.maximum(straight, turned).astype(np.int64)
+    highest = np.max([feet, *bodies], axis=0)
+    return {"height": highest, "unevenness": contacts, "edge": feet + options.clearance_cells}
+
+
+def read_reach(encoding: HeightEncoding, options: FootprintOptions) -> np.ndarray:
+    """Returns the distances from the start beyond which the network reads no height, in cells.
+
+    Returns:
+        int64 [2], along x and along y.
+    """
+    taps = footprint_taps(options)
+    turned = np.abs(rotated(taps, turn_angles())).max(axis=(0, 1))
+    footprint = np.maximum(taps.max(axis=0) + REACH, np.ceil(turned) + 1).astype(np.int64)
+    local = sum(options.dilations) + NEAR_RADIUS
+    along = np.array(options.foot) + (max(LINE[-1] + LINE_RADIUS, PROFILE[-1]), LINE_RADIUS) + NEAR_RADIUS
+    within = dict.fromkeys(encoding.channels, np.maximum(footprint + local, along))
+    within["unevenness"] = footprint
+    if options.stance:
+        for name, reach in requirement_reach(options.stance).items():
+            within[name] = np.maximum(within[name], reach + (GROUND_RADIUS if name == "height" else 0))
+        profile = np.array(options.foot) + (PROFILE[-1], 0) + options.stance.clearance_cells
+        within["edge"] = np.maximum(within["edge"], profile)
+    return np.max([reach + encoding.radius(name) for name, reach in within.items()], axis=0)
 
 
 def farthest_read(encoding: HeightEncoding, options: FootprintOptions) -> int:
-    """Returns the distance in cells from the start, along x or y, beyond which the network reads no height."""
-    margins = [n // 2 * options.spacing for n in options.taps]
-    footprint, foot = max(margins) + REACH, options.foot[0]
-    line = foot + max(LINE[-1] + LINE_RADIUS + NEAR_RADIUS, PROFILE[-1] + GROUND_RADIUS)
-    within = dict.fromkeys(encoding.channels, max(footprint + sum(options.dilations) + NEAR_RADIUS, line))
-    within |= {"height": max(footprint + GROUND_RADIUS, line), "unevenness": footprint}
-    if options.stance:
-        for name, reach in requirement_reach(options.stance).items():
-            within[name] = max(within[name], reach + (GROUND_RADIUS if name == "height" else 0))
-        within["edge"] = max(within["edge"], foot + PROFILE[-1] + options.stance.clearance_cells)
-    return max(reach + encoding.radius(name) for name, reach in within.items())
+    """Returns the larger distance of ``read_reach``."""
+    return int(read_reach(encoding, options).max())
 
 
 def _covering(box: Box) -> np.ndarray:

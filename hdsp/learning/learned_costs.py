@@ -187,9 +187,9 @@ class LearnedCosts:
         cells = np.argwhere(changed)
         if len(cells) == 0:
             return result
-        margin = 0 if self._trunk is None else self._trunk.margin
-        # Largest distance between a patch cell and its base, along x or along y.
-        reach = int(np.ceil((lattice.PATCH_CENTER + margin) * np.sqrt(2))) + 2
+        low, high = self._read()
+        # Largest distance between a cell that is read and the base, along x or along y.
+        reach = int(np.ceil(np.hypot(*np.maximum(low, high)))) + 2
         bases = _anchors(np.argwhere(np.ones((nx, ny), bool)), 0)
         near = bases[((bases >= cells.min(axis=0) - reach) & (bases <= cells.max(axis=0) + reach)).all(axis=1)]
         size = lattice.CELLS_PER_ABSTRACT
@@ -199,9 +199,17 @@ class LearnedCosts:
                 seen = crop_patches(marks, near, heading * lattice.HEADINGS_PER_ABSTRACT)
                 touched = (seen > 0).any(axis=(1, 2))
             else:
-                touched = _touched(marks, cells, heading, near, margin)
+                touched = _touched(marks, cells, heading, near, low, high)
             result[heading, near[touched, 0] // size, near[touched, 1] // size] = True
         return result
+
+    def _read(self) -> tuple[np.ndarray, np.ndarray]:
+        """Cells of a rotated map behind a base and ahead of it that its costs depend on, int64 [2] along x and y."""
+        if self._by_engine and self._of_edges.engine is not None:
+            return self._of_edges.engine.reach, self._of_edges.engine.reach
+        margin = 0 if self._trunk is None else self._trunk.margin
+        behind = np.full(2, lattice.PATCH_CENTER + margin)
+        return behind, lattice.PATCH_CELLS - 1 + 2 * margin - behind
 
     def _by_patches(
         self, height_map: HeightMap, heading: int, wanted: np.ndarray, first: tuple[int, int]
@@ -303,15 +311,17 @@ def _grouped(keys: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         yield keys[members[0]], members
 
 
-def _touched(marks: np.ndarray, cells: np.ndarray, heading: int, bases: np.ndarray, margin: int) -> np.ndarray:
-    """Whether each base's patch, enlarged by a margin, holds a marked cell; bool [n].
+def _touched(
+    marks: np.ndarray, cells: np.ndarray, heading: int, bases: np.ndarray, behind: np.ndarray, ahead: np.ndarray
+) -> np.ndarray:
+    """Returns whether the rectangle around each base in the rotated map contains a marked cell, bool [n].
 
     Args:
         marks: float32 [nx, ny], cells above zero are marked.
         cells: int64 [m, 2], marked cells.
-        heading: abstract heading of the patches.
+        heading: abstract heading of the rectangles.
         bases: int64 [n, 2], map cells.
-        margin: of the patches, in cells.
+        behind, ahead: int64 [2], cells of the rectangle on both sides of the base, along x and y.
     """
     (low_x, low_y), (high_x, high_y) = cells.min(axis=0).tolist(), cells.max(axis=0).tolist()
     corners = rotated_cells(np.array([(x, y) for x in (low_x, high_x) for y in (low_y, high_y)]), heading)
@@ -319,9 +329,9 @@ def _touched(marks: np.ndarray, cells: np.ndarray, heading: int, bases: np.ndarr
     around = rotated_window(marks, heading, low, tuple(corners.max(axis=0) + 2 - low))
     sums = np.zeros(np.add(around.shape, 1), np.int64)
     sums[1:, 1:] = (around > 0).cumsum(axis=0).cumsum(axis=1)
-    first = rotated_cells(bases, heading) - lattice.PATCH_CENTER - margin - low
-    x, y = np.clip(first, 0, around.shape).T
-    end_x, end_y = np.clip(first + lattice.PATCH_CELLS + 2 * margin, 0, around.shape).T
+    at = rotated_cells(bases, heading) - low
+    x, y = np.clip(at - behind, 0, around.shape).T
+    end_x, end_y = np.clip(at + ahead + 1, 0, around.shape).T
     return sums[end_x, end_y] - sums[x, end_y] - sums[end_x, y] + sums[x, y] > 0
 
 

@@ -43,6 +43,21 @@ def test_costs_with_kept_features_are_those_without():
     assert 0 < sum(moved._used) - sum(used) < 0.6 * sum(used)
 
 
+def test_a_change_reaches_hardly_more_states_than_it_affects():
+    costs = LearnedCosts(hdsp.load_abstraction("momaro"))
+    heights = np.random.default_rng(0).normal(0.0, 0.001, TERRAIN.shape).astype(np.float32)
+    mask = np.zeros((ABSTRACT_HEADINGS, *abstract_shape(TERRAIN.shape)), bool)
+    mask[[0, 1, 6, 11]] = True
+    before = costs.edges(HeightMap(heights), mask=mask)
+    changed = np.zeros(heights.shape, bool)
+    changed[48:52, 45:50] = True
+    reached = (costs.edges(HeightMap(heights + 0.05 * changed), mask=mask) != before).any(axis=-1)
+    affected = costs.affected(changed)
+    assert not (reached & ~affected).any()
+    judged = affected & np.isfinite(before).any(axis=-1)
+    assert reached.sum() > 0.9 * judged.sum() > 100
+
+
 def test_features_beyond_the_budget_are_dropped(monkeypatch):
     monkeypatch.setattr(kept_features, "MOST_BYTES", 1 << 16)
     costs = LearnedCosts(hdsp.load_abstraction("momaro"))

@@ -357,7 +357,7 @@ def test_arrays_of_a_query_stay_within_its_memory(flat):
 
 
 def test_kept_features_stay_within_their_memory():
-    memory = KeptFeatures((40, 40), (4, 4, 4))
+    memory = KeptFeatures((40, 40), np.full((3, 2), 4))
     cells, values = np.arange(900), np.zeros((900, 32), np.float32)
     memory.most = 4 << 20
     for heading in range(16):

@@ -27,6 +27,7 @@ from hdsp.learning.footprint_geometry import (
     SHARPNESS,
     FootprintOptions,
     farthest_read,
+    read_reach,
 )
 from hdsp.learning.inference.footprint_layers import FootprintLayers
 from hdsp.learning.inference.gather_kernels import (
@@ -104,6 +105,7 @@ class FootprintEngine:
 
     Attributes:
         code: value of one code; None without codes.
+        reach: int64 [2], distances from a base along x and y, in cells, beyond which no height has an effect.
 
     Raises:
         InputError: a weight is missing, or has another shape.
@@ -116,6 +118,7 @@ class FootprintEngine:
             raise InputError(f"model {settings.architecture}: the evaluation without torch knows no such network")
         self.settings = settings
         self.options, self.stance, self.encoding = options, options.stance, settings.encoding
+        self.reach = read_reach(self.encoding, options)
         self.table = PoseTable(options)
         self._goals: dict[bytes, _Goals] = {}
         self._kinds = np.array([_KINDS.index(c) for c in self.encoding.channels if c in _KINDS], np.int64)
@@ -159,7 +162,7 @@ class FootprintEngine:
         """Returns a place for the features of a map with ``shape`` cells, empty."""
         local = sum(self.options.dilations) + NEAR_RADIUS + 1  # an edge lies between two cells
         line = LINE_RADIUS + NEAR_RADIUS + 1
-        return KeptFeatures(shape, (local, line, farthest_read(self.encoding, self.options) - REACH))
+        return KeptFeatures(shape, np.array([(local, local), (line, line), self.reach - REACH]))
 
     def evaluate(
         self, heights: np.ndarray, bases: np.ndarray, goals: np.ndarray, place: KeptPlace | None = None

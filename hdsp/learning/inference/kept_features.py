@@ -30,18 +30,19 @@ class KeptFeatures:
 
     Args:
         shape: cells of the map.
-        reaches: distance in cells, along x or y, within which features of each kind depend on the ground.
+        reaches: int64 [kinds, 2], distances in cells, along x and y, within which features of each kind depend on the
+            ground.
 
     Attributes:
         most: bytes of features; an array counts together with the larger copy that replaces it.
     """
 
-    def __init__(self, shape: tuple[int, int], reaches: tuple[int, ...]):
+    def __init__(self, shape: tuple[int, int], reaches: np.ndarray):
         self._shape, self._reaches, self._lock, self.most = shape, reaches, threading.Lock(), MOST_BYTES
         corners = np.array([(x, y) for x in (0, shape[0] - 1) for y in (0, shape[1] - 1)])
         turned = [rotated_cells(corners, heading) for heading in range(ABSTRACT_HEADINGS)]
         # Bases lie on the map, and need features at no more than the farthest reach beyond.
-        rim = 2 * max(reaches)
+        rim = 2 * int(reaches.max())
         self._first = [cells.min(axis=0) - rim for cells in turned]
         self._sizes = [cells.max(axis=0) + rim + 1 - first for cells, first in zip(turned, self._first, strict=True)]
         self._forget()

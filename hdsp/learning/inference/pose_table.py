@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -27,10 +28,13 @@ from hdsp.robot.lattice import CELLS_PER_ABSTRACT
 CORNERS = np.array([(0, 0), (0, 1), (1, 0), (1, 1)])
 
 
+@cache
 def square(radius: int, step: int = 1) -> np.ndarray:
-    """Returns the cells of a square around a cell, int64 [n, 2]; y changes fastest."""
+    """Returns the cells of a square around a cell, int64 [n, 2], read-only; y changes fastest."""
     along = np.arange(-radius, radius + 1, step)
-    return np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1).reshape(-1, 2)
+    cells = np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1).reshape(-1, 2)
+    cells.flags.writeable = False
+    return cells
 
 
 def numbers(cells: np.ndarray, across: int) -> np.ndarray:

@@ -101,9 +101,8 @@ class Footprint(TaskNetwork):
             if not {"unknown", "edge", "unevenness"} <= set(names):
                 raise InputError(f"model.encoding.channels: {list(names)}; stance needs unknown, edge and unevenness")
             self.requirements = PoseRequirements(options.stance)
-            reach = max(
-                *requirement_reach(options.stance).values(), self.foot[0] + PROFILE[-1] + self.requirements.radius
-            )
+            required = max(int(far.max()) for far in requirement_reach(options.stance).values())
+            reach = max(required, self.foot[0] + PROFILE[-1] + self.requirements.radius)
             if reach >= PATCH_CENTER:
                 raise InputError(f"model.options.stance: looks {reach} cells far, but a patch has {PATCH_CENTER}")
 

@@ -37,11 +37,11 @@ def corridor_steps(
     open_states[sources.states[:, 2], sources.states[:, 0], sources.states[:, 1]] = True
     behind = least_costs_from(states_around(start, standing), open_states, least)
     yield from known.bounded()
-    goals, costs, cut_off = sources.states, sources.costs, False
+    goals, costs, cut_off, narrow = sources.states, sources.costs, False, True
     while True:
         version = known.version
         # No step ends before some edges are evaluated, so that queries with little time get on.
-        found = find_corridor(known.incoming, behind, goals, costs, least, DOUBT)
+        found = find_corridor(known.incoming, behind, goals, costs, least, DOUBT, narrow=narrow)
         if found is None and not cut_off:
             goals, costs = connected(goals, costs, open_states, prices, NEAR * DOUBT)
             cut_off = True
@@ -51,6 +51,9 @@ def corridor_steps(
         missing = found.around & standing & ~known.evaluated
         if (missing & found.states).any():
             yield from known.evaluate(missing)
+            continue
+        if narrow:
+            narrow = False
             continue
         to_go = costs_around(found, known.incoming, standing, least, prices, sources.excess)
         if version is known.version:  # no other thread has evaluated edges in the meantime

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import threading
 
 import numpy as np
@@ -20,8 +22,8 @@ from hdsp.base.gradual import Gradual, Steps, finished
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, N_ABSTRACT_ACTIONS
 from hdsp.terrain.height_map import HeightMap
 
-#: States whose edges are evaluated at once.
-PART = 1 << 19
+#: States whose edges are evaluated at once. They take 23 MB, which the C library keeps from one part to the next.
+PART = 1 << 18
 
 
 class KnownEdges:
@@ -73,7 +75,10 @@ class KnownEdges:
             bounds[:] = self.least
         for heading in range(ABSTRACT_HEADINGS):
             with self._writing:
-                enter_least(self.from_evaluated, heading, self.standing, self.evaluated, bounds, ABSTRACT_ACTIONS)
+                if self.least is None and not self.evaluated.any():
+                    self.from_evaluated[heading] = np.inf
+                else:
+                    enter_least(self.from_evaluated, heading, self.standing, self.evaluated, bounds, ABSTRACT_ACTIONS)
             yield
 
     @property
@@ -128,10 +133,11 @@ class KnownEdges:
             yield from self._part(mask, (0, 0, *mask.shape[1:]))
             return
         low_x, low_y, end_x, end_y = _rectangle(mask)
-        # Edges of a part at once, because those of a large map take as much memory as the graph.
-        rows = max(PART // (ABSTRACT_HEADINGS * (end_y - low_y)), 1)
-        for first in range(low_x, end_x, rows):
-            region = first, low_y, min(first + rows, end_x), end_y
+        # Edges of a part at once, because those of a large map take as much memory as the graph. Costs look at the
+        # ground around a part, too, of which a square has least.
+        side = max(math.isqrt(PART // ABSTRACT_HEADINGS), 1)
+        for x, y in itertools.product(range(low_x, end_x, side), range(low_y, end_y, side)):
+            region = x, y, min(x + side, end_x), min(y + side, end_y)
             part = mask[:, region[0] : region[2], region[1] : region[3]]
             if part.any():
                 yield from self._part(part, region)
