@@ -14,6 +14,7 @@ from hdsp.detailed.base_pose import ground_plane
 FREE, BLOCKED = np.uint8(1), np.uint8(2)
 
 _TOUCH = 1e-6  # m; a body that touches the ground by no more is free
+_ROUNDING = 1e-5  # relative to heights, for comparisons that others confirm
 
 
 @njit(allocates=False)
@@ -76,11 +77,33 @@ def _touches(world, heading, p, ground, ahead, left):
         limit = ground + t.box_above[b]
         if world.window_height[p] > limit - lower:
             limit += _TOUCH
-            for k in range(t.box_count[b, heading]):
-                rise = slope_x * t.box_dx[b, heading, k] + slope_y * t.box_dy[b, heading, k]
-                if height[p + t.box_cells[b, heading, k]] > limit + rise:
+            # No part of the body lies lower.
+            least = limit - lower
+            least = np.float32(least - _ROUNDING * (1 + abs(least)))
+            runs, all_dx, all_dy = t.box_runs[b, heading], t.box_dx[b, heading], t.box_dy[b, heading]
+            for run in range(len(runs)):
+                first, number, count = p + runs[run, 0], runs[run, 1], runs[run, 2]
+                if count == 0:
+                    break
+                if not _any_above(height, first, count, least):
+                    continue
+                cells = height[first : first + count]
+                dx, dy = all_dx[number : number + count], all_dy[number : number + count]
+                above = False
+                for k in range(count):
+                    above |= cells[k] > limit + (slope_x * dx[k] + slope_y * dy[k])
+                if above:
                     return True
     return False
+
+
+@njit(inline="always")
+def _any_above(height, first, count, least):
+    """Whether any of ``count`` flat cells is higher; a loop without exits, which processors do in parallel."""
+    cells, above = height[first : first + count], False
+    for k in range(len(cells)):
+        above |= cells[k] > least
+    return above
 
 
 @njit(allocates=False)
@@ -132,8 +155,13 @@ def level_ground(world, heading, p):
         known = np.float32(-np.inf)
         for b in range(len(t.box_above)):
             highest = np.float32(-np.inf)
-            for k in range(t.box_count[b, heading]):
-                highest = max(highest, height[p + t.box_cells[b, heading, k]])
+            for run in range(t.box_runs.shape[2]):
+                first, count = p + t.box_runs[b, heading, run, 0], t.box_runs[b, heading, run, 2]
+                if count == 0:
+                    break
+                if _any_above(height, first, count, highest):
+                    for z in height[first : first + count]:
+                        highest = max(highest, z)
             known = max(known, np.float32(highest - t.box_above[b]))
         if known == 0:  # 0 means not yet computed
             known = np.float32(-1e-30)
@@ -175,8 +203,12 @@ def may_be_free(world, heading, p):
     for b in range(len(t.box_above)):
         if most + t.box_above[b] >= world.window_height[p]:
             continue
-        for k in range(t.box_count[b, heading]):
-            if height[p + t.box_cells[b, heading, k]] - t.box_above[b] > most:
+        for run in range(t.box_runs.shape[2]):
+            first, count = p + t.box_runs[b, heading, run, 0], t.box_runs[b, heading, run, 2]
+            cells, above = height[first : first + count], False
+            for k in range(len(cells)):
+                above |= cells[k] - t.box_above[b] > most
+            if above:
                 return False
     return True
 

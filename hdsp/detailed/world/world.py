@@ -3,8 +3,9 @@
 The maps are one-dimensional. No foot can stand on their border, so kernels need no bounds check.
 """
 
+import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -63,6 +64,9 @@ class Tables(NamedTuple):
     line: np.ndarray  # int64 [64, longest step + 1]
     box_cells: np.ndarray  # int64 [boxes, 64, n]
     box_count: np.ndarray  # int64 [boxes, 64]
+    # int64 [boxes, 64, m, 3], box cells next to each other along y: the first one, its number in ``box_cells``, and how
+    # many they are; 0 ends the rows.
+    box_runs: np.ndarray
     box_above: np.ndarray  # float64 [boxes]
     box_dx: np.ndarray  # float32 [boxes, 64, n], the box cells in the map frame, cells
     box_dy: np.ndarray
@@ -288,6 +292,7 @@ def robot_tables(robot: Robot, stride: int, size: int) -> Tables:
         line=flat(step_line(robot)),
         box_cells=flat(box_offsets),
         box_count=np.array([[len(c) for c in box] for box in boxes], dtype=np.int64).reshape(len(boxes), HEADINGS),
+        box_runs=_runs([[flat(offsets) for offsets in box] for box in boxes]),
         box_above=np.array([box.above for box in robot.body.boxes], dtype=np.float64),
         box_dx=np.ascontiguousarray(box_offsets[..., 0], dtype=np.float32),
         box_dy=np.ascontiguousarray(box_offsets[..., 1], dtype=np.float32),
@@ -302,6 +307,18 @@ def robot_tables(robot: Robot, stride: int, size: int) -> Tables:
         ),
         outline=flat(outline_cells(robot)),
     )
+
+
+def _runs(boxes: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
+    """``Tables.box_runs`` for the flat cells of each box at each heading, in ascending order."""
+    rows = []
+    for box in itertools.chain(*boxes):
+        first = np.flatnonzero(np.diff(box, prepend=box[:1] - 2) != 1)
+        rows.append(np.stack([box[first], first, np.diff(first, append=len(box))], axis=1))
+    result = np.zeros((len(rows), 1 + max(map(len, rows)), 3), np.int64)
+    for target, row in zip(result, rows, strict=True):
+        target[: len(row)] = row
+    return result.reshape(len(boxes), HEADINGS, -1, 3)
 
 
 def _arc_table(arcs: ArcMoves, flat: Callable[[np.ndarray], np.ndarray], contacts: np.ndarray) -> np.ndarray:
