@@ -37,7 +37,7 @@ NARROW, WIDE = 0.1, 2.0
 #: States of a corridor that is wider than necessary.
 MOST = 3_000
 #: The same for the narrow corridor that comes first.
-FEW = 300
+FEW = 600
 #: Cost on even ground within which a start or a goal without an abstract way is connected to states that have one.
 NEAR = 1.0
 
