@@ -33,6 +33,7 @@ help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 10
 
 repro: $(STAMP)  ## run the pipeline (only what changed) and print the paper's tables beside ours, and seconds by stage
+	@python -m pipeline.rwlock
 	dvc repro
 	@cat reports/tables.md
 	@python -m pipeline.seconds

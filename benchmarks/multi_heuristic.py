@@ -1,7 +1,7 @@
 """Searches with a proved bound: geometric, grid, and multi-heuristic A* with a guide and the grid anchor.
 
     python -m benchmarks.multi_heuristic [--tasks 200] [--per-arena 5] [--seed 0] [--size 5] [--bounds 1.25 1.5 2]
-                                         [--expansions 500000] [--guides manual] [--json FILE]
+                                         [--expansions 3000000] [--guides manual] [--json FILE]
                                          [--page docs/guarantees.md] [--out outputs/benchmarks/bounds]
 
 Tasks are random pairs on random arenas (`benchmarks.planning.pairs`), up to `per-arena` on each; pairs that the planner
@@ -70,7 +70,7 @@ def main(argv: list[str] | None = None) -> dict:
     parser.add_argument("--seed", type=int, default=0, help="seed of the first arena")
     parser.add_argument("--size", type=float, default=5.0, help="side of the arenas, m")
     parser.add_argument("--bounds", type=float, nargs="+", default=[1.25, 1.5, 2.0])
-    parser.add_argument("--expansions", type=int, default=500_000, help="limit of each search")
+    parser.add_argument("--expansions", type=int, default=3_000_000, help="limit of each search")
     parser.add_argument("--guides", nargs="+", default=["manual"], help="heuristics, as Planner takes them")
     parser.add_argument("--json", type=Path, help="output file for the result with all searches")
     parser.add_argument("--page", type=Path, help="docs page to update")
@@ -97,7 +97,7 @@ def measure(
     *,
     per_arena: int = 5,
     size: float = 5.0,
-    expansions: int = 500_000,
+    expansions: int = 3_000_000,
     guides: Sequence[str] = ("manual",),
 ) -> dict:
     """Measures all searches on as many tasks, on arenas of ``size`` m from ``seed`` on.

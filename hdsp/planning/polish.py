@@ -43,8 +43,8 @@ FAST = 1.25
 _LONGEST = 1e9  # s, of a budget that is counted in expansions
 #: Weights and most expansions of the searches for another plan; the first one that ends with a plan counts.
 OWN = (1.03, 5_000), (1.1, 20_000), (1.25, 30_000)
-#: The same for the search with another abstraction.
-OTHER = 1.25, 15_000
+#: The same for the searches with another abstraction.
+OTHER = (1.03, 15_000), (1.25, 15_000)
 
 
 def polish_seconds(asked: object, default: float) -> float:
@@ -146,7 +146,10 @@ class Polish:
                 break
         for prepared in query.others:
             if (estimate := prepared(ends)) is not None:
-                search(replace(query, estimate=estimate, whole=None, others=()), *OTHER)
+                other = replace(query, estimate=estimate, whole=None, others=())
+                for weight, limit in OTHER:
+                    if search(other, weight, limit):
+                        break
         return found, spent
 
 

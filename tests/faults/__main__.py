@@ -1,6 +1,6 @@
 """Faults at every write of the stages on the tiny profile; minutes.
 
-python -m tests.faults [STAGE ...] [--most N] [--page docs/reliability.md]
+python -m tests.faults [STAGE ...] [--most N] [--every KIND ...] [--page docs/reliability.md]
 """
 
 import argparse
@@ -23,6 +23,7 @@ def main(argv: list[str] | None = None) -> dict:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("stages", nargs="*", metavar="STAGE", help=f"some of {', '.join(STAGES)}")
     parser.add_argument("--most", type=int, help="moments to try in each stage, for each kind of fault")
+    parser.add_argument("--every", nargs="+", default=[], choices=list(HEAD), help="kinds to try at all moments")
     parser.add_argument("--page", type=Path, help="docs page to update")
     arguments = parser.parse_args(argv)
     rows, wrong = [], 0
@@ -35,7 +36,8 @@ def main(argv: list[str] | None = None) -> dict:
             work = Path(place) / name
             work.mkdir()
             tried, bad, moments = Counter[str](), 0, [0]
-            for kind, number, fault in faults_of(name, inputs, work, arguments.most, moments.append):
+            found = faults_of(name, inputs, work, arguments.most, moments.append, every=arguments.every)
+            for kind, number, fault in found:
                 tried[kind] += 1
                 bad += bool(fault)
                 if fault:

@@ -53,7 +53,7 @@ class FaultyStage:
 
 LABELS = tuple(("label", split) for split in ("train", "val", "random"))
 TRAINED = (*LABELS, ("published",), ("train", *NETWORK))
-#: Stages by name. `repro` is `dvc repro` of one stage in a clone of the project.
+#: Stages by name. `repro` is that of `make repro`, for one stage in a clone of the project.
 STAGES = {
     "label": FaultyStage(("val",)),
     "published": FaultyStage(),
@@ -100,9 +100,12 @@ def _repro_in(folder: Path) -> Callable[[], object]:
     def call() -> None:
         from dvc.cli import main
 
+        from pipeline.rwlock import mend
+
         os.chdir(folder)
         os.environ["DVC_NO_ANALYTICS"] = "1"
         os.environ["PYTHONPATH"] = str(folder)
+        mend()
         sys.exit(main(["repro", "--single-item", "published"]))
 
     return call
@@ -136,6 +139,7 @@ def faults_of(
     most: int | None = None,
     told: Callable[[int], object] = lambda moments: None,
     kinds: Sequence[str] = ALL,
+    every: Sequence[str] = (),
 ) -> Iterator[tuple[str, int, str]]:
     """Runs a stage with a fault at each moment of its writes, then again without.
 
@@ -146,6 +150,7 @@ def faults_of(
         most: number of moments to try for each kind of fault, spread over all; None: all.
         told: gets the number of moments.
         kinds: some of ``ALL``.
+        every: kinds that are tried at all moments.
 
     Yields:
         Kind of the fault, its moment, and what is wrong: nothing, if the second run ended with the same bytes.
@@ -164,7 +169,7 @@ def faults_of(
     for kind in [each for each in kinds if each != "two"]:
         numbers = writes.numbers("kill" if kind == "clock" else kind)
         wanted = most if kind != "clock" else min(most or 3, 3)
-        if wanted is not None and wanted < len(numbers):
+        if kind not in every and wanted is not None and wanted < len(numbers):
             numbers = [numbers[(2 * k + 1) * len(numbers) // (2 * wanted)] for k in range(wanted)]
         for number in numbers:
             folder = _copy(inputs, work / "run")

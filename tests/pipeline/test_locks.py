@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from hdsp.base.errors import InputError
+from pipeline import rwlock
 from pipeline.folders import Folders, alone
 
 
@@ -51,3 +52,14 @@ def test_outputs_below_a_file_are_named(tmp_path):
     (tmp_path / ".lock").mkdir()
     with pytest.raises(InputError, match=r"^cannot write .*\.lock: Is a directory$"), alone(tmp_path, ".lock"):
         pass
+
+
+def test_half_a_lock_file_of_dvc_is_moved_aside(tmp_path):
+    note = tmp_path / "rwlock"
+    assert rwlock.mend(note) is None
+    note.write_text('{"read": {}, "write": {}}')
+    assert rwlock.mend(note) is None
+    for half in ('{"read": {}, "wri', ""):
+        note.write_text(half)
+        assert rwlock.mend(note).read_text() == half
+        assert not note.exists()
