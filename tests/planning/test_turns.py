@@ -47,8 +47,8 @@ def test_the_manual_abstraction_leads_out_of_a_bag(bag, monkeypatch):
     assert 500 < found.stats.expansions < 0.5 * without.stats.expansions
     assert found.stats.expansions <= 500 + 2 * best.stats.expansions
     assert found.cost < 1.25 * best.cost
-    limited = turned.plan(INTO_THE_BAG, BEHIND_IT, 1.25, polish=0.0, expansions=1000)
-    assert limited.status == Status.EXPANSION_LIMIT and limited.stats.expansions == 1000
+    limited = turned.plan(INTO_THE_BAG, BEHIND_IT, 1.25, polish=0.0, expansions=600)
+    assert limited.status == Status.EXPANSION_LIMIT and limited.stats.expansions == 600
 
 
 def test_the_second_abstraction_follows_changes_of_the_map(bag, monkeypatch):
