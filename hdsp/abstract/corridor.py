@@ -14,8 +14,8 @@ and visits no state beyond.
 Edges are evaluated where the search needs them (lazy weighted A*, Cohen, Phillips & Likhachev, RSS 2014). An action
 without evaluation counts its least cost. All states of the corridor, and some around it, are then evaluated, and the
 search begins again, until the corridor holds evaluated states alone. Its costs are then exact, and independent of edges
-elsewhere: with all map edges, the corridor is the same. A narrow corridor of ``FEW`` states comes first, because a
-wide one around a way that evaluation then closes is evaluated in vain.
+elsewhere: with all map edges, the corridor is the same. Where many states wait for evaluation, a small corridor of
+``FIRST`` states comes first, because a large one around a way that evaluation then closes is evaluated in vain.
 
 Convention: states are flat indices ``(heading * nx + ix) * ny + iy``.
 """
@@ -36,8 +36,8 @@ from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS
 NARROW, WIDE = 0.1, 2.0
 #: States of a corridor that is wider than necessary.
 MOST = 3_000
-#: The same for the narrow corridor that comes first.
-FEW = 600
+#: The same for the small corridor that comes first.
+FIRST = 600
 #: Cost on even ground within which a start or a goal without an abstract way is connected to states that have one.
 NEAR = 1.0
 
@@ -120,7 +120,7 @@ def find_corridor(
     least: np.ndarray,
     doubt: float,
     *,
-    narrow: bool = False,
+    first: bool = False,
 ) -> Corridor | None:
     """Returns the corridor; None if no way leads from the start to a goal.
 
@@ -135,9 +135,9 @@ def find_corridor(
         costs: float64 [n], >= 0, cost that is left at each of them.
         least: as for ``least_costs_from``.
         doubt: see above.
-        narrow: whether the corridor is the narrow one.
+        first: whether the corridor is the small one, with ``FIRST`` states instead of ``MOST``.
     """
-    most = min(FEW, MOST) if narrow else MOST
+    most = min(FIRST, MOST) if first else MOST
     found, settled = np.full(behind.size, np.inf), np.zeros(behind.size, np.bool_)
     (_, nx, ny), bounds, queue = behind.shape, behind.ravel(), Waiting.none(behind.size, least)
     breadth = _Breadth(doubt, NEAR, NARROW, WIDE, (1 + _FRINGE) * most)

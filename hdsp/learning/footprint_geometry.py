@@ -204,8 +204,9 @@ def read_reach(encoding: HeightEncoding, options: FootprintOptions) -> np.ndarra
     turned = np.abs(rotated(taps, turn_angles())).max(axis=(0, 1))
     footprint = np.maximum(taps.max(axis=0) + REACH, np.ceil(turned) + 1).astype(np.int64)
     local = sum(options.dilations) + NEAR_RADIUS
-    along = np.array(options.foot) + (max(LINE[-1] + LINE_RADIUS, PROFILE[-1]), LINE_RADIUS) + NEAR_RADIUS
-    within = dict.fromkeys(encoding.channels, np.maximum(footprint + local, along))
+    of_line = np.array((LINE[-1], 0)) + LINE_RADIUS + NEAR_RADIUS
+    along = np.array(options.foot) + np.maximum(of_line, np.array((PROFILE[-1], 0)) + GROUND_RADIUS)
+    within = dict.fromkeys(encoding.channels, np.maximum(footprint + max(local, GROUND_RADIUS), along))
     within["unevenness"] = footprint
     if options.stance:
         for name, reach in requirement_reach(options.stance).items():

@@ -187,9 +187,9 @@ class LearnedCosts:
         cells = np.argwhere(changed)
         if len(cells) == 0:
             return result
-        low, high = self._read()
+        behind, ahead = self._reach()
         # Largest distance between a cell that is read and the base, along x or along y.
-        reach = int(np.ceil(np.hypot(*np.maximum(low, high)))) + 2
+        reach = int(np.ceil(np.hypot(*np.maximum(behind, ahead)))) + 2
         bases = _anchors(np.argwhere(np.ones((nx, ny), bool)), 0)
         near = bases[((bases >= cells.min(axis=0) - reach) & (bases <= cells.max(axis=0) + reach)).all(axis=1)]
         size = lattice.CELLS_PER_ABSTRACT
@@ -199,12 +199,15 @@ class LearnedCosts:
                 seen = crop_patches(marks, near, heading * lattice.HEADINGS_PER_ABSTRACT)
                 touched = (seen > 0).any(axis=(1, 2))
             else:
-                touched = _touched(marks, cells, heading, near, low, high)
+                touched = _touched(marks, cells, heading, near, behind, ahead)
             result[heading, near[touched, 0] // size, near[touched, 1] // size] = True
         return result
 
-    def _read(self) -> tuple[np.ndarray, np.ndarray]:
-        """Cells of a rotated map behind a base and ahead of it that its costs depend on, int64 [2] along x and y."""
+    def _reach(self) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of cells behind a base and ahead of it on which its costs depend, int64 [2] along x and y.
+
+        Cells are those of the rotated map.
+        """
         if self._by_engine and self._of_edges.engine is not None:
             return self._of_edges.engine.reach, self._of_edges.engine.reach
         margin = 0 if self._trunk is None else self._trunk.margin

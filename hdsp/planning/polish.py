@@ -6,7 +6,7 @@ than short ones and cost more, so sweeps with longer and longer windows follow e
 by half. A window whose cost equals its lower bound is skipped.
 
 No window sees another way round. A fast search with a large weight therefore gets other plans beside it: from a short
-search with a smaller weight, and from a short search with another abstraction, where the heuristic has one for long
+search with a smaller weight, and from short searches with another abstraction, where the heuristic has one for long
 searches. The cheapest of all is polished.
 
 The plan never gets more expensive, and it stays between start and goal. The work is counted in expansions: equal

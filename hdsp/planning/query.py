@@ -39,11 +39,11 @@ from hdsp.terrain.height_map import HeightMap
 
 #: Budget of the backward search for bounds and hard searches, bytes: about a million poses.
 LITTLE = 16 << 20
-#: Expansions of a guide's search in one turn. Another abstraction takes about as long to prepare.
+#: Expansions of a guide's search in one turn; half of it in the first one.
 TURN = 20_000
 #: Expansions of the first guide's search from which costs-to-go of the whole map are worth their time. Learned edges of
 #: 6 x 6 m take as long as about 200,000 expansions.
-LONG = 100_000
+LONG = 110_000
 
 
 #: Computes a guide until a moment on the clock ``now``; returns None if the time is too short.
@@ -350,8 +350,8 @@ class _Turns:
     An abstraction that is wrong in one place lets a search fill the ground before it. Another abstraction is seldom
     wrong in the same place. Each guide has a search of its own, which goes on in its turns, so nothing is computed
     twice. With two guides, the whole search takes at most twice the expansions of the better guide alone, and half a
-    turn: more with equal turns, where the other guide had just begun one. Equal shares are the best choice for the worst
-    case, and longer turns would only raise the bound.
+    turn more. With a first turn of full length, it would be a whole turn. Equal shares are the best choice for the
+    worst case, and longer turns would only raise the bound.
 
     The first guide covers the whole map from ``LONG`` expansions of its own on.
 

@@ -3,6 +3,7 @@
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,8 +16,9 @@ from hdsp.learning import HardwareSettings, LearnedAbstraction, LearnedCosts
 from hdsp.learning.inference import cell_layer
 from hdsp.learning.inference.dense_layers import LARGEST_WEIGHT, Graph
 from hdsp.learning.inference.footprint_engine import FootprintEngine, engine_options
+from hdsp.learning.inference.footprint_layers import _shapes as shapes
 from hdsp.learning.loading import shipped
-from hdsp.robot.lattice import robot_frame_goals
+from hdsp.robot.lattice import PATCH_CENTER, robot_frame_goals
 from hdsp.terrain.height_map import HeightMap
 from hdsp.terrain.scenes import random_map
 from tests import ROOT
@@ -190,6 +192,43 @@ def test_a_copy_for_another_process(with_codes):
     patches, goals = rough_patches(2), robot_frame_goals(6)
     for found, expected in zip(copied._predict(patches, goals), with_codes._predict(patches, goals), strict=True):
         np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("options", "stance", "encoding"),
+    [
+        ({}, {}, {}),
+        ({"taps": [3, 9], "spacing": 2}, {}, {"unevenness_radius": 2, "unevenness_contact": 0}),
+        ({"dilations": [], "taps": [1, 7]}, {"clearance": 0.1}, {"unevenness_radius": 1}),
+        ({}, {"neutral": [0.15, 0.35], "contact_inward": 0.0}, {"unevenness_radius": 4}),
+        ({}, {"boxes": [{"x_min": -0.55, "x_max": 0.2, "half_width": 0.1, "above": 0.2}]}, {"unevenness_radius": 3}),
+    ],
+)
+def test_no_ground_beyond_the_reach_has_an_effect(abstraction, options, stance, encoding):
+    model = abstraction.model
+    model = replace(
+        model,
+        options=model.options | options | {"stance": model.options["stance"] | stance},
+        encoding=replace(model.encoding, **encoding),
+    )
+    random, base = np.random.default_rng(0), PATCH_CENTER + 4
+    tensors = {
+        name: random.normal(0.0, 0.2, shape).astype(np.float32)
+        for name, shape in shapes(engine_options(model), 4).items()
+    }
+    engine = FootprintEngine(model, tensors, codes=False)
+    heights = random.normal(0.0, 0.05, (2 * base + 1, 2 * base + 1)).astype(np.float32)
+    inside = tuple(slice(base - reach, base + reach + 1) for reach in engine.reach)
+    for goals in (robot_frame_goals(0), robot_frame_goals(3)):
+        judged = []
+        for height in (0.0, 0.3, np.nan):
+            other = np.full_like(heights, height)
+            other[inside] = heights[inside]
+            (found,) = [each for each in engine.evaluate(other, np.array([[base, base]]), goals) if each is not None]
+            judged.append(np.stack([found[1].cost, found[1].logits]))
+        assert np.isfinite(judged).all() and np.std(judged[0]) > 0
+        np.testing.assert_array_equal(judged[1], judged[0])
+        np.testing.assert_array_equal(judged[2], judged[0])
 
 
 def test_weights_of_another_network_are_refused(abstraction):

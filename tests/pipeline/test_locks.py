@@ -1,6 +1,8 @@
 """Locks in a folder: work on one file, one after the other."""
 
 import multiprocessing
+import os
+import subprocess
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -57,9 +59,13 @@ def test_outputs_below_a_file_are_named(tmp_path):
 def test_half_a_lock_file_of_dvc_is_moved_aside(tmp_path):
     note = tmp_path / "rwlock"
     assert rwlock.mend(note) is None
-    note.write_text('{"read": {}, "write": {}}')
-    assert rwlock.mend(note) is None
-    for half in ('{"read": {}, "wri', ""):
+    whole = '{"read": {"a": [{"pid": %d, "cmd": "dvc"}]}, "write": {}}'
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    for text in (whole % os.getpid(), whole % gone.pid, (whole % os.getpid())[:-9]):
+        note.write_text(text)
+        assert rwlock.mend(note) is None and note.read_text() == text
+    for half in ((whole % gone.pid)[:-9], '{"read": {}, "wri', ""):
         note.write_text(half)
         assert rwlock.mend(note).read_text() == half
         assert not note.exists()

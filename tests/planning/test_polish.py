@@ -80,10 +80,12 @@ def test_another_abstraction_finds_a_way_that_the_first_one_judges_dear(monkeypa
     planner, manual = (Planner(terrain, heuristic=costs, conditioning=None) for costs in (DearDoor(), "manual"))
     monkeypatch.setattr(polish, "WIDTHS", (0.0,))
     monkeypatch.setattr(polish, "OWN", ())
-    plain, polished = (planner.plan(*ends, 1.25, polish=seconds) for seconds in (0.0, 5.0))
-    other = manual.plan(*ends, 1.25, polish=0.0)
-    assert polished.cost <= other.cost < 0.9 * plain.cost
-    assert polished.stats.polish_expansions >= other.stats.expansions
+    plain = planner.plan(*ends, 1.25, polish=0.0)
+    for weight, limits in ((1.03, (30_000,)), (1.25, (10, 30_000))):
+        monkeypatch.setattr(polish, "OTHER", tuple(zip((1.03, 1.25), limits, strict=False)))
+        polished, other = planner.plan(*ends, 1.25, polish=5.0), manual.plan(*ends, weight, polish=0.0)
+        assert polished.cost <= other.cost < 0.9 * plain.cost
+        assert polished.stats.polish_expansions >= other.stats.expansions + (0 if weight == 1.03 else 10)
 
 
 class DearDoor:

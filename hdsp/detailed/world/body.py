@@ -78,7 +78,7 @@ def _touches(world, heading, p, ground, ahead, left):
         if world.window_height[p] > limit - lower:
             limit += _TOUCH
             # No part of the body lies lower.
-            least = limit - lower
+            least = limit - lower - _TOUCH
             least = np.float32(least - _ROUNDING * (1 + abs(least)))
             runs, all_dx, all_dy = t.box_runs[b, heading], t.box_dx[b, heading], t.box_dy[b, heading]
             for run in range(len(runs)):

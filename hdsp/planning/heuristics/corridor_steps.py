@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hdsp.abstract.corridor import NEAR, connected, costs_around, find_corridor, least_costs_from
+from hdsp.abstract.corridor import FIRST, NEAR, connected, costs_around, find_corridor, least_costs_from
 from hdsp.base.gradual import Steps
 from hdsp.planning.heuristics.goal_sources import Sources
 from hdsp.planning.heuristics.known_edges import KnownEdges
@@ -37,11 +37,12 @@ def corridor_steps(
     open_states[sources.states[:, 2], sources.states[:, 0], sources.states[:, 1]] = True
     behind = least_costs_from(states_around(start, standing), open_states, least)
     yield from known.bounded()
-    goals, costs, cut_off, narrow = sources.states, sources.costs, False, True
+    goals, costs, cut_off = sources.states, sources.costs, False
+    first = begun = False
     while True:
         version = known.version
         # No step ends before some edges are evaluated, so that queries with little time get on.
-        found = find_corridor(known.incoming, behind, goals, costs, least, DOUBT, narrow=narrow)
+        found = find_corridor(known.incoming, behind, goals, costs, least, DOUBT, first=first)
         if found is None and not cut_off:
             goals, costs = connected(goals, costs, open_states, prices, NEAR * DOUBT)
             cut_off = True
@@ -49,11 +50,15 @@ def corridor_steps(
         if found is None:
             return None
         missing = found.around & standing & ~known.evaluated
-        if (missing & found.states).any():
+        waiting = int((missing & found.states).sum())
+        if waiting > FIRST and not begun:
+            first = begun = True
+            continue
+        if waiting > 0:
             yield from known.evaluate(missing)
             continue
-        if narrow:
-            narrow = False
+        if first:
+            first = False
             continue
         to_go = costs_around(found, known.incoming, standing, least, prices, sources.excess)
         if version is known.version:  # no other thread has evaluated edges in the meantime
