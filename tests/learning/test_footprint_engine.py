@@ -199,7 +199,7 @@ def test_a_copy_for_another_process(with_codes):
     [
         ({}, {}, {}),
         ({"taps": [3, 9], "spacing": 2}, {}, {"unevenness_radius": 2, "unevenness_contact": 0}),
-        ({"dilations": [], "taps": [1, 7]}, {"clearance": 0.1}, {"unevenness_radius": 1}),
+        ({"dilations": [1], "taps": [1, 7]}, {"clearance": 0.1}, {"unevenness_radius": 1}),
         ({}, {"neutral": [0.15, 0.35], "contact_inward": 0.0}, {"unevenness_radius": 4}),
         ({}, {"boxes": [{"x_min": -0.55, "x_max": 0.2, "half_width": 0.1, "above": 0.2}]}, {"unevenness_radius": 3}),
     ],

@@ -80,13 +80,18 @@ _KEPT = 32
 def engine_options(settings: ModelSettings) -> FootprintOptions | None:
     """Returns the options of a network that the engine evaluates, None for any other network.
 
-    The engine evaluates footprint networks with a stance whose patches have all the cells that the network reads.
+    The engine evaluates footprint networks with a stance and dilations whose patches have all the cells that the network
+    reads.
     """
     encoding = settings.encoding
     if settings.architecture != "footprint" or encoding.reference != "none" or encoding.unknown is not None:
         return None
     options = load_settings(FootprintOptions, settings.options, "model.options")
-    if options.stance is None or not {"height", "unknown", "edge", "unevenness"} <= set(encoding.channels):
+    if (
+        options.stance is None
+        or not options.dilations
+        or not {"height", "unknown", "edge", "unevenness"} <= set(encoding.channels)
+    ):
         return None
     return options if farthest_read(encoding, options) < PATCH_CELLS - PATCH_CENTER else None
 
