@@ -80,8 +80,8 @@ _KEPT = 32
 def engine_options(settings: ModelSettings) -> FootprintOptions | None:
     """Returns the options of a network that the engine evaluates, None for any other network.
 
-    The engine evaluates footprint networks with a stance and dilations whose patches have all the cells that the network
-    reads.
+    The engine evaluates footprint networks with a stance and dilations, whose patches have all the cells that the
+    network reads.
     """
     encoding = settings.encoding
     if settings.architecture != "footprint" or encoding.reference != "none" or encoding.unknown is not None:
