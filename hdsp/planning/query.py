@@ -39,11 +39,11 @@ from hdsp.terrain.height_map import HeightMap
 
 #: Budget of the backward search for bounds and hard searches, bytes: about a million poses.
 LITTLE = 16 << 20
-#: Expansions of a guide's search in one turn; half of it in the first one.
+#: Expansions of a guide's search in one turn.
 TURN = 20_000
 #: Expansions of the first guide's search from which costs-to-go of the whole map are worth their time. Learned edges of
 #: 6 x 6 m take as long as about 200,000 expansions.
-LONG = 110_000
+LONG = 100_000
 
 
 #: Computes a guide until a moment on the clock ``now``; returns None if the time is too short.
@@ -152,7 +152,7 @@ class Query:
             bounded: whether a plan from a heuristic that is not admissible gets a proved bound nevertheless.
             hard: whether the grid heuristic counts from the beginning, because an earlier search asked for it.
             turns: turns of other guides.
-            first_turn: turn length before them, in expansions; None = half of ``TURN``.
+            first_turn: turn length before them, in expansions; None = ``TURN``.
         """
         # No bound is lost without reopening: the heuristic proves none, or it is consistent. At W = 1, a consistent
         # heuristic leads to hardly any state twice, and reopening keeps the optimum up to rounding.
@@ -176,7 +176,7 @@ class Query:
             guide=lower,
             guide_from=0 if hard else HARD,
             turns=turns,
-            first_turn=TURN // 2 if first_turn is None else first_turn,
+            first_turn=TURN if first_turn is None else first_turn,
         )
         return self.plan_of(result, PlanStatistics(self.heuristic.name, float(weight)), reached)
 
@@ -345,13 +345,13 @@ class Query:
 
 
 class _Turns:
-    """Turns of the guides in a long search: ``TURN`` expansions each, one after the other; half for the first turn.
+    """Turns of the guides in a long search: ``TURN`` expansions each, one after the other.
 
     An abstraction that is wrong in one place lets a search fill the ground before it. Another abstraction is seldom
     wrong in the same place. Each guide has a search of its own, which goes on in its turns, so nothing is computed
-    twice. With two guides, the whole search takes at most twice the expansions of the better guide alone, and half a
-    turn more. With a first turn of full length, it would be a whole turn. Equal shares are the best choice for the
-    worst case, and longer turns would only raise the bound.
+    twice. With n guides, the whole search takes at most n times the expansions of the best guide alone, and n - 1
+    turns. Equal shares are the best choice for the worst case, and longer turns would only raise the bound. A first
+    turn of half the length would halve the rest for two guides; it did not save expansions on hard pairs.
 
     The first guide covers the whole map from ``LONG`` expansions of its own on.
 
@@ -365,7 +365,7 @@ class _Turns:
         self._prepared: dict[Prepared, Estimate] = {}
 
     def __iter__(self) -> Iterator[GuideTurn]:
-        query, done = self._query, TURN // 2
+        query, done = self._query, TURN
         if not query.others and query.whole is None:
             return
         while True:
