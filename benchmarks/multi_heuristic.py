@@ -15,14 +15,15 @@ For each bound W:
 Times are processor seconds for the heuristics of the goal and the search, each as the first query on its map. The
 preparation for the whole map comes before. Expansions leave out the base poses that backward searches settle; a column
 adds them. Ratios geometric / other are geometric means over all tasks that one of the two solves, with intervals by
-bootstrap over arenas. A search that ends at its limit counts with its effort up to there.
+bootstrap over arenas. A search that ends at its limit counts with its effort up to there, so these ratios depend on the
+limit; for the times on the tasks that both solve, it only decides which tasks these are.
 
 Searches are kept under ``--out``, one file for each arena. A run goes on where the last one stopped, and repeats
 searches whose code has changed. `python -m benchmarks.planning --bounds TASKS` takes the same figures.
 
 The last line is JSON with these ratios and their intervals: `bound_W_expansions`, `bound_W_with_settled` and
 `bound_W_time` for the anchored search with the first guide and equal shares, `bound_W_grid_expansions` and so on for
-`grid`.
+`grid`. `bound_W_time_both` and its kind are over the tasks that both searches solve.
 """
 
 from __future__ import annotations
@@ -239,6 +240,10 @@ def summary(runs: list[dict]) -> list[dict]:
             name: geometric_mean_ratio([effort(a) for a, _ in pairs], [effort(b) for _, b in pairs], places)
             for name, effort in EFFORTS.items()
         }
+        both = [(a, b) for a, b in pairs if a["status"] == b["status"]]
+        ratios["time_both"] = geometric_mean_ratio(
+            *([EFFORTS["time"](pair[k]) for pair in both] for k in range(2)), [b["place"] for _, b in both]
+        )
         rows.append({
             "bound": bound,
             "search": search,
@@ -264,7 +269,7 @@ def keys(rows: list[dict], guide: str) -> dict:
     for row in rows:
         chosen = {("grid", None): "grid_", (EQUAL_SHARES, guide): ""}.get((row["search"], row["guide"]))
         if chosen is not None:
-            for name in EFFORTS:
+            for name in (*EFFORTS, "time_both"):
                 found[f"bound_{row['bound']:g}_{chosen}{name}"] = row[name].mean
                 found[f"bound_{row['bound']:g}_{chosen}{name}_interval"] = row[name].ends
     return found
@@ -274,7 +279,7 @@ def text(result: dict) -> str:
     """Formats the summary for the page."""
     head = [
         "bound W", "search", "solved", "proved on average", "expansions: geometric / this",
-        "with settled poses", "CPU time", "cost over the least found",
+        "with settled poses", "CPU time", "CPU time, both solve", "cost over the least found",
     ]  # fmt: skip
     lines = []
     for row in result["summary"]:
@@ -282,7 +287,7 @@ def text(result: dict) -> str:
         compared = row["search"] != "geometric"
         lines.append([
             f"{row['bound']:g}", name, f"{row['solved']} of {row['tasks']}", row["proved_mean"],
-            *(in_words(row[effort]) if compared else None for effort in EFFORTS),
+            *(in_words(row[effort]) if compared else None for effort in (*EFFORTS, "time_both")),
             None if row["cost_to_best"] is None else f"{100 * (row['cost_to_best'] - 1):+.1f}%",
         ])  # fmt: skip
     ends = (

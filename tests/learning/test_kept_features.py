@@ -43,7 +43,7 @@ def test_costs_with_kept_features_are_those_without():
     assert 0 < sum(moved._used) - sum(used) < 0.6 * sum(used)
 
 
-def test_a_change_reaches_hardly_more_states_than_it_affects():
+def test_hardly_more_states_are_affected_than_a_change_reaches():
     costs = LearnedCosts(hdsp.load_abstraction("momaro"))
     heights = np.random.default_rng(0).normal(0.0, 0.001, TERRAIN.shape).astype(np.float32)
     mask = np.zeros((ABSTRACT_HEADINGS, *abstract_shape(TERRAIN.shape)), bool)

@@ -42,8 +42,8 @@ def test_a_search_that_ends_at_its_limit_counts_with_it():
     def run(search, task, expansions, cost):
         return {
             "place": "a", "task": task, "search": search, "guide": None, "bound": 2.0, "expansions": expansions,
-            "status": "expansion_limit" if cost is None else "solved", "cost": cost, "settled": 0, "cpu_s": 0.1,
-            "proved": None if cost is None else 2.0,
+            "status": "expansion_limit" if cost is None else "solved", "cost": cost, "settled": 0,
+            "cpu_s": expansions / 1000, "proved": None if cost is None else 2.0,
         }  # fmt: skip
 
     runs = [
@@ -53,7 +53,8 @@ def test_a_search_that_ends_at_its_limit_counts_with_it():
     ]  # fmt: skip
     geometric, grid = multi_heuristic.summary(runs)
     assert (grid["tasks"], grid["compared"], grid["geometric_solved"], geometric["solved"]) == (2, 2, 1, 1)
-    assert grid["expansions"].mean == pytest.approx(6) and grid["time"].mean == pytest.approx(1)
+    assert grid["expansions"].mean == pytest.approx(6) and grid["time"].mean == pytest.approx(6)
+    assert grid["time_both"].mean == pytest.approx(4)
 
 
 def test_measured_inadmissibility_is_that_of_exact_costs(tmp_path):
