@@ -167,13 +167,18 @@ def _recipe(abstraction: LearnedAbstraction, config: Config, hours: Mapping[str,
     if "epoch" in notes:
         rows.insert(0, ("state", str(notes["epoch"])))
     table = markdown(("setting", "value"), rows)
-    if initial := notes.get("initial"):
-        first = [("`maps`", f"{initial['maps']:,}"), *_settings(initial["trainer"])]
+    for initial in _trainings(notes)[1:]:
+        first = [("`maps`", f"{initial['maps']:,}"), *_settings(initial.get("model", {})), *_settings(initial["trainer"])]
         if "epoch" in initial:
             first.insert(0, ("state", str(initial["epoch"])))
         table += "\n\nIt started from the weights of an earlier training:\n\n" + markdown(("setting", "value"), first)
     text = f"The recipe is the section `trainer` of the configuration, {source}. {effort(hours)}".strip()
     return f"## Training recipe\n\n{text}\n\n{table}"
+
+
+def _trainings(notes: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Notes of a training, of the one that its weights come from, and so on."""
+    return [notes, *(_trainings(notes["initial"]) if "initial" in notes else [])]
 
 
 def _settings(values: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -284,12 +289,13 @@ def _again(abstraction: LearnedAbstraction, config: Config, robot: Robot) -> str
             )
         settings = [*chosen, f"model={abstraction.model.architecture}"]
         composed = configure(settings)
-    first, then = notes, ""
-    if "initial" in notes:
-        first, folder = notes["initial"], notes["trainer"]["initial"]
-        then = f"""
-mv models/abstraction {folder}
-python -m pipeline.train {" ".join([*settings, *_differences(composed, notes)])} runtime.inputs=. runtime.outputs=."""
+    *later, first = _trainings(notes)
+    then = ""
+    for training in reversed(later):
+        overrides = " ".join([*settings, *_differences(composed, training)])
+        then += f"""
+mv models/abstraction {training["trainer"]["initial"]}
+python -m pipeline.train {overrides} runtime.inputs=. runtime.outputs=."""
     overrides = " ".join(f"-S {setting}" for setting in [*settings, *_differences(composed, first)])
     return f"""## Reproduce
 
@@ -304,14 +310,18 @@ python -m pipeline.publish_model models/abstraction {" ".join(chosen)} runtime.o
 def _differences(config: Config, notes: Mapping[str, Any]) -> list[str]:
     """Overrides, quoted for a shell, that turn a configuration into the recorded recipe and numbers of maps."""
     known = flatten(plain(config))
-    recorded = {"trainer": notes.get("trainer", {})}
+    recorded = {"trainer": notes.get("trainer", {}), "model": notes.get("model", {})}
     for name, split in notes.get("splits", {}).items():
         recorded[f"{'simulation' if name in config.simulation.splits else 'labelling'}.splits.{name}"] = split
     return [
         shlex.quote(f"{key}={_override(value)}")
         for key, value in flatten(recorded).items()
-        if key in known and known[key] != value
+        if (key in known and known[key] != value) or (value is None and _holds(known, key))
     ]
+
+
+def _holds(known: Mapping[str, Any], section: str) -> bool:
+    return any(key.startswith(f"{section}.") for key in known)
 
 
 def _override(value: Any) -> str:

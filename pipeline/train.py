@@ -198,16 +198,21 @@ def notes(config: Config, tasks: TaskSet | list[Place]) -> dict[str, Any]:
         "profile": config.profile,
         "maps": len(tasks) if streamed is None else sum(streamed),
         "trainer": plain(config.trainer),
-        **_notes_of_initial(config.trainer.initial),
+        **_notes_of_initial(config),
         **data_notes(config, config.trainer.splits),
     }
 
 
-def _notes_of_initial(folder: str | None) -> dict[str, Any]:
-    """Notes of the model whose weights start the training."""
+def _notes_of_initial(config: Config) -> dict[str, Any]:
+    """Notes of the model whose weights start the training, with the options that it has otherwise."""
     from hdsp.learning import LearnedAbstraction
 
-    return {} if folder is None else {"initial": LearnedAbstraction.from_pretrained(folder).provenance.notes}
+    if (folder := config.trainer.initial) is None:
+        return {}
+    saved = LearnedAbstraction.from_pretrained(folder)
+    notes, own = dict(saved.provenance.notes), config.model.to_dict()["options"]
+    other = {key: value for key, value in saved.model.to_dict()["options"].items() if own.get(key, value) != value}
+    return {"initial": notes | ({"model": {"options": other}} if other else {})}
 
 
 def data_notes(config: Config, splits: Sequence[str]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from hdsp.base.errors import InputError
 from hdsp.base.settings import Count, NotNegative, Positive, checked, fault
 from hdsp.learning.learning_settings import HeightEncoding, Width
-from hdsp.robot.lattice import ABSTRACT_HEADINGS, cells
+from hdsp.robot.lattice import ABSTRACT_HEADINGS, PATCH_CELLS, cells
 from hdsp.robot.shape import Box
 
 #: Largest base displacement along an axis, in cells: the longest action at any heading residue.
@@ -50,6 +50,20 @@ MOST = 3.0
 POSE_FEATURES = 3 * (1 + len(SHARPNESS)) + 1
 #: Additional features per foot: the height under it, and whether an edge is too close.
 REQUIREMENT_FEATURES = POSE_FEATURES + 2 * len(FEET)
+#: Features of each foot at a pose: its offset, its height, and whether it has a foothold; and of its way ahead: whether
+#: a step is too long or too high, the number of steps, their cost, and whether the way leads back.
+FOOT_PLACE, FOOT_WAY = 3, 4
+#: Features of all feet on the way to a goal: at the start, at the goal, between both, and whether the goal lies ahead.
+WAY_FEATURES = len(FEET) * (2 * FOOT_PLACE + FOOT_WAY) + 1
+#: Units of these features: cells for an offset, cost for a step.
+OFFSET_UNIT, STEP_COST_UNIT = 12.0, 0.1
+#: Goals lie ahead up to this distance from the robot's axis, in cells.
+ASIDE = 2
+#: Tolerances: of a share at its limit, of heights at a limit in metres, and of unevenness that decides between two
+#: footholds in metres.
+SHARE_TOLERANCE, HEIGHT_TOLERANCE, ROUGH_TOLERANCE = 1e-4, 1e-5, 1e-3
+#: Steps are counted as no longer (cells) and no higher (m) than this.
+LONGEST_STEP, HIGHEST_STEP = 20, 0.8
 
 
 @checked
@@ -97,6 +111,45 @@ class PoseRequirementOptions:
 
 
 @checked
+class FootWayOptions:
+    """How feet move, from ``hdsp.robot.robot.Robot``; all lengths in metres.
+
+    Attributes:
+        reach: least and greatest offset of a foot from its neutral position, along x.
+        max_length, max_height, max_clearance, cost, cost_per_metre, cost_per_height: as in ``Step``.
+    """
+
+    reach: tuple[float, float]
+    max_length: NotNegative
+    max_height: NotNegative
+    max_clearance: NotNegative
+    cost: NotNegative
+    cost_per_metre: NotNegative
+    cost_per_height: NotNegative
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not self.reach[0] <= 0 <= self.reach[1]:
+            raise fault("reach", self.reach, "a least offset up to 0 and a greatest one from 0")
+        return self
+
+    @property
+    def offsets(self) -> tuple[int, int]:
+        """Least and greatest offset of a foot, in cells."""
+        return math.ceil(cells(self.reach[0]) - 1e-9), math.floor(cells(self.reach[1]) + 1e-9)
+
+    @property
+    def longest(self) -> int:
+        """Longest step, in cells."""
+        return math.floor(cells(self.max_length) + 1e-9)
+
+    @property
+    def cost_per_cell(self) -> float:
+        """Cost of a step's length, per cell."""
+        return self.cost_per_metre / cells(1.0)
+
+
+@checked
 class FootprintOptions:
     """Layer widths.
 
@@ -114,6 +167,9 @@ class FootprintOptions:
         planning: whether the network predicts costs for planning, too, as a second cost.
         stance: the robot's requirements on the ground at a pose, as input features. None: the network has to learn
             them.
+        foot_ways: how feet move. The footholds of the feet at start and goal, and the steps between them, are then
+            input features; needs ``stance``. None: the network has to learn them.
+        steps: width of the layers that judge these features.
     """
 
     width: Width = 32
@@ -127,9 +183,13 @@ class FootprintOptions:
     head: Annotated[Width, Field(ge=2)] = 128
     planning: bool = False
     stance: PoseRequirementOptions | None = None
+    foot_ways: FootWayOptions | None = None
+    steps: Width = 64
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if self.foot_ways and not self.stance:
+            raise fault("foot_ways", self.foot_ways, "None without stance")
         if sum(self.dilations) > 7:
             raise fault("dilations", self.dilations, "numbers that add up to at most 7")
         if any(n % 2 == 0 for n in self.taps) or max(self.taps) * self.spacing > 27:
@@ -148,6 +208,11 @@ class FootprintOptions:
             return FOOT
         x, y = self.stance.neutral
         return round(cells(x)), round(cells(y))
+
+    @property
+    def foot_region(self) -> tuple[int, int]:
+        """Distances from the start, along x and along y in cells, up to which feet find footholds."""
+        return self.foot[0] + PROFILE[-1], self.foot[1] + REACH
 
 
 def footprint_taps(options: FootprintOptions) -> np.ndarray:
@@ -179,6 +244,27 @@ def requirement_points(options: PoseRequirementOptions) -> list[np.ndarray]:
     feet, contacts = cells(signs * neutral), cells(signs * (neutral - options.contact_inward))
     groups = [np.zeros((1, 2)), feet, contacts, *(_covering(box) for box in options.boxes)]
     return [np.asarray(group, np.float32) for group in groups]
+
+
+def foot_cells(options: FootprintOptions) -> np.ndarray:
+    """Returns the cells of the feet at a base, at the start heading and turned to the left and to the right.
+
+    Returns:
+        int64 [3, 4, 2, distances, 2]: for each heading and foot, cells behind the neutral position and ahead of it, by
+        distance from it; distances beyond the foot's reach are far outside the region of the feet.
+    """
+    assert options.foot_ways is not None
+    low, high = options.foot_ways.offsets
+    distance = np.arange(max(-low, high) + 1)
+    turns = np.array([0.0, 1.0, -1.0]) * (2 * math.pi / ABSTRACT_HEADINGS)
+    result = np.empty((len(turns), len(FEET), 2, len(distance), 2), np.int64)
+    for foot, signs in enumerate(FEET):
+        x, y = np.multiply(signs, options.foot)
+        for side, (offsets, limit) in enumerate(((-distance, -low), (distance, high))):
+            at = np.stack([x + offsets, np.full_like(offsets, y)], axis=-1)
+            result[:, foot, side] = np.rint(rotated(at, turns)).astype(np.int64)
+            result[:, foot, side, distance > limit] = 10 * PATCH_CELLS
+    return result
 
 
 def requirement_reach(options: PoseRequirementOptions) -> dict[str, np.ndarray]:
@@ -213,6 +299,12 @@ def read_reach(encoding: HeightEncoding, options: FootprintOptions) -> np.ndarra
             within[name] = np.maximum(within[name], reach + (GROUND_RADIUS if name == "height" else 0))
         profile = np.array(options.foot) + (PROFILE[-1], 0) + options.stance.clearance_cells
         within["edge"] = np.maximum(within["edge"], profile)
+        if options.foot_ways:
+            region = np.array(options.foot_region)
+            within["edge"] = np.maximum(within["edge"], region + options.stance.clearance_cells)
+            within["height"] = np.maximum(within["height"], region + encoding.unevenness_contact)
+            rough = np.array(options.foot) + REACH
+            within["unevenness"] = np.maximum(within["unevenness"], rough)
     return np.max([reach + encoding.radius(name) for name, reach in within.items()], axis=0)
 
 

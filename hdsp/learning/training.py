@@ -18,6 +18,7 @@ import torch
 from lightning.pytorch.callbacks import EarlyStopping, ModelCheckpoint
 from lightning.pytorch.loggers import Logger
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
+from torch.nn import functional
 
 from hdsp.base.errors import InputError
 from hdsp.base.messages import one_line
@@ -264,14 +265,27 @@ def _module(config: TrainingConfig, val_sets: tuple[str, ...], parts: TrainingPa
 
 
 def _begin_with(network: TaskNetwork, folder: str | Path, model: ModelSettings) -> None:
-    """Copies the weights from a saved abstraction."""
+    """Copies the weights from a saved abstraction.
+
+    A footprint network with foot ways may begin as one without them: the layers of the ways then have no effect yet.
+    """
     saved = LearnedAbstraction.from_pretrained(folder)
-    if saved.model != model:
+    if saved.model != model and _without_foot_ways(saved.model) != _without_foot_ways(model):
         raise InputError(
             f"trainer.initial: {folder} holds a {saved.model.architecture}, {saved.model.to_dict()}; "
             f"training is of {model.architecture}, {model.to_dict()}"
         )
-    network.load_state_dict(saved.network.state_dict())
+    weights, own = saved.network.state_dict(), network.state_dict()
+    if extra := own["heads.weight"].shape[1] - weights["heads.weight"].shape[1]:
+        weights["heads.weight"] = functional.pad(weights["heads.weight"], (0, extra))
+    network.load_state_dict({**own, **weights})
+
+
+def _without_foot_ways(model: ModelSettings) -> dict[str, Any]:
+    settings = model.to_dict()
+    if settings["architecture"] == "footprint":
+        settings["options"] = {k: v for k, v in settings["options"].items() if k not in ("foot_ways", "steps")}
+    return settings
 
 
 def _as_list(logger: Logger | Iterable[Logger] | None) -> list[Logger]:

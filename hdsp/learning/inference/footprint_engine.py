@@ -25,11 +25,13 @@ from hdsp.learning.footprint_geometry import (
     REACH,
     SAMPLES,
     SHARPNESS,
+    WAY_FEATURES,
     FootprintOptions,
     farthest_read,
     read_reach,
 )
 from hdsp.learning.inference.footprint_layers import FootprintLayers
+from hdsp.learning.inference.foot_way_kernels import foot_way_rows
 from hdsp.learning.inference.gather_kernels import (
     GroundMaps,
     PoseCells,
@@ -52,7 +54,7 @@ from hdsp.learning.inference.ground_kernels import (
     weighted_sum,
 )
 from hdsp.learning.inference.kept_features import ALONG, LOCAL, POSE, KeptFeatures, KeptPlace, WindowFeatures, not_kept
-from hdsp.learning.inference.pose_table import CORNERS, PoseTable, Ways, goal_features, numbers, square
+from hdsp.learning.inference.pose_table import CORNERS, PoseTable, Ways, goal_cells, goal_features, numbers, square
 from hdsp.learning.judgements import Judgements
 from hdsp.learning.learning_settings import ModelSettings
 from hdsp.robot.lattice import PATCH_CELLS, PATCH_CENTER, cells
@@ -219,7 +221,12 @@ class FootprintEngine:
             (known,) = self._start.run(None, {"context rows": around, "feet rows": feet, "start": poses[part]})
             rows = np.empty((len(part) * len(goals), SAMPLES * self.features), np.float32)
             way_rows(part, poses, of_turns, corners, to.ways.weights, to.ways.turning, rows)
-            (judged,) = self._judge.run(None, {"rows": rows, "start": known, "goals": to.constant})
+            inputs = {"rows": rows, "start": known, "goals": to.constant}
+            if self.table.feet is not None:
+                inputs["foot ways"] = np.empty((len(rows), WAY_FEATURES), np.float32)
+                foot_way_rows(part, across, maps, self.table.feet, to.feet, inputs["foot ways"])
+                inputs["goals of steps"] = to.of_steps
+            (judged,) = self._judge.run(None, inputs)
             excess, logits, *planning_excess = np.moveaxis(judged.reshape(len(part), len(goals), -1), 2, 0)
             costs = [flat * (1 + more) for flat, more in zip(to.costs, (excess, *planning_excess), strict=True)]
             yield slice(start, start + STATES), Judgements(costs[0], logits, *costs[1:])
@@ -251,7 +258,8 @@ class FootprintEngine:
             costs = np.maximum(hidden, 0) @ weights["goal_cost.2.weight"].T + weights["goal_cost.2.bias"]
             ways = Ways.to(goals)
             poses = np.unique(np.concatenate([self.table.context, ways.cells()]), axis=0)
-            self._goals[key] = _Goals(ways, poses, costs.T, features @ self._of_goal)
+            of_steps = features @ self.layers.of_step_goal
+            self._goals[key] = _Goals(ways, poses, costs.T, features @ self._of_goal, goal_cells(goals), of_steps)
         return self._goals[key]
 
     def _known_features(self, size: int) -> WindowFeatures:
@@ -307,7 +315,9 @@ class FootprintEngine:
             heights, differences, scale, self._clearance, np.float32(stance.highest_edge), np.float32(MOST)
         )
         is_barred = told(barred, np.float32(SHARPNESS[0]))
-        flat = (np.ascontiguousarray(values.ravel(), np.float32) for values in (rough, barred, is_barred))
+        contact_height = extreme(height, contact, one) if self.options.foot_ways else np.empty(0)
+        maps = rough, barred, is_barred, contact_height
+        flat = (np.ascontiguousarray(values.ravel(), np.float32) for values in maps)
         return GroundMaps(height.ravel(), np.stack(nearby, axis=-1).reshape(-1, len(nearby)), *flat), channels
 
     def _near_and_local(
@@ -383,12 +393,16 @@ class _Goals(NamedTuple):
         poses: int64 [n, 2], poses with the start heading that a base reads, relative to it.
         costs: float32 [1 or 2, G], costs without excess, for planning last.
         constant: float32 [G, head], part of the goals in the first layer.
+        feet: int64 [G, 4], see ``foot_way_rows``.
+        of_steps: float32 [G, steps], part of the goals in the layer that judges the feet's ways.
     """
 
     ways: Ways
     poses: np.ndarray
     costs: np.ndarray
     constant: np.ndarray
+    feet: np.ndarray
+    of_steps: np.ndarray
 
 
 class _Needed(NamedTuple):

@@ -20,6 +20,7 @@ from hdsp.learning.footprint_geometry import (
     REACH,
     REQUIREMENT_FEATURES,
     SAMPLES,
+    WAY_FEATURES,
     FootprintOptions,
 )
 from hdsp.learning.inference.cell_layer import Layer
@@ -95,6 +96,13 @@ class FootprintLayers:
         """Weight of a goal's features in the first judging layer, [goal features, head]."""
         return self._of_ways()[1][self.options.context + self.options.feet :]
 
+    @property
+    def of_step_goal(self) -> np.ndarray:
+        """Weight of a goal's features in the layer that judges the feet's ways, [goal features, steps]."""
+        if self.options.foot_ways is None:
+            return np.zeros((GOAL_FEATURES, 0), np.float32)
+        return self.weights["steps.0.weight"].T[-GOAL_FEATURES:]
+
     def of_start(self) -> InferenceSession:
         """Makes the layers of a start: ``context rows``, ``feet rows``, ``start`` -> its part in the first layer."""
         options, linear, (ways, rest) = self.options, self._linear, self._of_ways()
@@ -110,9 +118,12 @@ class FootprintLayers:
         return graph.session()
 
     def of_goals(self) -> InferenceSession:
-        """Makes the layers of a start's goals: ``rows``, ``start``, ``goals`` -> judgements."""
-        linear = self._linear
-        graph = Graph(["rows", "start", "goals"], "result")
+        """Makes the layers of a start's goals: ``rows``, ``start``, ``goals`` -> judgements.
+
+        With foot ways, further inputs are ``foot ways`` and ``goals of steps``.
+        """
+        linear, steps = self._linear, ["foot ways", "goals of steps"] if self.options.foot_ways else []
+        graph = Graph(["rows", "start", "goals", *steps], "result")
         of_ways = graph.constant("of ways", np.concatenate(self._of_ways()[0][1:]))
         shape = graph.operation("Shape", ["goals"], "goals shape")
         shape = graph.operation("Concat", [graph.constant("bases", np.array([-1])), shape], "shape", axis=0)
@@ -122,8 +133,27 @@ class FootprintLayers:
         way = graph.operation("Add", [way, "goals"], "ways with goals")
         flat = graph.constant("flat", np.array([-1, self.options.head]))
         first = graph.operation("Relu", [graph.operation("Reshape", [way, flat], "rows of ways")], "first")
-        graph.linear(graph.linear(first, "second", *linear("rest.2")), "result", *linear("heads"), relu=False)
+        judged = graph.linear(first, "second", *linear("rest.2"))
+        if steps:
+            judged = graph.operation("Concat", [judged, self._judged_steps(graph, judged)], "all judged", axis=1)
+        graph.linear(judged, "result", *linear("heads"), relu=False)
         return graph.session()
+
+    def _judged_steps(self, graph: Graph, judged: str) -> str:
+        """Adds the layers that judge the feet's ways; returns their output's name."""
+        weight, bias = self._linear("steps.0")
+        half = self.options.head // 2
+        of_judged = graph.linear(judged, "judged of steps", weight[:half], bias, relu=False)
+        of_ways = graph.product("foot ways", "ways of steps", weight[half : half + WAY_FEATURES])
+        sums = graph.operation("Add", [of_judged, of_ways], "steps sum")
+        shape = graph.operation("Shape", ["goals of steps"], "steps of goals")
+        by_base = graph.constant("steps bases", np.array([-1]))
+        shape = graph.operation("Concat", [by_base, shape], "steps shape", axis=0)
+        sums = graph.operation("Reshape", [sums, shape], "steps by base")
+        sums = graph.operation("Add", [sums, "goals of steps"], "steps with goals")
+        flat = graph.constant("steps flat", np.array([-1, self.options.steps]))
+        first = graph.operation("Relu", [graph.operation("Reshape", [sums, flat], "steps rows")], "steps first")
+        return graph.linear(first, "steps second", *self._linear("steps.2"))
 
     def _padded(self, weight: np.ndarray) -> np.ndarray:
         """Adds zeros for the trailing zeros of pose features, along the axis before the last."""
@@ -139,7 +169,12 @@ def _shapes(options: FootprintOptions, channels: int) -> dict[str, tuple[int, ..
     seen = features + POSE_FEATURES
     of_feet = len(FEET) * (len(LINE) * width + 2 * len(PROFILE) + PROFILE[-1] - PROFILE[0] + 1)
     way = (SAMPLES + 2) * seen + options.context + options.feet + GOAL_FEATURES
-    weights = {
+    judged, ways = head // 2, {}
+    if options.foot_ways:
+        ways = {"steps.0": (options.steps, judged + WAY_FEATURES + GOAL_FEATURES)}
+        ways["steps.2"] = (options.steps, options.steps)
+        judged += options.steps
+    weights: dict[str, tuple[int, ...]] = {
         "near.0": (width, channels, near, near),
         **{f"local.{2 * k}": (width, width, 3, 3) for k in range(len(options.dilations))},
         "of_local": (hidden, width, *options.taps),
@@ -150,7 +185,8 @@ def _shapes(options: FootprintOptions, channels: int) -> dict[str, tuple[int, ..
         "feet": (options.feet, of_feet),
         "rest.0": (head, way),
         "rest.2": (head // 2, head),
-        "heads": (1 + options.costs, head // 2),
+        "heads": (1 + options.costs, judged),
+        **ways,
         "goal_cost.0": (64, GOAL_FEATURES),
         "goal_cost.2": (options.costs, 64),
     }

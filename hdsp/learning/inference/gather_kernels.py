@@ -122,7 +122,7 @@ def store_poses(judged, ground, cells, poses):
 
 
 @njit(inline="always")
-def _relative(height, base):
+def relative_height(height, base):
     """Height relative to the base, within ``RELATIVE``; zero where one of them is unknown."""
     difference = height - base
     return min(max(difference, _LOW), _HIGH) if abs(difference) < _INFINITE else _ZERO
@@ -143,8 +143,8 @@ def relative_ground(ground, height, base, offsets, row):
     own = height[base]
     for k in range(len(offsets)):
         cell = base + offsets[k]
-        row[channels * k] = _relative(ground[cell, 0], own)
-        row[channels * k + 1] = _relative(ground[cell, 1], own)
+        row[channels * k] = relative_height(ground[cell, 0], own)
+        row[channels * k + 1] = relative_height(ground[cell, 1], own)
         for c in range(2, channels):
             row[channels * k + c] = ground[cell, c]
 
@@ -177,6 +177,7 @@ class GroundMaps(NamedTuple):
         rough: [cells], unevenness in metres.
         barred: [cells], greatest difference within the clearance of a foot, as a share of the highest edge.
         is_barred: [cells], its sigmoid step.
+        contact: [cells], highest ground under a foot, -inf = all of it is unknown; empty if no feature reads it.
     """
 
     height: np.ndarray
@@ -184,6 +185,7 @@ class GroundMaps(NamedTuple):
     rough: np.ndarray
     barred: np.ndarray
     is_barred: np.ndarray
+    contact: np.ndarray
 
 
 @njit(allocates=False, nogil=True)
@@ -208,7 +210,7 @@ def requirements(maps, base, poses, turn, row):
         lowest = at if at < lowest else lowest
         mean += at
         near = max(near, maps.barred[foot])
-        row[k] = _relative(at, own)
+        row[k] = relative_height(at, own)
         row[count + k] = maps.is_barred[foot]
     mean /= np.float32(count)
     level = max(highest - lowest, _ZERO) / poses.limits[0]
@@ -314,8 +316,8 @@ def feet_rows(cells, line, maps, along, profile, footholds, rows):
                 target[c] = seen[c]
         at = len(along) * channels
         for k in range(len(profile)):
-            row[at] = _relative(maps.nearby[base + profile[k], 0], own)
-            row[at + 1] = _relative(maps.nearby[base + profile[k], 1], own)
+            row[at] = relative_height(maps.nearby[base + profile[k], 0], own)
+            row[at + 1] = relative_height(maps.nearby[base + profile[k], 1], own)
             at += 2
         for k in range(len(footholds)):
             row[at] = maps.is_barred[base + footholds[k]]

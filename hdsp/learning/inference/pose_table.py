@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 
 from hdsp.learning.footprint_geometry import (
+    ASIDE,
     CONTEXT_STEP,
     FEET,
     LINE,
@@ -16,11 +17,13 @@ from hdsp.learning.footprint_geometry import (
     REACH,
     SAMPLES,
     FootprintOptions,
+    foot_cells,
     footprint_taps,
     requirement_points,
     rotated,
     turn_angles,
 )
+from hdsp.learning.inference.foot_way_kernels import FootPlaces
 from hdsp.learning.inference.gather_kernels import PoseCells
 from hdsp.robot.lattice import CELLS_PER_ABSTRACT
 
@@ -66,6 +69,7 @@ class PoseTable:
             ``corner_weights``.
         turned_local: int64 [n, 2], all cells that they read.
         along, profile, footholds: int64 [n, 2], cells ahead of the feet and behind them.
+        feet: where feet find footholds; None for a network without foot ways.
     """
 
     def __init__(self, options: FootprintOptions):
@@ -79,6 +83,7 @@ class PoseTable:
             (feet[:, None] + np.stack([offsets, np.zeros_like(offsets)], axis=-1)).reshape(-1, 2)
             for offsets in map(np.array, (LINE, PROFILE, range(PROFILE[0], PROFILE[-1] + 1)))
         )
+        self.feet = _foot_places(options) if options.foot_ways else None
         self._straight = [taps[None], *(group.round()[None] for group in requirement_points(options.stance))]
         self._turned = [rotated(taps, turn_angles()).round()]
         self._turned += [rotated(group, turn_angles()).round() for group in requirement_points(options.stance)]
@@ -98,6 +103,15 @@ class PoseTable:
         ends = np.cumsum([body.shape[1] for body in bodies], dtype=np.int64)
         body = np.concatenate(bodies, axis=1) if bodies else np.empty((len(taps), 0), np.int64)
         return PoseCells(taps, feet, contacts, body, ends, self._limits)
+
+
+def _foot_places(options: FootprintOptions) -> FootPlaces:
+    rules = options.foot_ways
+    assert rules is not None
+    region = np.array([*options.foot_region, options.foot[0] + REACH], np.int64)
+    costs = rules.cost, rules.cost_per_cell, rules.cost_per_height
+    limits = np.array([rules.max_height, rules.max_clearance, *costs], np.float32)
+    return FootPlaces(foot_cells(options), region, rules.longest, limits)
 
 
 @dataclass(frozen=True)
@@ -136,3 +150,13 @@ def goal_features(goals: np.ndarray) -> np.ndarray:
     distance = np.hypot(*position.T)[:, None]
     direction = position / np.maximum(distance, np.float32(1e-6))
     return np.concatenate([goals, distance, direction, distance < 1e-3], axis=1).astype(np.float32)
+
+
+def goal_cells(goals: np.ndarray) -> np.ndarray:
+    """Returns goals as ``foot_way_rows`` takes them, int64 [G, 4]."""
+    at = np.rint(goals[:, :2] * np.float32(CELLS_PER_ABSTRACT))
+    turning = goals[:, 2] != 0
+    heading = np.where(turning, np.where(goals[:, 2] > 0, 1, 2), 0)
+    ahead = ~turning & (goals[:, 0] > 0) & (np.abs(at[:, 1]) <= ASIDE)
+    at[turning] = 0
+    return np.column_stack([at, heading, ahead]).astype(np.int64)

@@ -23,6 +23,7 @@ from hdsp.learning.footprint_geometry import (
     RELATIVE,
     REQUIREMENT_FEATURES,
     SAMPLES,
+    WAY_FEATURES,
     FootprintOptions,
     farthest_read,
     footprint_taps,
@@ -31,6 +32,7 @@ from hdsp.learning.footprint_geometry import (
 )
 from hdsp.learning.learning_settings import HeightEncoding
 from hdsp.learning.networks.base import TaskNetwork
+from hdsp.learning.networks.foot_ways import FootWays
 from hdsp.learning.networks.goals import GOAL_FEATURES, goal_features
 from hdsp.learning.networks.requirements import BARRED, HEIGHT, HIGHEST, LOWEST, PoseRequirements, told
 from hdsp.robot.lattice import CELLS_PER_ABSTRACT, PATCH_CELLS, PATCH_CENTER
@@ -90,8 +92,16 @@ class Footprint(TaskNetwork):
         self.rest = nn.Sequential(
             nn.Linear(way, options.head), nn.ReLU(), nn.Linear(options.head, options.head // 2), nn.ReLU()
         )
+        self.foot_ways = FootWays(options) if options.foot_ways else None
+        judged = options.head // 2
+        if self.foot_ways:
+            seen = judged + WAY_FEATURES + GOAL_FEATURES
+            self.steps = nn.Sequential(
+                nn.Linear(seen, options.steps), nn.ReLU(), nn.Linear(options.steps, options.steps), nn.ReLU()
+            )
+            judged += options.steps
         # Excess of the label's cost, logit, excess of the cost for planning.
-        self.heads = nn.Linear(options.head // 2, 1 + options.costs)
+        self.heads = nn.Linear(judged, 1 + options.costs)
         self.goal_cost = nn.Sequential(nn.Linear(GOAL_FEATURES, 64), nn.ReLU(), nn.Linear(64, options.costs))
         self.predicts_planning_cost = options.planning
         self.register_buffer("taps", torch.from_numpy(footprint_taps(options)), persistent=False)
@@ -122,7 +132,12 @@ class Footprint(TaskNetwork):
         line = torch.cat([self.of_line(strip) for strip in strips], dim=-1)
         at = self._line_cells(centre)
         at = torch.stack([at[..., 0] - first, (at[..., 1] > PATCH_CENTER).long()], dim=-1)
-        return torch.cat([straight, turned, self._feet(line, at, ground, centre - NEAR_RADIUS)[:, 0]], dim=1)
+        parts = [straight, turned, self._feet(line, at, ground, centre - NEAR_RADIUS)[:, 0]]
+        if self.foot_ways:
+            x, y = (PATCH_CENTER - n for n in self.foot_ways.region)
+            known = self.foot_ways.ground(ground, self._contact(encoded))
+            parts.append(_cut(known, x, y).flatten(1))
+        return torch.cat(parts, dim=1)
 
     def dense_trunk(self) -> "FootprintTrunk":
         return FootprintTrunk(self)
@@ -159,6 +174,15 @@ class Footprint(TaskNetwork):
             rim = self.requirements.radius - NEAR_RADIUS
             barred = [functional.pad(edges, [rim] * 4) if rim >= 0 else edges[..., -rim:rim, -rim:rim]]
         return near, torch.cat([own, highest, lowest, *unevenness, *barred], dim=1)
+
+    def _contact(self, encoded: Tensor) -> Tensor:
+        """Highest ground under a foot at all cells of ``_first``, [B, ...]; -inf where all of it is unknown."""
+        names, radius = self.encoding.channels, self.encoding.unevenness_contact
+        height = encoded[:, names.index("height")].float()
+        known = height.masked_fill(encoded[:, names.index("unknown")] > 0, -math.inf)
+        rim = NEAR_RADIUS - radius
+        highest = _highest(known, 2 * radius + 1)
+        return highest[..., rim:-rim, rim:-rim] if rim > 0 else functional.pad(highest, [-rim] * 4)
 
     def _line_cells(self, bases: Tensor, offsets: tuple[int, ...] = LINE) -> Tensor:
         """Cells [n, 4, offsets, 2] ahead of the four feet and behind them, for bases [n, 2]."""
@@ -226,7 +250,7 @@ class Footprint(TaskNetwork):
         width = self.pose_features
         goals = goals.expand(features.shape[0], -1, -1)
         sizes = [POSES * POSES * width, 2 * (SAMPLES - 1) * width, self.options.feet]
-        straight, turned, feet = features.split(sizes, dim=1)
+        straight, turned, feet, *footholds = features.split([*sizes, features.shape[1] - sum(sizes)], dim=1)
         straight = straight.reshape(-1, POSES, POSES, width)
         turned = turned.reshape(-1, 2, SAMPLES - 1, width)
         share = torch.linspace(0, 1, SAMPLES, device=goals.device)[1:, None]
@@ -241,10 +265,14 @@ class Footprint(TaskNetwork):
         around = torch.cat([around, feet], dim=1)[:, None].expand(-1, goals.shape[1], -1)
         known = goal_features(goals)
         seen = torch.cat([way.flatten(2), way.mean(2), way.amax(2), around, known], dim=-1)
-        excess, logits, *planning_excess = self.heads(self.rest(seen)).unbind(-1)
+        judged = self.rest(seen)
+        if self.foot_ways:
+            steps = self.steps(torch.cat([judged, self.foot_ways(footholds[0], goals), known], dim=-1))
+            judged = torch.cat([judged, steps], dim=-1)
+        excess, logits, *planning_excess = self.heads(judged).unbind(-1)
         cost, *planning_cost = self.goal_cost(known).unbind(-1)
-        judged = cost * (1 + excess), logits
-        return (*judged, planning_cost[0] * (1 + planning_excess[0])) if planning_cost else judged
+        result = cost * (1 + excess), logits
+        return (*result, planning_cost[0] * (1 + planning_excess[0])) if planning_cost else result
 
 
 class FootprintTrunk:
@@ -257,7 +285,7 @@ class FootprintTrunk:
         self.network = network
 
     def __call__(self, encoded: Tensor) -> tuple[Tensor, ...]:
-        """Returns local features, the ground under them, footprints, line features and all ground.
+        """Returns local features, the ground under them, footprints, line features, all ground, and that of footholds.
 
         Each part covers all cells of ``encoded`` [1, channels, nx, ny] with sufficient surroundings.
         """
@@ -268,11 +296,14 @@ class FootprintTrunk:
         size = [n - 2 * margin for n, margin in zip(under.shape[-2:], network.margins, strict=True)]
         required = network._required(ground, [network.radius + margin for margin in network.margins], size)
         straight = network._footprints(local, under, required)[0].permute(1, 2, 0).contiguous()
-        return local.float(), under, straight.float(), network.of_line(near).float(), ground
+        dense = local.float(), under, straight.float(), network.of_line(near).float(), ground
+        if network.foot_ways is None:
+            return dense
+        return *dense, network.foot_ways.ground(ground, network._contact(encoded))
 
     def windows(self, dense: tuple[Tensor, ...], corners: Tensor) -> Tensor:
         """Returns features [n, F], as ``map_part`` does, for patches with lower corners [n, 2]."""
-        local, under, straight, line, ground = dense
+        local, under, straight, line, ground, *footholds = dense
         network = self.network
         bases = corners + (PATCH_CENTER - NEAR_RADIUS)
         turned = network._turned(local, under, bases - network.radius)[0]
@@ -282,7 +313,12 @@ class FootprintTrunk:
         width = straight.shape[1]
         index = ((first_x * width + first_y)[:, None, None] + inside[:, None] * width + inside).flatten()
         windows = straight.flatten(0, 1)[index].view(len(corners), POSES, POSES, -1)
-        return torch.cat([windows.flatten(1), turned.flatten(1), feet], dim=1)
+        parts = [windows.flatten(1), turned.flatten(1), feet]
+        if network.foot_ways:
+            x, y = ((torch.arange(2 * n + 1, device=corners.device) - n) for n in network.foot_ways.region)
+            at = bases[:, 0, None, None] + x[:, None], bases[:, 1, None, None] + y
+            parts.append(footholds[0][0][:, at[0], at[1]].transpose(0, 1).flatten(1))
+        return torch.cat(parts, dim=1)
 
 
 def _cut(maps: Tensor, x: int, y: int) -> Tensor:

@@ -1,0 +1,147 @@
+"""Kernels for the feet on the way to a goal, see ``hdsp.learning.networks.foot_ways.FootWays``.
+
+Convention: as in ``gather_kernels``; positions are in cells from a base, offsets of a foot in cells along x.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hdsp.base.jit import njit
+from hdsp.learning.footprint_geometry import (
+    FOOT_PLACE,
+    FOOT_WAY,
+    HEIGHT_TOLERANCE,
+    HIGHEST_STEP,
+    LONGEST_STEP,
+    OFFSET_UNIT,
+    ROUGH_TOLERANCE,
+    SHARE_TOLERANCE,
+    STEP_COST_UNIT,
+)
+from hdsp.learning.inference.gather_kernels import relative_height
+
+_FEET = 4
+_INFINITE, _ONE, _ZERO = np.float32(np.inf), np.float32(1), np.float32(0)
+_FREE = np.float32(1 + SHARE_TOLERANCE)
+_HEIGHT, _ROUGH = np.float32(HEIGHT_TOLERANCE), np.float32(ROUGH_TOLERANCE)
+_OFFSET_UNIT, _COST_UNIT = np.float32(OFFSET_UNIT), np.float32(STEP_COST_UNIT)
+_HIGHEST = np.float32(HIGHEST_STEP)
+
+
+class FootPlaces(NamedTuple):
+    """Where feet look for footholds, and their limits.
+
+    Attributes:
+        cells: int64 [3, 4, 2, distances, 2], ``hdsp.learning.footprint_geometry.foot_cells``.
+        region: int64 [3], largest distance of a foothold from the base along x and along y, and of one whose unevenness
+            counts along x.
+        longest: int64, longest step in cells.
+        limits: float32 [5], of a step: height, clearance, cost, cost per cell, cost per metre of height.
+    """
+
+    cells: np.ndarray
+    region: np.ndarray
+    longest: int
+    limits: np.ndarray
+
+
+@njit(allocates=False, nogil=True)
+def foot_way_rows(cells, across, maps, places, goals, rows):
+    """Features of the feet on the ways to some goals.
+
+    Args:
+        cells: int64 [n], under the bases.
+        across: cells along y in the window.
+        maps: ``GroundMaps``.
+        places: ``FootPlaces``.
+        goals: int64 [goals, 4], cell of the goal from the base (x, y), row of ``places.cells``, and whether it lies
+            ahead.
+        rows: float32 [n * goals, WAY_FEATURES], result.
+    """
+    for n in range(len(cells)):
+        base = cells[n]
+        first = rows[n * len(goals)]
+        for foot in range(_FEET):
+            _stand(maps, base, across, places, 0, 0, 0, foot, first[foot * FOOT_PLACE :])
+        for goal in range(len(goals)):
+            row = rows[n * len(goals) + goal]
+            at_goal, ways = _FEET * FOOT_PLACE, 2 * _FEET * FOOT_PLACE
+            x, y, heading, ahead = goals[goal]
+            for k in range(at_goal):
+                row[k] = first[k]
+            for foot in range(_FEET):
+                place, way = row[at_goal + foot * FOOT_PLACE :], row[ways + foot * FOOT_WAY :]
+                _stand(maps, base, across, places, heading, x, y, foot, place)
+                for k in range(FOOT_WAY):
+                    way[k] = _ZERO
+                started = first[foot * FOOT_PLACE + 2] > _ZERO
+                if ahead and started and place[2] > _ZERO:
+                    neutral = places.cells[0, foot, 0, 0, 0]
+                    begin = neutral + _offset(first[foot * FOOT_PLACE])
+                    end = min(neutral + x + _offset(place[0]), places.region[0])
+                    line = base + places.cells[0, foot, 0, 0, 1]
+                    _walk(maps, line, across, places, begin, end, way)
+            row[ways + _FEET * FOOT_WAY] = np.float32(ahead)
+
+
+@njit(inline="always")
+def _offset(feature):
+    return np.int64(np.rint(feature * _OFFSET_UNIT))
+
+
+@njit(allocates=False, nogil=True)
+def _stand(maps, base, across, places, heading, x, y, foot, place):
+    """Foothold of a foot: its offset, its height relative to the base, and whether there is one."""
+    found = places.cells[heading, foot]
+    for distance in range(found.shape[1]):
+        rough, at = _INFINITE, np.int64(-1)
+        side = 0
+        for k in range(2):
+            i, j = x + found[k, distance, 0], y + found[k, distance, 1]
+            if abs(i) > places.region[0] or abs(j) > places.region[1]:
+                continue
+            cell = base + i * across + j
+            if maps.barred[cell] >= _FREE:
+                continue
+            # Beyond what the network reads, unevenness is unknown and decides nothing.
+            own = np.float32(1e3) if abs(i) > places.region[2] else min(maps.rough[cell], np.float32(500))
+            if at < 0 or own < rough - _ROUGH:
+                rough, at, side = own, cell, k
+        if at >= 0:
+            place[0] = np.float32(distance if side == 1 else -distance) / _OFFSET_UNIT
+            place[1] = relative_height(maps.contact[at], maps.contact[base])
+            place[2] = _ONE
+            return
+    place[0] = place[1] = place[2] = _ZERO
+
+
+@njit(allocates=False, nogil=True)
+def _walk(maps, line, across, places, begin, end, way):
+    """Steps of a foot along its line: whether one is too long or high, their number and cost, whether it leads back."""
+    if end < begin:
+        way[3] = _ONE
+        for x in range(end + 1, begin + 1):
+            if maps.barred[line + x * across] >= _FREE:
+                way[0] = _ONE
+        return
+    last, low, top = begin, maps.contact[line + begin * across], -_INFINITE
+    for x in range(begin + 1, end + 1):
+        cell = line + x * across
+        own = maps.contact[cell]
+        if maps.barred[cell] >= _FREE:
+            top = max(top, own)
+            continue
+        length, rise = x - last, abs(own - low)
+        if length > 1:
+            clear = max(top, low) - min(own, low)
+            if (
+                length > places.longest
+                or rise > places.limits[0] + _HEIGHT
+                or clear > places.limits[1] + _HEIGHT
+            ):
+                way[0] = _ONE
+            way[1] += _ONE
+            price = places.limits[2] + places.limits[3] * np.float32(min(length, LONGEST_STEP))
+            way[2] += (price + places.limits[4] * min(rise, _HIGHEST)) / _COST_UNIT
+        last, low, top = x, own, -_INFINITE
