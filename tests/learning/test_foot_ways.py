@@ -1,6 +1,7 @@
 """Footholds at start and goal, and the steps between them, as features of the footprint network."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -92,9 +93,9 @@ def test_a_task_with_too_long_or_high_a_step_is_infeasible(network, labelled):
     assert (needed & feasible).sum() >= 3
 
 
-def options(**rules) -> FootprintOptions:
-    settings = configure(["model=footprint"]).model.checked_options()
-    return replace(settings, foot_ways=replace(settings.foot_ways, **rules))
+@cache
+def options() -> FootprintOptions:
+    return configure(["model=footprint"]).model.checked_options()
 
 
 def nearest_foothold(free, rough, neutral, reach, counted):
@@ -128,7 +129,7 @@ def steps_between(free, heights, begin, end, rules):
 
 @given(seed=st.integers(0, 10_000), barred=st.floats(0, 0.8))
 def test_each_foot_alone_walks_as_in_the_textbook(seed, barred):
-    ways = FootWays(options(max_length=0.15))
+    ways = FootWays(replace(options(), foot_ways=replace(options().foot_ways, max_length=0.15)))
     x, y = ways.region
     random = np.random.default_rng(seed)
     rough = random.random((2 * x + 1, 2 * y + 1)).astype(np.float32)
