@@ -88,14 +88,15 @@ def plan(config: Config, folders: Folders) -> None:
     shared = with_threads(config, max((os.cpu_count() or 1) // workers, 1))
     jobs: list[Callable[[], Any]] = []
     groups = []
-    for name in names:
+    # Networks come last among the names, and take longest: they begin, and no process waits for one at the end.
+    for name in reversed(names):
         # Searches with the geometric heuristic are long and share nothing.
         parts = [{task: ends} for task, ends in tasks.items()] if name == "geometric" else [tasks]
         groups += [name] * len(parts)
         jobs += [partial(search_tasks, shared, folders, name, part) for part in parts]
     arenas = [partial(random_arena_runs, shared, folders, k) for k in range(config.planner.random.arenas)]
     done = side_by_side([*jobs, *arenas], workers)
-    searches = list(zip(groups, done[: len(jobs)], strict=True))
+    searches = sorted(zip(groups, done[: len(jobs)], strict=True), key=lambda search: names.index(search[0]))
     runs = [run for _, found in searches for run in found.runs]
     edges = {name: found.edges for name, found in searches if found.edges is not None}
 
