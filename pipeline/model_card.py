@@ -168,7 +168,11 @@ def _recipe(abstraction: LearnedAbstraction, config: Config, hours: Mapping[str,
         rows.insert(0, ("state", str(notes["epoch"])))
     table = markdown(("setting", "value"), rows)
     for initial in _trainings(notes)[1:]:
-        first = [("`maps`", f"{initial['maps']:,}"), *_settings(initial.get("model", {})), *_settings(initial["trainer"])]
+        first = [
+            ("`maps`", f"{initial['maps']:,}"),
+            *_settings(initial.get("model", {})),
+            *_settings(initial["trainer"]),
+        ]
         if "epoch" in initial:
             first.insert(0, ("state", str(initial["epoch"])))
         table += "\n\nIt started from the weights of an earlier training:\n\n" + markdown(("setting", "value"), first)

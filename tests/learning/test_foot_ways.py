@@ -59,7 +59,9 @@ def features(network, heights, goals=GOALS):
 def labelled():
     """Maps of the paper's kinds with their labels."""
     robot = Robot.load("momaro")
-    maps = [random_map(7, category, k) for k in range(16) for category in ("cuboid_2", "staircase", "staircase_focused")]
+    maps = [
+        random_map(7, category, k) for k in range(16) for category in ("cuboid_2", "staircase", "staircase_focused")
+    ]
     pairs = [(terrain, label_map(terrain, robot)) for terrain in maps]
     kept = [(terrain.heights, tasks) for terrain, tasks in pairs if tasks is not None]
     assert len(kept) >= 8
@@ -119,7 +121,9 @@ def steps_between(free, heights, begin, end, rules):
             low, high = sorted((heights[x], heights[beyond]))
             rise, length = high - low, (beyond - x) * RESOLUTION
             over = max(*heights[x + 1 : beyond], high) - low
-            far |= length > rules.max_length + 1e-9 or rise > rules.max_height + 1e-5 or over > rules.max_clearance + 1e-5
+            far |= (
+                length > rules.max_length + 1e-9 or rise > rules.max_height + 1e-5 or over > rules.max_clearance + 1e-5
+            )
             count += 1
             cost += rules.cost + rules.cost_per_metre * min(length, 20 * RESOLUTION)
             cost += rules.cost_per_height * min(rise, 0.8)

@@ -15,6 +15,7 @@ from hdsp.learning.networks import build_network
 from hdsp.robot.robot import Robot
 from pipeline.config import configure
 from pipeline.label_places import shards_place
+from pipeline.model_card import model_card
 from pipeline.publish_model import figures_of, markers, publish_model
 from pipeline.stage import Folders
 from pipeline.train import notes
@@ -74,3 +75,32 @@ def test_the_error_of_costs_for_planning_is_among_the_figures(sets):
     assert figures["planning_cost_error"] == figures["categories"]["block"]["planning_cost_error"]
     assert figures["planning_cost_error"] == pytest.approx(expected)
     assert figures_of(abstraction, tasks)["planning_cost_error"] is None
+
+
+def test_a_card_repeats_all_trainings_that_the_weights_went_through(sets, tmp_path):
+    """A network without foot ways is trained, then one that begins with its weights, then once more."""
+    sizes = {f"model.options.{name}": 8 for name in ("hidden", "features", "context", "feet", "head", "steps")}
+    base = ["profile=tiny", "model=footprint", "model.options.width=16", *(f"{k}={v}" for k, v in sizes.items())]
+    trainings = [
+        ["model.options.foot_ways=null", "trainer.epochs=3"],
+        ["trainer.epochs=4", f"trainer.initial={tmp_path / 'first'}"],
+        ["trainer.epochs=5", f"trainer.initial={tmp_path / 'second'}"],
+    ]
+    for folder, overrides in zip(("first", "second", "third"), trainings, strict=True):
+        config = configure([*base, *overrides])
+        known = Provenance.of(config.robot, "", **notes(config, synthetic_tasks(8)))
+        torch.manual_seed(0)
+        saved = LearnedAbstraction(build_network(config.model), config.model, known)
+        saved.save_pretrained(tmp_path / folder, picture=False)
+    assert "model" not in known.notes["initial"]
+    assert known.notes["initial"]["initial"]["model"] == {"options": {"foot_ways": None}}
+    saved = saved.calibrated(sets["val"])
+    figures = {name: figures_of(saved, tasks) | {"paper": None} for name, tasks in sets.items()}
+    card = model_card(saved, config.robot, "float32", figures, {}, configure(base), "momaro", {})
+    assert card.count("It started from the weights of an earlier training") == 2
+    commands = [line for line in card.splitlines() if line.startswith(("dvc", "mv", "python -m pipeline.train"))]
+    assert len(commands) == 5
+    assert "model.options.foot_ways=null" in commands[0] and "trainer.epochs=3" in commands[0]
+    assert commands[1].endswith("/first") and commands[3].endswith("/second")
+    for command, epochs in ((commands[2], 4), (commands[4], 5)):
+        assert f"trainer.epochs={epochs}" in command and "foot_ways" not in command

@@ -135,11 +135,7 @@ def _walk(maps, line, across, places, begin, end, way):
         length, rise = x - last, abs(own - low)
         if length > 1:
             clear = max(top, low) - min(own, low)
-            if (
-                length > places.longest
-                or rise > places.limits[0] + _HEIGHT
-                or clear > places.limits[1] + _HEIGHT
-            ):
+            if length > places.longest or rise > places.limits[0] + _HEIGHT or clear > places.limits[1] + _HEIGHT:
                 way[0] = _ONE
             way[1] += _ONE
             price = places.limits[2] + places.limits[3] * np.float32(min(length, LONGEST_STEP))
