@@ -30,8 +30,8 @@ from hdsp.learning.footprint_geometry import (
     farthest_read,
     read_reach,
 )
-from hdsp.learning.inference.footprint_layers import FootprintLayers
 from hdsp.learning.inference.foot_way_kernels import foot_way_rows
+from hdsp.learning.inference.footprint_layers import FootprintLayers
 from hdsp.learning.inference.gather_kernels import (
     GroundMaps,
     PoseCells,

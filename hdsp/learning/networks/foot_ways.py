@@ -17,7 +17,6 @@ from hdsp.learning.footprint_geometry import (
     ROUGH_TOLERANCE,
     SHARE_TOLERANCE,
     STEP_COST_UNIT,
-    WAY_FEATURES,
     FootprintOptions,
     foot_cells,
 )
