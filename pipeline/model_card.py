@@ -167,6 +167,7 @@ def _recipe(abstraction: LearnedAbstraction, config: Config, hours: Mapping[str,
     if "epoch" in notes:
         rows.insert(0, ("state", str(notes["epoch"])))
     table = markdown(("setting", "value"), rows)
+    begun = "It"
     for initial in _trainings(notes)[1:]:
         first = [
             ("`maps`", f"{initial['maps']:,}"),
@@ -175,14 +176,26 @@ def _recipe(abstraction: LearnedAbstraction, config: Config, hours: Mapping[str,
         ]
         if "epoch" in initial:
             first.insert(0, ("state", str(initial["epoch"])))
-        table += "\n\nIt started from the weights of an earlier training:\n\n" + markdown(("setting", "value"), first)
+        table += f"\n\n{begun} started from the weights of an earlier training:\n\n"
+        table += markdown(("setting", "value"), first)
+        begun = "That training"
     text = f"The recipe is the section `trainer` of the configuration, {source}. {effort(hours)}".strip()
     return f"## Training recipe\n\n{text}\n\n{table}"
 
 
 def _trainings(notes: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Notes of a training, of the one that its weights come from, and so on."""
-    return [notes, *(_trainings(notes["initial"]) if "initial" in notes else [])]
+    """Notes of a training, of the one that its weights come from, and so on.
+
+    The notes of an earlier training name the model's options that its successor changed; ``model`` here names all that
+    differ from the last training.
+    """
+    if "initial" not in notes:
+        return [notes]
+    initial = dict(notes["initial"])
+    changed = [each.get("model", {}).get("options", {}) for each in (notes, initial)]
+    if options := changed[0] | changed[1]:
+        initial["model"] = {"options": options}
+    return [notes, *_trainings(initial)]
 
 
 def _settings(values: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -88,7 +88,7 @@ def plan(config: Config, folders: Folders) -> None:
     shared = with_threads(config, max((os.cpu_count() or 1) // workers, 1))
     jobs: list[Callable[[], Any]] = []
     groups = []
-    # Networks come last among the names, and take longest: they begin, and no process waits for one at the end.
+    # By default networks come last among the names. They take longest and start first: no process waits at the end.
     for name in reversed(names):
         # Searches with the geometric heuristic are long and share nothing.
         parts = [{task: ends} for task, ends in tasks.items()] if name == "geometric" else [tasks]

@@ -51,7 +51,8 @@ POSE_FEATURES = 3 * (1 + len(SHARPNESS)) + 1
 #: Additional features per foot: the height under it, and whether an edge is too close.
 REQUIREMENT_FEATURES = POSE_FEATURES + 2 * len(FEET)
 #: Features of each foot at a pose: its offset, its height, and whether it has a foothold; and of its way ahead: whether
-#: a step is too long or too high, the number of steps, their cost, and whether the way leads back.
+#: a step is too long or too high (on a way back: whether something bars it), the number of steps, their cost, and
+#: whether the way leads back.
 FOOT_PLACE, FOOT_WAY = 3, 4
 #: Features of all feet on the way to a goal: at the start, at the goal, between both, and whether the goal lies ahead.
 WAY_FEATURES = len(FEET) * (2 * FOOT_PLACE + FOOT_WAY) + 1
@@ -62,8 +63,10 @@ ASIDE = 2
 #: Tolerances: of a share at its limit, of heights at a limit in metres, and of unevenness that decides between two
 #: footholds in metres.
 SHARE_TOLERANCE, HEIGHT_TOLERANCE, ROUGH_TOLERANCE = 1e-4, 1e-5, 1e-3
-#: Steps are counted as no longer (cells) and no higher (m) than this.
-LONGEST_STEP, HIGHEST_STEP = 20, 0.8
+#: Unevenness (m) of footholds is at most the first value where it decides, and the second one where it is unknown.
+MOST_ROUGH, UNKNOWN_ROUGH = 500.0, 1000.0
+#: Length (cells) and height (m) of a step up to which they count in its cost.
+COUNTED_LENGTH, COUNTED_HEIGHT = 20, 0.8
 
 
 @checked
@@ -214,6 +217,11 @@ class FootprintOptions:
         """Distances from the start, along x and along y in cells, up to which feet find footholds."""
         return self.foot[0] + PROFILE[-1], self.foot[1] + REACH
 
+    @property
+    def rough_reach(self) -> int:
+        """Distance from the start along x, in cells, up to which the unevenness of footholds is known."""
+        return self.foot[0] + REACH
+
 
 def footprint_taps(options: FootprintOptions) -> np.ndarray:
     """Returns the footprint points in cells from the base, float32 [taps, 2]; y changes fastest."""
@@ -303,7 +311,7 @@ def read_reach(encoding: HeightEncoding, options: FootprintOptions) -> np.ndarra
             region = np.array(options.foot_region)
             within["edge"] = np.maximum(within["edge"], region + options.stance.clearance_cells)
             within["height"] = np.maximum(within["height"], region + encoding.unevenness_contact)
-            rough = np.array(options.foot) + REACH
+            rough = np.array((options.rough_reach, region[1]))
             within["unevenness"] = np.maximum(within["unevenness"], rough)
     return np.max([reach + encoding.radius(name) for name, reach in within.items()], axis=0)
 

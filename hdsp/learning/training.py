@@ -8,7 +8,7 @@ import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -270,22 +270,22 @@ def _begin_with(network: TaskNetwork, folder: str | Path, model: ModelSettings) 
     A footprint network with foot ways may begin as one without them: the layers of the ways then have no effect yet.
     """
     saved = LearnedAbstraction.from_pretrained(folder)
-    if saved.model != model and _without_foot_ways(saved.model) != _without_foot_ways(model):
-        raise InputError(
-            f"trainer.initial: {folder} holds a {saved.model.architecture}, {saved.model.to_dict()}; "
-            f"training is of {model.architecture}, {model.to_dict()}"
-        )
-    weights, own = saved.network.state_dict(), network.state_dict()
-    if extra := own["heads.weight"].shape[1] - weights["heads.weight"].shape[1]:
-        weights["heads.weight"] = functional.pad(weights["heads.weight"], (0, extra))
-    network.load_state_dict({**own, **weights})
+    weights = saved.network.state_dict()
+    if saved.model != model:
+        if model.architecture != "footprint" or saved.model.to_dict() != _without_foot_ways(model):
+            raise InputError(
+                f"trainer.initial: {folder} holds a {saved.model.architecture}, {saved.model.to_dict()}; "
+                f"training is of {model.architecture}, {model.to_dict()}"
+            )
+        own = network.state_dict()
+        weights |= {name: value for name, value in own.items() if name.startswith("steps.")}
+        missing = own["heads.weight"].shape[1] - weights["heads.weight"].shape[1]
+        weights["heads.weight"] = functional.pad(weights["heads.weight"], (0, missing))
+    network.load_state_dict(weights)
 
 
 def _without_foot_ways(model: ModelSettings) -> dict[str, Any]:
-    settings = model.to_dict()
-    if settings["architecture"] == "footprint":
-        settings["options"] = {k: v for k, v in settings["options"].items() if k not in ("foot_ways", "steps")}
-    return settings
+    return replace(model, options={**model.options, "foot_ways": None}).to_dict()
 
 
 def _as_list(logger: Logger | Iterable[Logger] | None) -> list[Logger]:

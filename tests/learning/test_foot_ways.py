@@ -192,9 +192,17 @@ def test_a_network_may_begin_with_weights_of_one_without_foot_ways(tmp_path):
     with torch.no_grad():
         for found, expected in zip(*(n(heights, GOALS.expand(3, -1, -1)) for n in (network, first)), strict=True):
             torch.testing.assert_close(found, expected, atol=1e-6, rtol=1e-5)
-    narrow = {**settings, "options": {**settings["options"], "hidden": 64}}
-    with pytest.raises(InputError, match="holds a footprint"):
-        _begin_with(build_network(narrow), saved, _settings(narrow))
+    with_ways = LearnedAbstraction(network, _settings(settings)).save_pretrained(tmp_path / "ways", picture=False)
+    lower = {**settings["options"]["foot_ways"], "max_height": 0.2}
+    for folder, change in (
+        (saved, {"hidden": 64}),
+        (with_ways, {"foot_ways": None}),
+        (with_ways, {"steps": 32}),
+        (with_ways, {"foot_ways": lower}),
+    ):
+        other = {**settings, "options": {**settings["options"], **change}}
+        with pytest.raises(InputError, match="holds a footprint"):
+            _begin_with(build_network(other), folder, _settings(other))
 
 
 def _settings(values):
@@ -210,9 +218,9 @@ def _settings(values):
 )
 def test_wrong_options_are_named(change, message):
     given = model_file("footprint")["options"]
-    ways = {**given["foot_ways"], **change.pop("foot_ways", {})}
+    ways = {**given["foot_ways"], **change.get("foot_ways", {})}
     with pytest.raises(InputError, match=message):
-        build_network({**model_file("footprint"), "options": {**given, "foot_ways": ways, **change}})
+        build_network({**model_file("footprint"), "options": {**given, **change, "foot_ways": ways}})
 
 
 def test_offsets_are_those_of_the_robot():

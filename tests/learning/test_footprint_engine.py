@@ -24,6 +24,9 @@ from hdsp.terrain.scenes import random_map
 from tests import ROOT
 from tests.learning.test_zoo import model_file, rough_patches
 
+#: How Momaro's feet move.
+WAYS = model_file("footprint")["options"]["foot_ways"]
+
 #: Plans with the shipped abstraction in a process without torch.
 PROBE = """
 import sys
@@ -179,6 +182,54 @@ def test_a_network_with_other_widths_and_channels(tmp_path):
             np.testing.assert_allclose(ours, theirs, atol=tolerance)
 
 
+@pytest.mark.parametrize(
+    ("ways", "stance", "encoding"),
+    [
+        ({}, {}, {}),
+        ({"reach": [-0.1, 0.25], "max_height": 0.1}, {"edge": 0.1}, {"unevenness_contact": 0}),
+        (
+            {"max_length": 0.0},
+            {"neutral": [0.19, 0.15], "contact_inward": 0.03},
+            {"unevenness_contact": 3, "unevenness_radius": 9},
+        ),
+    ],
+)
+def test_the_feets_ways_as_in_torch(ways, stance, encoding, tmp_path):
+    settings = model_file("footprint")
+    settings["encoding"] |= encoding
+    options = settings["options"]
+    options |= {
+        "foot_ways": WAYS | ways,
+        "stance": options["stance"] | stance,
+        "hidden": 16,
+        "head": 16,
+        "steps": 16,
+        "planning": True,
+    }
+    torch.manual_seed(2)
+    network = hdsp.learning.build_network(settings)
+    with torch.no_grad():  # the ways decide
+        network.heads.weight[:, :8] = 0
+        network.heads.weight[:, 8:] *= 20
+        network.goal_cost[-1].bias += 2
+    in_torch = LearnedAbstraction(network, _model(settings))
+    folder = in_torch.save_pretrained(tmp_path / "model", picture=False)
+    found = LearnedAbstraction.from_pretrained(folder, hardware=HardwareSettings(precision="32"))
+    assert found.engine is not None
+    random = np.random.default_rng(3)
+    patches = rough_patches(12)
+    for patch in patches[4:]:  # bars and steps across the way
+        for _ in range(3):
+            first, last = np.sort(random.integers(0, 72, 2))
+            patch[first : min(last, first + 12)] += random.choice([0.1, 0.2, 0.3])
+        patch[random.random(patch.shape) < 0.002] = np.nan
+    for heading in (0, 1, 6):
+        goals = np.tile(robot_frame_goals(heading), (len(patches), 1, 1))
+        for ours, theirs in zip(found._predict(patches, goals), in_torch._predict(patches, goals), strict=True):
+            assert np.std(theirs) > 1e-3
+            np.testing.assert_allclose(ours, theirs, atol=1e-4)
+
+
 def test_plans_need_no_torch_and_other_networks_say_that_they_do():
     done = subprocess.run([sys.executable, "-c", PROBE], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -202,6 +253,14 @@ def test_a_copy_for_another_process(with_codes):
         ({"dilations": [1], "taps": [1, 7]}, {"clearance": 0.1}, {"unevenness_radius": 1}),
         ({}, {"neutral": [0.15, 0.35], "contact_inward": 0.0}, {"unevenness_radius": 4}),
         ({}, {"boxes": [{"x_min": -0.55, "x_max": 0.2, "half_width": 0.1, "above": 0.2}]}, {"unevenness_radius": 3}),
+        ({"foot_ways": None}, {}, {}),
+        ({"foot_ways": WAYS}, {}, {"unevenness_contact": 0}),
+        ({"foot_ways": WAYS | {"reach": [-0.1, 0.25]}, "steps": 8}, {"edge": 0.2}, {"unevenness_radius": 10}),
+        (
+            {"foot_ways": WAYS | {"max_length": 0.0}},
+            {"neutral": [0.19, 0.15]},
+            {"unevenness_contact": 3, "unevenness_radius": 9},
+        ),
     ],
 )
 def test_no_ground_beyond_the_reach_has_an_effect(abstraction, options, stance, encoding):

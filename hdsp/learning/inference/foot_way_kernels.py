@@ -9,24 +9,25 @@ import numpy as np
 
 from hdsp.base.jit import njit
 from hdsp.learning.footprint_geometry import (
+    COUNTED_HEIGHT,
+    COUNTED_LENGTH,
     FOOT_PLACE,
     FOOT_WAY,
-    HEIGHT_TOLERANCE,
-    HIGHEST_STEP,
-    LONGEST_STEP,
+    MOST_ROUGH,
     OFFSET_UNIT,
     ROUGH_TOLERANCE,
     SHARE_TOLERANCE,
     STEP_COST_UNIT,
+    UNKNOWN_ROUGH,
 )
 from hdsp.learning.inference.gather_kernels import relative_height
 
 _FEET = 4
 _INFINITE, _ONE, _ZERO = np.float32(np.inf), np.float32(1), np.float32(0)
 _FREE = np.float32(1 + SHARE_TOLERANCE)
-_HEIGHT, _ROUGH = np.float32(HEIGHT_TOLERANCE), np.float32(ROUGH_TOLERANCE)
+_ROUGH, _MOST_ROUGH, _UNKNOWN = np.float32(ROUGH_TOLERANCE), np.float32(MOST_ROUGH), np.float32(UNKNOWN_ROUGH)
 _OFFSET_UNIT, _COST_UNIT = np.float32(OFFSET_UNIT), np.float32(STEP_COST_UNIT)
-_HIGHEST = np.float32(HIGHEST_STEP)
+_COUNTED = np.float32(COUNTED_HEIGHT)
 
 
 class FootPlaces(NamedTuple):
@@ -37,7 +38,8 @@ class FootPlaces(NamedTuple):
         region: int64 [3], largest distance of a foothold from the base along x and along y, and of one whose unevenness
             counts along x.
         longest: int64, longest step in cells.
-        limits: float32 [5], of a step: height, clearance, cost, cost per cell, cost per metre of height.
+        limits: float32 [5], of a step: height and clearance, with their tolerance, cost, cost per cell, cost per metre
+            of height.
     """
 
     cells: np.ndarray
@@ -59,15 +61,15 @@ def foot_way_rows(cells, across, maps, places, goals, rows):
             ahead.
         rows: float32 [n * goals, WAY_FEATURES], result.
     """
+    at_goal, ways = _FEET * FOOT_PLACE, 2 * _FEET * FOOT_PLACE
     for n in range(len(cells)):
         base = cells[n]
-        first = rows[n * len(goals)]
-        for foot in range(_FEET):
-            _stand(maps, base, across, places, 0, 0, 0, foot, first[foot * FOOT_PLACE :])
         for goal in range(len(goals)):
-            row = rows[n * len(goals) + goal]
-            at_goal, ways = _FEET * FOOT_PLACE, 2 * _FEET * FOOT_PLACE
+            first, row = rows[n * len(goals)], rows[n * len(goals) + goal]
             x, y, heading, ahead = goals[goal]
+            if goal == 0:
+                for foot in range(_FEET):
+                    _stand(maps, base, across, places, 0, 0, 0, foot, first[foot * FOOT_PLACE :])
             for k in range(at_goal):
                 row[k] = first[k]
             for foot in range(_FEET):
@@ -102,10 +104,10 @@ def _stand(maps, base, across, places, heading, x, y, foot, place):
             if abs(i) > places.region[0] or abs(j) > places.region[1]:
                 continue
             cell = base + i * across + j
-            if maps.barred[cell] >= _FREE:
+            if maps.barred[cell] >= _FREE or maps.contact[cell] == -_INFINITE:
                 continue
             # Beyond what the network reads, unevenness is unknown and decides nothing.
-            own = np.float32(1e3) if abs(i) > places.region[2] else min(maps.rough[cell], np.float32(500))
+            own = _UNKNOWN if abs(i) > places.region[2] else min(maps.rough[cell], _MOST_ROUGH)
             if at < 0 or own < rough - _ROUGH:
                 rough, at, side = own, cell, k
         if at >= 0:
@@ -135,9 +137,9 @@ def _walk(maps, line, across, places, begin, end, way):
         length, rise = x - last, abs(own - low)
         if length > 1:
             clear = max(top, low) - min(own, low)
-            if length > places.longest or rise > places.limits[0] + _HEIGHT or clear > places.limits[1] + _HEIGHT:
+            if length > places.longest or rise > places.limits[0] or clear > places.limits[1]:
                 way[0] = _ONE
             way[1] += _ONE
-            price = places.limits[2] + places.limits[3] * np.float32(min(length, LONGEST_STEP))
-            way[2] += (price + places.limits[4] * min(rise, _HIGHEST)) / _COST_UNIT
+            price = places.limits[2] + places.limits[3] * np.float32(min(length, COUNTED_LENGTH))
+            way[2] += (price + places.limits[4] * min(rise, _COUNTED)) / _COST_UNIT
         last, low, top = x, own, -_INFINITE

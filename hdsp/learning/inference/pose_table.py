@@ -11,6 +11,7 @@ from hdsp.learning.footprint_geometry import (
     ASIDE,
     CONTEXT_STEP,
     FEET,
+    HEIGHT_TOLERANCE,
     LINE,
     POSES,
     PROFILE,
@@ -108,9 +109,9 @@ class PoseTable:
 def _foot_places(options: FootprintOptions) -> FootPlaces:
     rules = options.foot_ways
     assert rules is not None
-    region = np.array([*options.foot_region, options.foot[0] + REACH], np.int64)
-    costs = rules.cost, rules.cost_per_cell, rules.cost_per_height
-    limits = np.array([rules.max_height, rules.max_clearance, *costs], np.float32)
+    region = np.array([*options.foot_region, options.rough_reach], np.int64)
+    most = (limit + HEIGHT_TOLERANCE for limit in (rules.max_height, rules.max_clearance))
+    limits = np.array([*most, rules.cost, rules.cost_per_cell, rules.cost_per_height], np.float32)
     return FootPlaces(foot_cells(options), region, rules.longest, limits)
 
 

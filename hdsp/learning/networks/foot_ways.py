@@ -7,33 +7,40 @@ from torch import Tensor, nn
 
 from hdsp.learning.footprint_geometry import (
     ASIDE,
+    COUNTED_HEIGHT,
+    COUNTED_LENGTH,
     FEET,
     HEIGHT_TOLERANCE,
-    HIGHEST_STEP,
-    LONGEST_STEP,
+    MOST_ROUGH,
     OFFSET_UNIT,
-    REACH,
     RELATIVE,
     ROUGH_TOLERANCE,
     SHARE_TOLERANCE,
     STEP_COST_UNIT,
+    UNKNOWN_ROUGH,
     FootprintOptions,
     foot_cells,
 )
 from hdsp.learning.networks.requirements import BARRED, UNEVENNESS
 from hdsp.robot.lattice import CELLS_PER_ABSTRACT
 
-#: Unevenness of cells without a foothold, and of cells where unevenness is unknown.
-BLOCKED, UNKNOWN = 1e6, 1e3
+#: Unevenness of cells without a foothold.
+BLOCKED = 1e6
+#: Cell of a foothold before all others, where there is none: no step from there is short enough.
+_NOWHERE = -1000.0
 
 
 class FootWays(nn.Module):
     """Features of the feet on the way to a goal, from footholds alone.
 
-    At a pose each foot takes the foothold nearest to its neutral position, as in T_a->d (``hdsp.abstract.transform``);
-    of two at one distance, the one on more even ground. Ahead, a foot rolls along its line and steps over what bars it,
-    to the nearest foothold beyond. Whatever the other feet do, a foot needs these steps, and the task is infeasible if
-    one of them is longer or higher than a step may be. The network learns everything else.
+    At a pose each foot takes the foothold nearest to its neutral position, nearly as in T_a->d
+    (``hdsp.abstract.transform``); of two at one distance, the one on more even ground. Ahead, a foot rolls along its
+    line and steps over what bars it, to the nearest foothold beyond. Whatever the other feet do, a foot on its line
+    needs these steps, and the task is hardly feasible if one of them is longer or higher than a step may be.
+
+    The features are approximations, and the network learns the rest: each foot stands alone, without the least
+    separation; footholds outside ``region`` are not seen; heights are those of the ground under a foot, also between
+    two footholds; steps lead ahead, and an unknown cell on the way may be stepped over.
 
     Args:
         options: options of the network, with ``foot_ways`` and ``stance``.
@@ -52,34 +59,29 @@ class FootWays(nn.Module):
         # for images.
         self.register_buffer("cells", torch.from_numpy(cells).float().flatten(1), persistent=False)
 
-    @property
-    def size(self) -> int:
-        """Values of ``ground`` per base."""
-        x, y = self.region
-        return 2 * (2 * x + 1) * (2 * y + 1)
-
     def ground(self, ground: Tensor, contact: Tensor) -> Tensor:
         """Returns what feet need to know at each cell, [B, 2, nx, ny]: unevenness, and height under a foot.
 
         Args:
             ground: [B, 5, nx, ny], height ... barred (``requirements``).
-            contact: [B, nx, ny], highest ground under a foot, any value where it is unknown.
+            contact: [B, nx, ny], highest ground under a foot, -inf where all of it is unknown.
         """
-        free = ground[:, BARRED] < 1 + SHARE_TOLERANCE
-        rough = torch.where(free, ground[:, UNEVENNESS].expm1().clamp_max(UNKNOWN / 2), BLOCKED)
+        free = (ground[:, BARRED] < 1 + SHARE_TOLERANCE) & contact.isfinite()
+        rough = torch.where(free, ground[:, UNEVENNESS].expm1().clamp_max(MOST_ROUGH), BLOCKED)
         return torch.stack([rough, contact], dim=1)
 
+    @torch.no_grad()
     def forward(self, ground: Tensor, goals: Tensor) -> Tensor:
-        """Returns features, float [B, G, WAY_FEATURES].
+        """Returns features, float [B, G, ``WAY_FEATURES``], without gradients.
 
         Args:
-            ground: [B, size], ``ground`` around each base within ``region``.
+            ground: [B, values], ``ground`` of the cells around each base within ``region``, flat.
             goals: [B, G, 3] in abstract steps in the robot frame.
         """
         x, y = self.region
         rough, height = ground.view(-1, 2, 2 * x + 1, 2 * y + 1).unbind(1)
         # Unevenness counts as far as the network reads it.
-        far = x - (self.options.foot[0] + REACH)
+        far = x - self.options.rough_reach
         rough = torch.cat([_unknown(rough[:, :far]), rough[:, far : 2 * x + 1 - far], _unknown(rough[:, -far:])], dim=1)
         at = (goals[..., :2] * CELLS_PER_ABSTRACT).round().long()
         here = torch.zeros_like(at[:, :1])
@@ -148,7 +150,7 @@ class FootWays(nn.Module):
     def _steps(self, free: Tensor, height: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """The steps that end at each cell of some lines [B, nx, lines]: whether too long or high, number, cost."""
         rules = self.rules
-        last, low = torch.full_like(height[:, 0], -10.0 * LONGEST_STEP), torch.zeros_like(height[:, 0])
+        last, low = torch.full_like(height[:, 0], _NOWHERE), torch.zeros_like(height[:, 0])
         top = torch.full_like(low, -torch.inf)
         far, steps, cost = [], [], []
         for x in range(height.shape[1]):
@@ -162,8 +164,8 @@ class FootWays(nn.Module):
                 over = over | (value > limit + HEIGHT_TOLERANCE)
             far.append((step & over).to(own.dtype))
             steps.append(step.to(own.dtype))
-            price = rules.cost + rules.cost_per_cell * length.clamp_max(LONGEST_STEP)
-            price = price + rules.cost_per_height * rise.clamp_max(HIGHEST_STEP)
+            price = rules.cost + rules.cost_per_cell * length.clamp_max(COUNTED_LENGTH)
+            price = price + rules.cost_per_height * rise.clamp_max(COUNTED_HEIGHT)
             cost.append(torch.where(step, price / STEP_COST_UNIT, 0.0))
             last, low = torch.where(here, float(x), last), torch.where(here, own, low)
             top = torch.where(here, -torch.inf, torch.maximum(top, own))
@@ -171,7 +173,7 @@ class FootWays(nn.Module):
 
 
 def _unknown(rough: Tensor) -> Tensor:
-    return torch.where(rough < BLOCKED, UNKNOWN, rough)
+    return torch.where(rough < BLOCKED, UNKNOWN_ROUGH, rough)
 
 
 def _at(values: Tensor, index: Tensor) -> Tensor:

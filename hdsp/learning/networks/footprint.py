@@ -46,9 +46,10 @@ class Footprint(TaskNetwork):
 
     Detailed costs depend on the ground under feet and body at each pose, in the same manner for every goal and every
     part of a way. So one layer judges the footprint at all positions within reach (a convolution with the robot's
-    size), and at rotated poses for goals that turn. ``requirements.Stance`` adds features for the robot's requirements
-    at each pose. A small network then judges the footprint sequence on the straight way to a goal, together with a
-    summary of all footprints around it.
+    size), and at rotated poses for goals that turn. ``requirements.PoseRequirements`` adds features for the robot's
+    requirements at each pose. A small network then judges the footprint sequence on the straight way to a goal,
+    together with a summary of all footprints around it. ``foot_ways.FootWays`` adds where the feet stand at start and
+    goal, and the steps in between.
 
     The network uses no padding and only height differences, so it can be evaluated densely and on any floor level.
     """
@@ -94,7 +95,7 @@ class Footprint(TaskNetwork):
         )
         self.foot_ways = FootWays(options) if options.foot_ways else None
         judged = options.head // 2
-        if self.foot_ways:
+        if options.foot_ways:
             seen = judged + WAY_FEATURES + GOAL_FEATURES
             self.steps = nn.Sequential(
                 nn.Linear(seen, options.steps), nn.ReLU(), nn.Linear(options.steps, options.steps), nn.ReLU()
@@ -180,9 +181,8 @@ class Footprint(TaskNetwork):
         names, radius = self.encoding.channels, self.encoding.unevenness_contact
         height = encoded[:, names.index("height")].float()
         known = height.masked_fill(encoded[:, names.index("unknown")] > 0, -math.inf)
-        rim = NEAR_RADIUS - radius
-        highest = _highest(known, 2 * radius + 1)
-        return highest[..., rim:-rim, rim:-rim] if rim > 0 else functional.pad(highest, [-rim] * 4)
+        rim = radius - NEAR_RADIUS
+        return _highest(functional.pad(known, [rim] * 4, value=-math.inf), 2 * radius + 1)
 
     def _line_cells(self, bases: Tensor, offsets: tuple[int, ...] = LINE) -> Tensor:
         """Cells [n, 4, offsets, 2] ahead of the four feet and behind them, for bases [n, 2]."""
@@ -250,7 +250,9 @@ class Footprint(TaskNetwork):
         width = self.pose_features
         goals = goals.expand(features.shape[0], -1, -1)
         sizes = [POSES * POSES * width, 2 * (SAMPLES - 1) * width, self.options.feet]
-        straight, turned, feet, *footholds = features.split([*sizes, features.shape[1] - sum(sizes)], dim=1)
+        if self.foot_ways:
+            sizes.append(features.shape[1] - sum(sizes))
+        straight, turned, feet, *footholds = features.split(sizes, dim=1)
         straight = straight.reshape(-1, POSES, POSES, width)
         turned = turned.reshape(-1, 2, SAMPLES - 1, width)
         share = torch.linspace(0, 1, SAMPLES, device=goals.device)[1:, None]
@@ -285,7 +287,8 @@ class FootprintTrunk:
         self.network = network
 
     def __call__(self, encoded: Tensor) -> tuple[Tensor, ...]:
-        """Returns local features, the ground under them, footprints, line features, all ground, and that of footholds.
+        """Returns local features, the ground under them, footprints, line features, all ground, and with foot ways that
+        of footholds.
 
         Each part covers all cells of ``encoded`` [1, channels, nx, ny] with sufficient surroundings.
         """
