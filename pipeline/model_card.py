@@ -307,12 +307,19 @@ def _again(abstraction: LearnedAbstraction, config: Config, robot: Robot) -> str
         settings = [*chosen, f"model={abstraction.model.architecture}"]
         composed = configure(settings)
     *later, first = _trainings(notes)
-    then = ""
+    then, known = "", first
     for training in reversed(later):
-        overrides = " ".join([*settings, *_differences(composed, training)])
+        overrides = " ".join([*settings, *_differences(composed, training), "runtime.inputs=. runtime.outputs=."])
+        changed = [
+            name for name, split in training.get("splits", {}).items() if known.get("splits", {}).get(name) != split
+        ]
+        for name in changed:
+            stage = "scan_courses" if name in composed.simulation.splits else "label"
+            then += f"\npython -m pipeline.{stage} {name} {overrides}"
         then += f"""
 mv models/abstraction {training["trainer"]["initial"]}
-python -m pipeline.train {overrides} runtime.inputs=. runtime.outputs=."""
+python -m pipeline.train {overrides}"""
+        known = training
     overrides = " ".join(f"-S {setting}" for setting in [*settings, *_differences(composed, first)])
     return f"""## Reproduce
 
