@@ -48,7 +48,7 @@ def features(network, heights, goals=GOALS):
     encoded = encode(network.encoding, heights)
     ground = network._first(encoded)[1]
     x, y = (PATCH_CENTER - n for n in network.foot_ways.region)
-    known = _cut(network.foot_ways.ground(ground, network._contact(encoded)), x, y).flatten(1)
+    known = network.foot_ways.around(_cut(network.foot_ways.ground(ground, network._contact(encoded)), x, y))
     found = network.foot_ways(known, goals.expand(len(heights), -1, -1)).detach()
     places = found[..., : 2 * 4 * FOOT_PLACE].unflatten(-1, (2, 4, FOOT_PLACE)).movedim(-3, 1)
     ways = found[..., 2 * 4 * FOOT_PLACE : -1].unflatten(-1, (4, FOOT_WAY))
@@ -139,8 +139,8 @@ def test_each_foot_alone_walks_as_in_the_textbook(seed, barred):
     rough = random.random((2 * x + 1, 2 * y + 1)).astype(np.float32)
     rough[np.repeat(random.random((2 * x + 1, 1)) < barred, 2 * y + 1, axis=1)] = BLOCKED
     height = np.repeat(random.integers(0, 9, (2 * x + 1, 1)) * np.float32(0.05), 2 * y + 1, axis=1)
-    ground = torch.from_numpy(np.stack([rough, height]).reshape(1, -1))
-    found = ways(ground, GOALS[None])[0]
+    ground = torch.from_numpy(np.stack([rough, height])[None])
+    found = ways(ways.around(ground), GOALS[None])[0]
     low, high = ways.rules.offsets
     assert low == -high
     foot_x, foot_y = ways.options.foot

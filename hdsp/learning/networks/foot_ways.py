@@ -70,19 +70,27 @@ class FootWays(nn.Module):
         rough = torch.where(free, ground[:, UNEVENNESS].expm1().clamp_max(MOST_ROUGH), BLOCKED)
         return torch.stack([rough, contact], dim=1)
 
+    def around(self, ground: Tensor) -> Tensor:
+        """Returns the values for ``forward``, [B, values], from ``ground`` within ``region``, [B, 2, nx, ny].
+
+        Unevenness counts as far as the network reads it.
+        """
+        rough, height = ground.unbind(1)
+        far = self.region[0] - self.options.rough_reach
+        last = rough.shape[1] - far
+        rough = torch.cat([_unknown(rough[:, :far]), rough[:, far:last], _unknown(rough[:, last:])], dim=1)
+        return torch.stack([rough, height], dim=1).flatten(1)
+
     @torch.no_grad()
     def forward(self, ground: Tensor, goals: Tensor) -> Tensor:
         """Returns features, float [B, G, ``WAY_FEATURES``], without gradients.
 
         Args:
-            ground: [B, values], ``ground`` of the cells around each base within ``region``, flat.
+            ground: [B, values], from ``around``.
             goals: [B, G, 3] in abstract steps in the robot frame.
         """
         x, y = self.region
         rough, height = ground.view(-1, 2, 2 * x + 1, 2 * y + 1).unbind(1)
-        # Unevenness counts as far as the network reads it.
-        far = x - self.options.rough_reach
-        rough = torch.cat([_unknown(rough[:, :far]), rough[:, far : 2 * x + 1 - far], _unknown(rough[:, -far:])], dim=1)
         at = (goals[..., :2] * CELLS_PER_ABSTRACT).round().long()
         here = torch.zeros_like(at[:, :1])
         start = self._feet(rough, height, here, 0)

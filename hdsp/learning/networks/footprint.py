@@ -137,7 +137,7 @@ class Footprint(TaskNetwork):
         if self.foot_ways:
             x, y = (PATCH_CENTER - n for n in self.foot_ways.region)
             known = self.foot_ways.ground(ground, self._contact(encoded))
-            parts.append(_cut(known, x, y).flatten(1))
+            parts.append(self.foot_ways.around(_cut(known, x, y)))
         return torch.cat(parts, dim=1)
 
     def dense_trunk(self) -> "FootprintTrunk":
@@ -320,7 +320,7 @@ class FootprintTrunk:
         if network.foot_ways:
             x, y = ((torch.arange(2 * n + 1, device=corners.device) - n) for n in network.foot_ways.region)
             at = bases[:, 0, None, None] + x[:, None], bases[:, 1, None, None] + y
-            parts.append(footholds[0][0][:, at[0], at[1]].transpose(0, 1).flatten(1))
+            parts.append(network.foot_ways.around(footholds[0][0][:, at[0], at[1]].transpose(0, 1)))
         return torch.cat(parts, dim=1)
 
 
