@@ -206,12 +206,14 @@ def notes(config: Config, tasks: TaskSet | list[Place]) -> dict[str, Any]:
 def _notes_of_initial(config: Config) -> dict[str, Any]:
     """Notes of the model whose weights start the training, with the options that it has otherwise."""
     from hdsp.learning import LearnedAbstraction
+    from hdsp.learning.training import complete_settings
 
     if (folder := config.trainer.initial) is None:
         return {}
     saved = LearnedAbstraction.from_pretrained(folder)
-    notes, own = dict(saved.provenance.notes), config.model.to_dict()["options"]
-    other = {key: value for key, value in saved.model.to_dict()["options"].items() if own.get(key, value) != value}
+    notes, own = dict(saved.provenance.notes), complete_settings(config.model)["options"]
+    options = complete_settings(saved.model)["options"]
+    other = {key: value for key, value in options.items() if own.get(key, value) != value}
     return {"initial": notes | ({"model": {"options": other}} if other else {})}
 
 

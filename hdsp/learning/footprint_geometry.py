@@ -56,6 +56,13 @@ REQUIREMENT_FEATURES = POSE_FEATURES + 2 * len(FEET)
 FOOT_PLACE, FOOT_WAY = 3, 4
 #: Features of all feet on the way to a goal: at the start, at the goal, between both, and whether the goal lies ahead.
 WAY_FEATURES = len(FEET) * (2 * FOOT_PLACE + FOOT_WAY) + 1
+#: Features of a manoeuvre (whether there is one, the number of steps, their cost, the length of base shifts), and of
+#: the drive between two of them (share of poses without footholds, way along x and y).
+MANOEUVRE, DRIVE_BETWEEN = 4, 3
+#: Additional features with ``FootWayOptions.manoeuvres``: away from the start, on to the goal, and the drive between.
+MANOEUVRE_FEATURES = 2 * MANOEUVRE + DRIVE_BETWEEN
+#: Poses on the drive between two manoeuvres; a power of two and one more, so that their positions have no rounding.
+DRIVE_SAMPLES = 9
 #: Units of these features: cells for an offset, cost for a step.
 OFFSET_UNIT, STEP_COST_UNIT = 12.0, 0.1
 #: Goals lie ahead up to this distance from the robot's axis, in cells.
@@ -120,6 +127,8 @@ class FootWayOptions:
     Attributes:
         reach: least and greatest offset of a foot from its neutral position, along x.
         max_length, max_height, max_clearance, cost, cost_per_metre, cost_per_height: as in ``Step``.
+        manoeuvres: whether the manoeuvres from the start to the first pose on neutral feet, and from the last such pose
+            to the goal, are features too.
     """
 
     reach: tuple[float, float]
@@ -129,6 +138,7 @@ class FootWayOptions:
     cost: NotNegative
     cost_per_metre: NotNegative
     cost_per_height: NotNegative
+    manoeuvres: bool = False
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -213,6 +223,13 @@ class FootprintOptions:
         return round(cells(x)), round(cells(y))
 
     @property
+    def way_features(self) -> int:
+        """Features of all feet on the way to a goal."""
+        if self.foot_ways is None:
+            return 0
+        return WAY_FEATURES + (MANOEUVRE_FEATURES if self.foot_ways.manoeuvres else 0)
+
+    @property
     def foot_region(self) -> tuple[int, int]:
         """Distances from the start, along x and along y in cells, up to which feet find footholds."""
         return self.foot[0] + PROFILE[-1], self.foot[1] + REACH
@@ -261,15 +278,18 @@ def foot_cells(options: FootprintOptions) -> np.ndarray:
         int64 [3, 4, 2, distances, 2]: for each heading and foot, cells behind the neutral position and ahead of it, by
         distance from it; distances beyond the foot's reach are far outside the region of the feet.
     """
-    assert options.foot_ways is not None
-    low, high = options.foot_ways.offsets
+    rules = options.foot_ways
+    assert rules is not None
+    low, high = rules.offsets
     distance = np.arange(max(-low, high) + 1)
     turns = np.array([0.0, 1.0, -1.0]) * (2 * math.pi / ABSTRACT_HEADINGS)
+    assert options.stance is not None
+    neutral = cells(np.array(options.stance.neutral)) if rules.manoeuvres else options.foot
     result = np.empty((len(turns), len(FEET), 2, len(distance), 2), np.int64)
     for foot, signs in enumerate(FEET):
-        x, y = np.multiply(signs, options.foot)
+        x, y = np.multiply(signs, neutral)
         for side, (offsets, limit) in enumerate(((-distance, -low), (distance, high))):
-            at = np.stack([x + offsets, np.full_like(offsets, y)], axis=-1)
+            at = np.stack([x + offsets, np.full(offsets.shape, y)], axis=-1)
             result[:, foot, side] = np.rint(rotated(at, turns)).astype(np.int64)
             result[:, foot, side, distance > limit] = 10 * PATCH_CELLS
     return result

@@ -8,7 +8,7 @@ import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,6 +33,7 @@ from hdsp.learning.callbacks import (
     StepRecord,
 )
 from hdsp.learning.checkpoints import WholeCheckpoints, checkpoint_to_resume, read_checkpoint
+from hdsp.learning.footprint_geometry import GOAL_FEATURES
 from hdsp.learning.hardware import channels_last
 from hdsp.learning.history import EpochHistory, OnEpoch
 from hdsp.learning.learning_settings import (
@@ -267,25 +268,45 @@ def _module(config: TrainingConfig, val_sets: tuple[str, ...], parts: TrainingPa
 def _begin_with(network: TaskNetwork, folder: str | Path, model: ModelSettings) -> None:
     """Copies the weights from a saved abstraction.
 
-    A footprint network with foot ways may begin as one without them: the layers of the ways then have no effect yet.
+    A footprint network with foot ways may begin as one without them, or without manoeuvres: the weights of what it sees
+    more then have no effect yet.
     """
     saved = LearnedAbstraction.from_pretrained(folder)
     weights = saved.network.state_dict()
-    if saved.model != model:
-        if model.architecture != "footprint" or saved.model.to_dict() != _without_foot_ways(model):
+    if complete_settings(saved.model) != complete_settings(model):
+        options = complete_settings(model)["options"]
+        ways = options.get("foot_ways") or {}
+        less = [{**options, "foot_ways": None}, {**options, "foot_ways": {**ways, "manoeuvres": False}}]
+        if model.architecture != "footprint" or complete_settings(saved.model) not in (
+            {**complete_settings(model), "options": each} for each in less
+        ):
             raise InputError(
                 f"trainer.initial: {folder} holds a {saved.model.architecture}, {saved.model.to_dict()}; "
                 f"training is of {model.architecture}, {model.to_dict()}"
             )
-        own = network.state_dict()
-        weights |= {name: value for name, value in own.items() if name.startswith("steps.")}
-        missing = own["heads.weight"].shape[1] - weights["heads.weight"].shape[1]
-        weights["heads.weight"] = functional.pad(weights["heads.weight"], (0, missing))
+        _add_ways(weights, network.state_dict())
     network.load_state_dict(weights)
 
 
-def _without_foot_ways(model: ModelSettings) -> dict[str, Any]:
-    return replace(model, options={**model.options, "foot_ways": None}).to_dict()
+def complete_settings(model: ModelSettings) -> dict[str, Any]:
+    """A model's settings, with those of the foot ways that an older file lacks."""
+    values = model.to_dict()
+    if ways := values.get("options", {}).get("foot_ways"):
+        values = {**values, "options": {**values["options"], "foot_ways": {"manoeuvres": False, **ways}}}
+    return values
+
+
+def _add_ways(weights: dict[str, Any], own: Mapping[str, Any]) -> None:
+    """Adds the layers of foot ways or the inputs of manoeuvres, as in ``own`` but without an effect."""
+    first = "steps.0.weight"
+    if first not in weights:
+        weights |= {name: value for name, value in own.items() if name.startswith("steps.")}
+        missing = own["heads.weight"].shape[1] - weights["heads.weight"].shape[1]
+        weights["heads.weight"] = functional.pad(weights["heads.weight"], (0, missing))
+        return
+    missing = own[first].shape[1] - weights[first].shape[1]
+    before, goals = weights[first][:, :-GOAL_FEATURES], weights[first][:, -GOAL_FEATURES:]
+    weights[first] = torch.cat([functional.pad(before, (0, missing)), goals], dim=1)
 
 
 def _as_list(logger: Logger | Iterable[Logger] | None) -> list[Logger]:

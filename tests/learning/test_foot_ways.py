@@ -17,9 +17,11 @@ from hdsp.learning.footprint_geometry import (
     FEET,
     FOOT_PLACE,
     FOOT_WAY,
+    MANOEUVRE_FEATURES,
     OFFSET_UNIT,
     RELATIVE,
     STEP_COST_UNIT,
+    WAY_FEATURES,
     FootprintOptions,
 )
 from hdsp.learning.networks import build_network
@@ -51,7 +53,7 @@ def features(network, heights, goals=GOALS):
     known = network.foot_ways.around(_cut(network.foot_ways.ground(ground, network._contact(encoded)), x, y))
     found = network.foot_ways(known, goals.expand(len(heights), -1, -1)).detach()
     places = found[..., : 2 * 4 * FOOT_PLACE].unflatten(-1, (2, 4, FOOT_PLACE)).movedim(-3, 1)
-    ways = found[..., 2 * 4 * FOOT_PLACE : -1].unflatten(-1, (4, FOOT_WAY))
+    ways = found[..., 2 * 4 * FOOT_PLACE : WAY_FEATURES - 1].unflatten(-1, (4, FOOT_WAY))
     return (places[..., 0] * OFFSET_UNIT).round(), places[..., 1], places[..., 2] > 0, ways
 
 
@@ -169,6 +171,72 @@ def test_each_foot_alone_walks_as_in_the_textbook(seed, barred):
                 assert way == pytest.approx([float(far), count, cost / STEP_COST_UNIT, 0], abs=1e-4)
 
 
+@given(seed=st.integers(0, 10_000), barred=st.floats(0, 0.5))
+def test_manoeuvres_as_in_the_textbook(seed, barred):
+    ways = FootWays(options())
+    (x, y), rules = ways.region, ways.rules
+    random = np.random.default_rng(seed)
+    free = np.ones((2 * x + 1, 2 * y + 1), bool)
+    for _ in range(round(12 * barred)):  # bars across the feet's lines
+        i, j, long, wide = random.integers((0, 0, 1, 3), (2 * x, 2 * y, 6, 25))
+        free[i : i + long, j : j + wide] = False
+    height = np.cumsum(random.random(2 * x + 1) < 0.1).astype(np.float32)[:, None] * np.float32(0.05) + 0 * free
+    ground = torch.from_numpy(np.stack([np.where(free, 0, BLOCKED), height])[None].astype(np.float32))
+    found = ways(ways.around(ground), GOALS[None])[0]
+    assert found.shape[-1] == WAY_FEATURES + MANOEUVRE_FEATURES == options().way_features
+    feet = np.array(FEET) * ways.options.foot
+    for goal, action in enumerate(GOALS.numpy()):
+        places = found[goal, : 2 * 4 * FOOT_PLACE].view(2, 4, FOOT_PLACE)
+        offsets = (places[..., 0] * OFFSET_UNIT).round().long().numpy()
+        stands = places[..., 2].bool().all(-1).tolist()
+        at = np.rint(action[:2] * 4).astype(int)
+        away = manoeuvre(free, height, feet, (0, 0), offsets[0], 1, rules) if stands[0] else None
+        to = manoeuvre(free, height, feet, at, offsets[1], -1, rules) if stands[1] and not action[2] else None
+        expected = [*(of_manoeuvre(away)), *(of_manoeuvre(to)), 0, 0, 0]
+        if away and to:
+            begin, far = away[2], at[0] - to[2] - away[2]
+            poses = [(begin + np.rint(far * k / 8), np.rint(at[1] * k / 8)) for k in range(9)]
+            barred = np.mean([not stands_neutral(free, feet, *map(int, pose)) for pose in poses])
+            expected[-3:] = barred, far / OFFSET_UNIT, at[1] / OFFSET_UNIT
+        assert found[goal, WAY_FEATURES:].tolist() == pytest.approx(expected, abs=1e-4)
+
+
+def stands_neutral(free, feet, base_x, base_y):
+    """Whether all neutral feet have footholds."""
+    x, y = (n // 2 for n in free.shape)
+    cells = [(x + i + base_x, y + j + base_y) for i, j in feet]
+    return all(0 <= i < free.shape[0] and 0 <= j < free.shape[1] and free[i, j] for i, j in cells)
+
+
+def manoeuvre(free, height, feet, base, offsets, sign, rules):
+    """Number of steps, their cost, and distance of the nearest base on neutral feet that the feet reach, or None."""
+    x, y = (n // 2 for n in free.shape)
+    for shift in range(rules.offsets[1] + 1):
+        other = base[0] + sign * shift
+        if not stands_neutral(free, feet, other, base[1]):
+            continue
+        steps, cost, possible = 0, 0.0, True
+        for (foot_x, foot_y), offset in zip(feet, offsets, strict=True):
+            line, own, neutral = y + base[1] + foot_y, x + base[0] + foot_x + offset, x + other + foot_x
+            begin, end = (own, neutral) if sign > 0 else (neutral, own)
+            if end < begin:  # feet roll back only on the way to their neutral position
+                possible &= sign > 0 and bool(free[end:begin, line].all())
+                continue
+            far, count, price = steps_between(free[:, line], height[:, line], begin, end, rules)
+            steps, cost, possible = steps + count, cost + price, possible and not far
+        if possible:
+            return steps, cost, shift
+    return None
+
+
+def of_manoeuvre(found):
+    """Features of a manoeuvre."""
+    if found is None:
+        return [0, 0, 0, 0]
+    steps, cost, shift = found
+    return [1, steps, cost / STEP_COST_UNIT, shift / OFFSET_UNIT]
+
+
 def test_the_left_feet_on_a_mirrored_map_are_the_right_feet(network):
     heights = torch.from_numpy(rough_patches(4))[:, None]
     mirrored = features(network, mirror_heights(heights), mirror_goals(GOALS))
@@ -180,9 +248,13 @@ def test_the_left_feet_on_a_mirrored_map_are_the_right_feet(network):
     assert (ways == mirrored[-1][..., feet, :]).float().mean() > 0.97
 
 
-def test_a_network_may_begin_with_weights_of_one_without_foot_ways(tmp_path):
+@pytest.mark.parametrize("former_ways", ["none", "manoeuvres unknown", "no manoeuvres"])
+def test_a_network_may_begin_with_weights_of_one_that_sees_less_of_the_feet(former_ways, tmp_path):
     settings = model_file("footprint")
-    former = {**settings, "options": {**settings["options"], "foot_ways": None}}
+    ways = dict(settings["options"]["foot_ways"])
+    known = {"none": None, "no manoeuvres": ways | {"manoeuvres": False}}
+    ways.pop("manoeuvres")
+    former = {**settings, "options": {**settings["options"], "foot_ways": known.get(former_ways, ways)}}
     torch.manual_seed(1)
     first = build_network(former)
     saved = LearnedAbstraction(first, _settings(former)).save_pretrained(tmp_path / "model", picture=False)

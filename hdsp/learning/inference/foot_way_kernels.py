@@ -11,14 +11,18 @@ from hdsp.base.jit import njit
 from hdsp.learning.footprint_geometry import (
     COUNTED_HEIGHT,
     COUNTED_LENGTH,
+    DRIVE_SAMPLES,
     FOOT_PLACE,
     FOOT_WAY,
+    MANOEUVRE,
+    MANOEUVRE_FEATURES,
     MOST_ROUGH,
     OFFSET_UNIT,
     ROUGH_TOLERANCE,
     SHARE_TOLERANCE,
     STEP_COST_UNIT,
     UNKNOWN_ROUGH,
+    WAY_FEATURES,
 )
 from hdsp.learning.inference.gather_kernels import relative_height
 
@@ -59,7 +63,7 @@ def foot_way_rows(cells, across, maps, places, goals, rows):
         places: ``FootPlaces``.
         goals: int64 [goals, 4], cell of the goal from the base (x, y), row of ``places.cells``, and whether it lies
             ahead.
-        rows: float32 [n * goals, WAY_FEATURES], result.
+        rows: float32 [n * goals, ``FootprintOptions.way_features``], result.
     """
     at_goal, ways = _FEET * FOOT_PLACE, 2 * _FEET * FOOT_PLACE
     for n in range(len(cells)):
@@ -85,6 +89,8 @@ def foot_way_rows(cells, across, maps, places, goals, rows):
                     line = base + places.cells[0, foot, 0, 0, 1]
                     _walk(maps, line, across, places, begin, end, way)
             row[ways + _FEET * FOOT_WAY] = np.float32(ahead)
+        if rows.shape[1] > WAY_FEATURES:
+            _manoeuvres(maps, base, across, places, goals, rows[n * len(goals) : (n + 1) * len(goals)])
 
 
 @njit(inline="always")
@@ -143,3 +149,80 @@ def _walk(maps, line, across, places, begin, end, way):
             price = places.limits[2] + places.limits[3] * np.float32(min(length, COUNTED_LENGTH))
             way[2] += (price + places.limits[4] * min(rise, _COUNTED)) / _COST_UNIT
         last, low, top = x, own, -_INFINITE
+
+
+@njit(allocates=False, nogil=True)
+def _manoeuvres(maps, base, across, places, goals, rows):
+    """Features of the manoeuvres away from a base and on to its goals, and of the drives between them."""
+    at_goal, end = _FEET * FOOT_PLACE, WAY_FEATURES + MANOEUVRE
+    first = rows[0]
+    away = first[WAY_FEATURES : WAY_FEATURES + MANOEUVRE]
+    begin = _manoeuvre(maps, base, across, places, 0, 0, first, 1, away)
+    for goal in range(len(goals)):
+        x, y, heading, _ = goals[goal]
+        row = rows[goal]
+        for k in range(MANOEUVRE):
+            row[WAY_FEATURES + k] = away[k]
+        for k in range(MANOEUVRE, MANOEUVRE_FEATURES):
+            row[WAY_FEATURES + k] = _ZERO
+        if heading != 0:
+            continue
+        behind = _manoeuvre(maps, base, across, places, x, y, row[at_goal:], -1, row[end : end + MANOEUVRE])
+        if begin < 0 or behind < 0:
+            continue
+        far, barred = x - behind - begin, 0
+        for k in range(DRIVE_SAMPLES):
+            share = k / (DRIVE_SAMPLES - 1)
+            i, j = begin + np.int64(np.rint(far * share)), np.int64(np.rint(y * share))
+            if not _stands_neutral(maps, base, across, places, i, j):
+                barred += 1
+        drive = row[end + MANOEUVRE :]
+        drive[0] = np.float32(barred) / np.float32(DRIVE_SAMPLES)
+        drive[1], drive[2] = np.float32(far) / _OFFSET_UNIT, np.float32(y) / _OFFSET_UNIT
+
+
+@njit(allocates=False, nogil=True)
+def _manoeuvre(maps, base, across, places, x, y, feet, sign, result):
+    """Writes the shortest manoeuvre between feet at a base and neutral ones, ahead (sign 1) or behind (-1).
+
+    Returns the distance to the base on neutral feet; -1 = there is none.
+    """
+    least = 0
+    for foot in range(_FEET):
+        if feet[foot * FOOT_PLACE + 2] == _ZERO:
+            least = places.cells.shape[3]
+        elif sign < 0:
+            least = max(least, -_offset(feet[foot * FOOT_PLACE]))
+    for shift in range(least, places.cells.shape[3]):
+        other = x + sign * shift
+        if not _stands_neutral(maps, base, across, places, other, y):
+            continue
+        for k in range(MANOEUVRE):
+            result[k] = _ZERO
+        for foot in range(_FEET):
+            neutral = places.cells[0, foot, 0, 0, 0]
+            line = base + places.cells[0, foot, 0, 0, 1] + y
+            own = neutral + x + _offset(feet[foot * FOOT_PLACE])
+            if sign > 0:
+                _walk(maps, line, across, places, own, neutral + other, result)
+            else:
+                _walk(maps, line, across, places, neutral + other, own, result)
+        if result[0] == _ZERO:
+            result[0], result[MANOEUVRE - 1] = _ONE, np.float32(shift) / _OFFSET_UNIT
+            return shift
+    for k in range(MANOEUVRE):
+        result[k] = _ZERO
+    return -1
+
+
+@njit(allocates=False, nogil=True)
+def _stands_neutral(maps, base, across, places, x, y):
+    """Whether all neutral feet have footholds at a base, as far as footholds are seen."""
+    for foot in range(_FEET):
+        i, j = x + places.cells[0, foot, 0, 0, 0], y + places.cells[0, foot, 0, 0, 1]
+        if abs(i) > places.region[0] or abs(j) > places.region[1]:
+            return False
+        cell = base + i * across + j
+        if maps.barred[cell] >= _FREE or maps.contact[cell] == -_INFINITE:
+            return False
+    return True

@@ -25,7 +25,6 @@ from hdsp.learning.footprint_geometry import (
     REACH,
     SAMPLES,
     SHARPNESS,
-    WAY_FEATURES,
     FootprintOptions,
     farthest_read,
     read_reach,
@@ -223,7 +222,7 @@ class FootprintEngine:
             way_rows(part, poses, of_turns, corners, to.ways.weights, to.ways.turning, rows)
             inputs = {"rows": rows, "start": known, "goals": to.constant}
             if self.table.feet is not None:
-                inputs["foot ways"] = np.empty((len(rows), WAY_FEATURES), np.float32)
+                inputs["foot ways"] = np.empty((len(rows), self.options.way_features), np.float32)
                 foot_way_rows(part, across, maps, self.table.feet, to.feet, inputs["foot ways"])
                 inputs["goals of steps"] = to.of_steps
             (judged,) = self._judge.run(None, inputs)

@@ -20,7 +20,6 @@ from hdsp.learning.footprint_geometry import (
     REACH,
     REQUIREMENT_FEATURES,
     SAMPLES,
-    WAY_FEATURES,
     FootprintOptions,
 )
 from hdsp.learning.inference.cell_layer import Layer
@@ -144,7 +143,7 @@ class FootprintLayers:
         weight, bias = self._linear("steps.0")
         half = self.options.head // 2
         of_judged = graph.linear(judged, "judged of steps", weight[:half], bias, relu=False)
-        of_ways = graph.product("foot ways", "ways of steps", weight[half : half + WAY_FEATURES])
+        of_ways = graph.product("foot ways", "ways of steps", weight[half : half + self.options.way_features])
         sums = graph.operation("Add", [of_judged, of_ways], "steps sum")
         shape = graph.operation("Shape", ["goals of steps"], "steps of goals")
         by_base = graph.constant("steps bases", np.array([-1]))
@@ -171,7 +170,7 @@ def _shapes(options: FootprintOptions, channels: int) -> dict[str, tuple[int, ..
     way = (SAMPLES + 2) * seen + options.context + options.feet + GOAL_FEATURES
     judged, ways = head // 2, {}
     if options.foot_ways:
-        ways = {"steps.0": (options.steps, judged + WAY_FEATURES + GOAL_FEATURES)}
+        ways = {"steps.0": (options.steps, judged + options.way_features + GOAL_FEATURES)}
         ways["steps.2"] = (options.steps, options.steps)
         judged += options.steps
     weights: dict[str, tuple[int, ...]] = {

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from functools import reduce
+
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from hdsp.learning.footprint_geometry import (
     ASIDE,
     COUNTED_HEIGHT,
     COUNTED_LENGTH,
+    DRIVE_SAMPLES,
     FEET,
     HEIGHT_TOLERANCE,
+    MANOEUVRE,
     MOST_ROUGH,
     OFFSET_UNIT,
     RELATIVE,
@@ -41,6 +46,11 @@ class FootWays(nn.Module):
     The features are approximations, and the network learns the rest: each foot stands alone, without the least
     separation; footholds outside ``region`` are not seen; heights are those of the ground under a foot, also between
     two footholds; steps lead ahead, and an unknown cell on the way may be stepped over.
+
+    The robot drives in all directions only on neutral feet. With ``FootWayOptions.manoeuvres``, the features tell the
+    shortest manoeuvre that brings all feet to neutral ahead of the start, the shortest one from neutral feet behind the
+    goal to the footholds there, and the drive between both. The base only shifts ahead; bodies may collide; goals that
+    turn have no manoeuvre at their end.
 
     Args:
         options: options of the network, with ``foot_ways`` and ``stance``.
@@ -83,7 +93,7 @@ class FootWays(nn.Module):
 
     @torch.no_grad()
     def forward(self, ground: Tensor, goals: Tensor) -> Tensor:
-        """Returns features, float [B, G, ``WAY_FEATURES``], without gradients.
+        """Returns features, float [B, G, ``FootprintOptions.way_features``], without gradients.
 
         Args:
             ground: [B, values], from ``around``.
@@ -100,11 +110,16 @@ class FootWays(nn.Module):
             turns = (goals[..., 2:].sign() == sign)[..., None]
             goal = torch.where(turns, turned, goal)
         ahead = (goals[..., 2] == 0) & (goals[..., 0] > 0) & (at[..., 1].abs() <= ASIDE)
-        ways = self._ways(rough < BLOCKED, height, start, goal, at) * ahead[..., None, None]
+        free = rough < BLOCKED
+        sums = torch.stack([*self._steps(free, height), (~free).to(height.dtype)], dim=-1).cumsum(1)
+        ways = self._ways(sums, start, goal, at) * ahead[..., None, None]
         base = height[:, x, y][:, None, None]
         count = goals.shape[1]
         places = [self._place(feet, base).expand(-1, count, -1, -1) for feet in (start, goal)]
-        return torch.cat([*(part.flatten(2) for part in (*places, ways)), ahead[..., None].to(height.dtype)], dim=-1)
+        found = [*(part.flatten(2) for part in (*places, ways)), ahead[..., None].to(height.dtype)]
+        if self.rules.manoeuvres:
+            found.append(self._manoeuvres(free, sums, start, goal, at, goals[..., 2] == 0))
+        return torch.cat(found, dim=-1)
 
     def _feet(self, rough: Tensor, height: Tensor, bases: Tensor, heading: int) -> Tensor:
         """Offsets in cells, heights, and whether there are footholds, [B, G, 4, 3], at bases [B, G, 2]."""
@@ -132,31 +147,93 @@ class FootWays(nn.Module):
         relative = (height - base).nan_to_num(nan=0.0, posinf=0.0, neginf=0.0).clamp(*RELATIVE)
         return torch.stack([offset / OFFSET_UNIT, relative * exists, exists], dim=-1)
 
-    def _ways(self, free: Tensor, height: Tensor, start: Tensor, goal: Tensor, at: Tensor) -> Tensor:
+    def _ways(self, sums: Tensor, start: Tensor, goal: Tensor, at: Tensor) -> Tensor:
         """Features of each foot's way along x, [B, G, 4, FOOT_WAY]."""
         x, y = self.region
         foot_x, foot_y = self.options.foot
-        sides = [y + foot_y, y - foot_y]
-        barred = (~free[:, :, sides]).to(height.dtype)
-        sums = torch.stack([*self._steps(free[:, :, sides], height[:, :, sides]), barred], dim=-1).cumsum(1)
         result = []
         for k, (ahead, left) in enumerate(FEET):
             neutral = ahead * foot_x + x
             first = start[..., k, 0].long().expand(-1, at.shape[1]) + neutral
             last = (at[..., 0] + goal[..., k, 0].long() + neutral).clamp(0, 2 * x)
-            low, high = torch.minimum(first, last), torch.maximum(first, last)
-            side = sums[:, :, 0 if left > 0 else 1]
-            between = _at(side, high) - _at(side, low)
-            back = last < first
-            too_far, steps, cost, blocked = between.unbind(-1)
-            too_far = torch.where(back, (blocked > 0).to(cost.dtype), too_far.clamp_max(1))
             known = start[..., k, 2] * goal[..., k, 2]
-            way = [too_far, torch.where(back, 0.0, steps), torch.where(back, 0.0, cost), back.to(cost.dtype)]
-            result.append(torch.stack(way, dim=-1) * known[..., None])
+            result.append(_walked(sums[:, :, y + left * foot_y], first, last) * known[..., None])
         return torch.stack(result, dim=2)
 
+    def _manoeuvres(
+        self, free: Tensor, sums: Tensor, start: Tensor, goal: Tensor, at: Tensor, straight: Tensor
+    ) -> Tensor:
+        """Features of both manoeuvres and the drive between them, [B, G, ``MANOEUVRE_FEATURES``]."""
+        x, y = self.region
+        neutral = self._neutral(free).flatten(1)
+        shifts = torch.arange(self.cells[0].numel() // (2 * 2 * len(FEET)), device=at.device)
+        away, _ = self._manoeuvre(neutral, sums, torch.zeros_like(at[:, :1]), start, shifts, leaves=True)
+        to, found = self._manoeuvre(neutral, sums, at, goal, shifts, leaves=False)
+        away = away.expand(-1, at.shape[1], -1)
+        begin, end = ((part[..., -1] * OFFSET_UNIT).round() for part in (away, to))
+        way = torch.stack([at[..., 0] - end - begin, at[..., 1].to(begin.dtype)], dim=-1)
+        share = torch.linspace(0, 1, DRIVE_SAMPLES, device=at.device)[:, None]
+        cells = (way[..., None, :] * share).round()
+        cells = cells + torch.stack([begin, torch.zeros_like(begin)], dim=-1)[..., None, :]
+        i, j = ((cells[..., k].long() + n).clamp(0, 2 * n) for k, n in enumerate((x, y)))
+        over = neutral.gather(1, (i * (2 * y + 1) + j).flatten(1)).view(i.shape)
+        barred = (~over).to(begin.dtype).mean(-1, keepdim=True)
+        drive = torch.cat([barred, way / OFFSET_UNIT], dim=-1) * (away[..., :1] * found[..., None])
+        return torch.cat([away, torch.cat([to, drive], dim=-1) * straight[..., None]], dim=-1)
+
+    def _neutral(self, free: Tensor) -> Tensor:
+        """Whether all neutral feet have footholds, [B, nx, ny], for bases at all cells."""
+        x, y = self.options.foot
+        nx, ny = free.shape[1:]
+        wide = functional.pad(free, (y, y, x, x))
+        parts = [wide[:, x + i * x : x + i * x + nx, y + j * y : y + j * y + ny] for i, j in FEET]
+        return reduce(torch.logical_and, parts)
+
+    def _manoeuvre(
+        self, neutral: Tensor, sums: Tensor, at: Tensor, feet: Tensor, shifts: Tensor, leaves: bool
+    ) -> tuple[Tensor, Tensor]:
+        """The shortest manoeuvre between feet at bases and neutral feet, ahead of them if it leaves, behind if not.
+
+        Args:
+            neutral: bool [B, nx * ny], from ``_neutral``.
+            sums: [B, nx, ny, 4], steps up to each cell.
+            at: int64 [B, G, 2], cells of the bases.
+            feet: [B, G, 4, 3], from ``_feet`` at these bases.
+            shifts: int64 [n], distances to the base on neutral feet.
+            leaves: whether it leads from the feet to neutral ones.
+
+        Returns:
+            features: [B, G, MANOEUVRE].
+            found: float [B, G], whether there is one.
+        """
+        x, y = self.region
+        foot_x, foot_y = self.options.foot
+        across = 2 * y + 1
+        base_x, base_y = at[..., 0, None] + (shifts if leaves else -shifts), at[..., 1, None]  # [B, G, n], [B, G, 1]
+        inside = base_x.abs() <= x
+        over = (base_x.clamp(-x, x) + x) * across + base_y + y
+        possible = inside & neutral.gather(1, over.flatten(1)).view(over.shape) & feet[..., 2].all(-1)[..., None]
+        walked = torch.zeros((*over.shape, MANOEUVRE), dtype=sums.dtype, device=sums.device)
+        lines = sums.flatten(1, 2)
+        for k, (ahead, left) in enumerate(FEET):
+            own = at[..., 0, None] + feet[..., k, 0, None].long() + ahead * foot_x + x
+            other = base_x + ahead * foot_x + x
+            first, last = (n.clamp(0, 2 * x) for n in ((own, other) if leaves else (other, own)))
+            row = base_y + left * foot_y + y
+            first, last = torch.broadcast_tensors(first, last)
+            walked = walked + _walked(lines, first * across + row, last * across + row)
+            if not leaves:
+                possible = possible & (shifts >= -feet[..., k, 0, None])
+        possible = possible & (walked[..., 0] == 0)
+        least = torch.where(possible, shifts, len(shifts)).amin(-1, keepdim=True)
+        found = (least < len(shifts)).to(sums.dtype)
+        least = least.clamp_max(len(shifts) - 1)
+        of_least = walked.gather(2, least[..., None].expand(-1, -1, -1, MANOEUVRE))[:, :, 0]
+        features = torch.cat([found, of_least[..., 1:3], least.to(sums.dtype) / OFFSET_UNIT], dim=-1) * found
+        return features, found[..., 0]
+
     def _steps(self, free: Tensor, height: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The steps that end at each cell of some lines [B, nx, lines]: whether too long or high, number, cost."""
+        """The steps that end at each cell of all lines [B, nx, ny]: whether too long or high, number, cost."""
         rules = self.rules
         last, low = torch.full_like(height[:, 0], _NOWHERE), torch.zeros_like(height[:, 0])
         top = torch.full_like(low, -torch.inf)
@@ -184,6 +261,21 @@ def _unknown(rough: Tensor) -> Tensor:
     return torch.where(rough < BLOCKED, UNKNOWN_ROUGH, rough)
 
 
+def _walked(sums: Tensor, first: Tensor, last: Tensor) -> Tensor:
+    """Features of a foot's way from one cell to another, [B, ..., FOOT_WAY].
+
+    Args:
+        sums: [B, cells, 4], steps too far, steps, their cost, and barred cells, up to each cell.
+        first, last: int64 [B, ...].
+    """
+    low, high = torch.minimum(first, last), torch.maximum(first, last)
+    too_far, steps, cost, blocked = (_at(sums, high) - _at(sums, low)).unbind(-1)
+    back = last < first
+    too_far = torch.where(back, (blocked > 0).to(cost.dtype), too_far.clamp_max(1))
+    return torch.stack([too_far, torch.where(back, 0.0, steps), torch.where(back, 0.0, cost), back.to(cost.dtype)], -1)
+
+
 def _at(values: Tensor, index: Tensor) -> Tensor:
-    """Values [B, n, K] at index [B, G], [B, G, K]."""
-    return values.gather(1, index[..., None].expand(-1, -1, values.shape[-1]))
+    """Values [B, n, K] at index [B, ...], [B, ..., K]."""
+    found = values.gather(1, index.flatten(1)[..., None].expand(-1, -1, values.shape[-1]))
+    return found.view(*index.shape, values.shape[-1])

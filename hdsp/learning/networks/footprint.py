@@ -23,7 +23,6 @@ from hdsp.learning.footprint_geometry import (
     RELATIVE,
     REQUIREMENT_FEATURES,
     SAMPLES,
-    WAY_FEATURES,
     FootprintOptions,
     farthest_read,
     footprint_taps,
@@ -96,7 +95,7 @@ class Footprint(TaskNetwork):
         self.foot_ways = FootWays(options) if options.foot_ways else None
         judged = options.head // 2
         if options.foot_ways:
-            seen = judged + WAY_FEATURES + GOAL_FEATURES
+            seen = judged + options.way_features + GOAL_FEATURES
             self.steps = nn.Sequential(
                 nn.Linear(seen, options.steps), nn.ReLU(), nn.Linear(options.steps, options.steps), nn.ReLU()
             )
