@@ -128,7 +128,8 @@ class FootWayOptions:
         reach: least and greatest offset of a foot from its neutral position, along x.
         max_length, max_height, max_clearance, cost, cost_per_metre, cost_per_height: as in ``Step``.
         manoeuvres: whether the manoeuvres from the start to the first pose on neutral feet, and from the last such pose
-            to the goal, are features too.
+            to the goal, are features too. Feet of turned poses then start from their exact neutral positions; without
+            manoeuvres from those at the start's cells, as in networks that were trained before.
     """
 
     reach: tuple[float, float]

@@ -242,7 +242,7 @@ class TrainerSettings:
         early_stopping: epochs without a better score before training ends; None = no early stop.
         checkpoint_minutes: time between checkpoints within an epoch.
         initial: folder with a saved abstraction of the same model, or of a footprint network that lacks nothing but
-            ``foot_ways``; training starts from its weights. None = random weights.
+            ``foot_ways`` or their ``manoeuvres``; training starts from its weights. None = random weights.
         splits, val_splits: labelled splits that ``pipeline.train`` passes to ``train``.
         stream: whether ``pipeline.train`` passes split folders, from which a few shards at a time are in memory.
         stream_shards: shards whose maps are shuffled together in a streamed training.
