@@ -128,8 +128,7 @@ class FootWayOptions:
         reach: least and greatest offset of a foot from its neutral position, along x.
         max_length, max_height, max_clearance, cost, cost_per_metre, cost_per_height: as in ``Step``.
         manoeuvres: whether the manoeuvres from the start to the first pose on neutral feet, and from the last such pose
-            to the goal, are features too. Feet of turned poses then start from their exact neutral positions; without
-            manoeuvres from those at the start's cells, as in networks that were trained before.
+            to the goal, are features too.
     """
 
     reach: tuple[float, float]
@@ -285,7 +284,7 @@ def foot_cells(options: FootprintOptions) -> np.ndarray:
     distance = np.arange(max(-low, high) + 1)
     turns = np.array([0.0, 1.0, -1.0]) * (2 * math.pi / ABSTRACT_HEADINGS)
     assert options.stance is not None
-    neutral = cells(np.array(options.stance.neutral)) if rules.manoeuvres else options.foot
+    neutral = cells(np.array(options.stance.neutral))
     result = np.empty((len(turns), len(FEET), 2, len(distance), 2), np.int64)
     for foot, signs in enumerate(FEET):
         x, y = np.multiply(signs, neutral)

@@ -212,7 +212,8 @@ class FootWays(nn.Module):
         base_x, base_y = at[..., 0, None] + (shifts if leaves else -shifts), at[..., 1, None]  # [B, G, n], [B, G, 1]
         inside = base_x.abs() <= x
         over = (base_x.clamp(-x, x) + x) * across + base_y + y
-        possible = inside & neutral.gather(1, over.flatten(1)).view(over.shape) & feet[..., 2].all(-1)[..., None]
+        stands = feet[..., 2].amin(-1, keepdim=True) > 0  # as "all" of numbers, which has no type in ONNX
+        possible = inside & neutral.gather(1, over.flatten(1)).view(over.shape) & stands
         walked = torch.zeros((*over.shape, MANOEUVRE), dtype=sums.dtype, device=sums.device)
         lines = sums.flatten(1, 2)
         for k, (ahead, left) in enumerate(FEET):
