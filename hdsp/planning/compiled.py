@@ -164,9 +164,10 @@ def _try(robot: Robot, kind: QueryKind, costs: list[LearnedCosts | ManualCosts])
     build_world(terrain, replace(robot, feet=replace(robot.feet, clearance=0.0)))  # for a way out
     for distance in (1.0, math.inf):  # a start on displaced feet
         leave(world, start, distance, expansions=1)
-    ends = arrival(world, grid, robot, [(middle[0] + metres(8.0), middle[1], None)], metres(1.0))
-    heuristic.set_goals(ends.states, np.zeros(len(ends.states), np.int64))
     goal, _ = locate(world, grid, robot, (middle[0] + metres(8.0), middle[1], 0.2), "goal")
+    ends = arrival(world, grid, robot, [(middle[0] + metres(8.0), middle[1], None)], metres(1.0))
+    if len(ends.states):
+        heuristic.set_goals(ends.states, np.zeros(len(ends.states), np.int64))
     heuristic.set_goal(goal)
     query = Query(
         terrain=terrain,

@@ -31,7 +31,7 @@ class Feet:
     neutral_y: PositiveMetres
     offset_min: Metres
     offset_max: Metres
-    clearance: NotNegativeMetres
+    clearance: Annotated[NotNegativeMetres, Field(le=1.0)]
     min_separation: NotNegativeMetres
     neutral_preference: Annotated[NotNegative, unit("1/m")]
     contact_inward: NotNegativeMetres

@@ -201,6 +201,10 @@ def test_boxes_must_be_a_list_of_boxes():
     assert_refused(changed("body.boxes", [{"above": 1.0}]), "robot.body.boxes[0]", "missing")
 
 
+def test_a_clearance_in_centimetres_is_refused():
+    assert_refused(changed("feet.clearance", 8.0), "robot.feet.clearance is 8", "at most 1")
+
+
 @pytest.mark.parametrize(
     ("key", "value", "need"),
     [
