@@ -10,8 +10,8 @@ for plans below the best known cost; where it ends at its limit, the best known 
 the search at the smallest weight needs `hard` expansions.
 
 The last line is JSON. For each weight: number of plans, mean and largest cost above the optimum before and after the
-polish (also for hard tasks alone), means of expansions in search and polish, CPU seconds of the polish in the mean, and
-the share of plans that the polish made cheaper.
+polish (also for hard tasks alone), the same after a polish whose sweeps trust no heuristic, means of expansions in
+search and polish, CPU seconds of both polishes in the mean, and the share of plans that the polish made cheaper.
 """
 
 import argparse
@@ -23,8 +23,9 @@ import numpy as np
 
 from benchmarks.inadmissibility import pairs
 from benchmarks.page import table, write_block
+from hdsp.planning import polish as polishing
 from hdsp.planning.planner import Planner
-from hdsp.planning.polish import DEFAULT
+from hdsp.planning.polish import DEFAULT, SWEEPS
 from hdsp.terrain.random_arenas import random_arena
 
 #: First seed of development; the seeds before it are for tests.
@@ -76,15 +77,19 @@ def on_arena(seed: int, arguments: argparse.Namespace) -> list[dict]:
         for weight in arguments.weights:
             plain, plain_seconds = timed(guided, start, goal, weight, 0.0, arguments.expansions)
             polished, seconds = timed(guided, start, goal, weight, DEFAULT, arguments.expansions)
+            polishing.SWEEPS = tuple(sweep._replace(trust=0.0) for sweep in SWEEPS)
+            exact, exact_seconds = timed(guided, start, goal, weight, DEFAULT, arguments.expansions)
+            polishing.SWEEPS = SWEEPS
             if plain.solved:
                 found.append({
                     "task": f"{seed}.{number}", "weight": weight, "before": plain.cost, "after": polished.cost,
+                    "exact": exact.cost,
                     "expansions": plain.stats.expansions, "polish_expansions": polished.stats.polish_expansions,
-                    "cpu": seconds - plain_seconds,
+                    "cpu": seconds - plain_seconds, "exact_cpu": exact_seconds - plain_seconds,
                 })  # fmt: skip
         if not found:
             continue
-        best = min(run["after"] for run in found)
+        best = min(min(run["after"], run["exact"]) for run in found)
         optimum = reference.plan(start, goal, 1.0, cost=best * (1 + 1e-6), expansions=arguments.expansions)
         hard = found[0]["expansions"] >= arguments.hard
         least = min(best, optimum.cost)
@@ -105,11 +110,12 @@ def row(weight: float, runs: list[dict]) -> dict:
     hard = [run for run in runs if run["hard"]]
     return {
         "weight": weight, "plans": len(runs), "hard": len(hard),
-        **{f"{when}_{name}": value for when in ("before", "after") for name, value in above(runs, when).items()},
-        **{f"hard_{when}": above(hard, when)["mean"] for when in ("before", "after")},
+        **{f"{when}_{name}": value for when in WHEN for name, value in above(runs, when).items()},
+        **{f"hard_{when}": above(hard, when)["mean"] for when in WHEN},
         "expansions": round(float(np.mean([run["expansions"] for run in runs]))),
         "polish_expansions": round(float(np.mean([run["polish_expansions"] for run in runs]))),
         "polish_cpu": round(float(np.mean([run["cpu"] for run in runs])), 3),
+        "exact_cpu": round(float(np.mean([run["exact_cpu"] for run in runs])), 3),
         "cheaper": round(float(np.mean([run["after"] < run["before"] for run in runs])), 3),
     }  # fmt: skip
 
@@ -126,13 +132,14 @@ def above(runs: list[dict], when: str) -> dict:
 def text(result: dict) -> str:
     """Formats the result for the page."""
     head = [
-        "W", "plans", "above the optimum: before", "largest", "after", "largest", "hard: before", "after",
-        "expansions of the search", "of the polish", "CPU s of the polish",
+        "W", "plans", "above the optimum: before", "largest", "after", "largest", "exact sweeps only", "largest",
+        "hard: before", "after", "exact only", "expansions of the search", "of the polish", "CPU s of the polish",
+        "exact only",
     ]  # fmt: skip
     rows = [
         [
             f"{r['weight']:g}", r["plans"], *(share(r[name]) for name in SHARES), f"{r['expansions']:,}",
-            f"{r['polish_expansions']:,}", r["polish_cpu"],
+            f"{r['polish_expansions']:,}", r["polish_cpu"], r["exact_cpu"],
         ]
         for r in result["rows"]
     ]  # fmt: skip
@@ -143,7 +150,9 @@ def text(result: dict) -> str:
     return f"{table(head, rows)}\n\n{counted}"
 
 
-SHARES = "before_mean", "before_largest", "after_mean", "after_largest", "hard_before", "hard_after"
+#: Plans of a task: without polish, with it, and with sweeps that trust no heuristic.
+WHEN = "before", "after", "exact"
+SHARES = (*(f"{when}_{name}" for when in WHEN for name in ("mean", "largest")), *(f"hard_{when}" for when in WHEN))
 
 
 def share(value: float | None) -> str | None:

@@ -34,7 +34,7 @@ HEURISTICS = {
 ORACLE_AREA = 40.0  # m2; the oracle takes minutes for 6 x 6 m
 EXPANSIONS = 500_000
 FIRST_WEIGHT = 1.25
-POLISH = 0.2  # s, for each plan whose cost nothing bounds
+POLISH = 0.3  # s, for each plan whose cost nothing bounds
 _POLISHES = "polish" in inspect.signature(Planner.plan).parameters
 #: Ends of a search that prove that there is no plan.
 PROOFS = "infeasible", "invalid_start", "invalid_goal"

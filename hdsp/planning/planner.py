@@ -271,7 +271,7 @@ class Planner:
             refinable: refine the plan; while a step cannot be carried out, report it in ``refused`` and search again
                 without it.
             polish: time (s) in which windows of the plan are planned again at W = 1, so that it gets cheaper; see
-                `hdsp.planning.polish`. 0 switches it off. None: 0.2 s, counted in expansions, for plans whose cost
+                `hdsp.planning.polish`. 0 switches it off. None: 0.3 s, counted in expansions, for plans whose cost
                 nothing bounds (W > 1, not admissible, no anchor), else 0.
             progress: called now and then with (expansions, seconds).
 

@@ -5,6 +5,10 @@ search for this path knows a good cost limit, the window's present cost, and is 
 than short ones and cost more, so sweeps with longer and longer windows follow each other; windows of one sweep overlap
 by half. A window whose cost equals its lower bound is skipped.
 
+Some sweeps trust the heuristic of the query, see `hdsp.detailed.search.windows`: they get through stepping and round
+obstacles with few expansions. Exact sweeps follow, and remove the errors that the heuristic leaves, until one of them
+finds hardly any.
+
 No window sees another way round. A fast search with a large weight therefore gets other plans beside it: from a short
 search with a smaller weight, and from short searches with another abstraction, where the heuristic has one for long
 searches. The cheapest of all is polished.
@@ -30,14 +34,36 @@ from hdsp.planning.arguments import number
 from hdsp.planning.query import Query
 from hdsp.robot.lattice import heading_index, offset_steps
 
+
+class Sweep(NamedTuple):
+    """Windows of equal width from the start of a plan to its end.
+
+    Attributes:
+        width: least cost of a window; the last one may cost less.
+        trust: as in `Windows.path`.
+        most: expansions in one window, at most.
+    """
+
+    width: float
+    trust: float
+    most: int
+
+
 #: Budget of a query that names none, s.
-DEFAULT = 0.2
-#: Expansions in windows for each second of a budget. Searches are about three times as fast: the clock seldom decides.
-PER_SECOND = 350_000
-#: Least costs of the windows, one for each sweep.
-WIDTHS = 0.6, 1.0, 1.6, 2.4
-#: Expansions in one window, at most.
-MOST = 40_000
+DEFAULT = 0.3
+#: Expansions in windows for each second of a budget. Searches are about twice as fast: the clock seldom decides.
+PER_SECOND = 450_000
+#: The sweeps; docs/heuristics.md has the reasons.
+SWEEPS = (
+    Sweep(0.6, 0.0, 10_000),
+    Sweep(1.0, 0.9, 10_000),
+    Sweep(2.4, 0.9, 20_000),
+    Sweep(1.0, 0.0, 20_000),
+    Sweep(1.6, 0.0, 20_000),
+    Sweep(2.4, 0.0, 40_000),
+)
+#: An exact sweep that follows a trusting one, and that lowers the cost by a smaller share, is the last.
+LITTLE = 0.001
 #: Weight of a search that the polish makes good; docs/heuristics.md has the figures.
 FAST = 1.25
 _LONGEST = 1e9  # s, of a budget that is counted in expansions
@@ -95,16 +121,19 @@ class Polish:
         most, left = int(PER_SECOND * min(self.seconds, _LONGEST)), query.limits.expansions - plan.stats.expansions
         if not plan.solved or plan.bound == 1 or min(most, left) <= 0 or not plan.actions:
             return plan
-        windows = Windows(query.world, query.limits.memory)
+        windows = Windows(query.world, query.limits.memory, None if query.admissible else query.estimate)
         ends = min(began + self.seconds, query.ends)
         others, windows.expansions = self._others(query, plan, most, left, ends)
         most = min(windows.expansions + most, left)
         better = min([plan, *others], key=lambda each: each.cost)
-        course = _Course.of(query, better)
-        for width in WIDTHS:
-            course = _swept(course, windows, width, most, ends)
+        course, trusted = _Course.of(query, better), False
+        for sweep in SWEEPS:
+            before, course = course, _swept(course, windows, sweep, most, ends)
+            trusted |= sweep.trust > 0
+            if trusted and sweep.trust == 0 and before.cost - course.cost < LITTLE * before.cost:
+                break
         spent = {"polish_expansions": windows.expansions, "polish_seconds": now() - began, "unpolished_cost": plan.cost}
-        plan, cost = plan.renewed(spent), float(course.costs.sum())
+        plan, cost = plan.renewed(spent), course.cost
         if cost >= plan.cost * (1 - LEAST_GAIN):
             return plan
         return replace(
@@ -160,6 +189,10 @@ class _Course(NamedTuple):
     actions: tuple[Action, ...]
     costs: np.ndarray
 
+    @property
+    def cost(self) -> float:
+        return float(self.costs.sum())
+
     @classmethod
     def of(cls, query: Query, plan: Plan) -> _Course:
         cells, headings = query.grid.cell(plan.states[:, :2]), heading_index(plan.states[:, 2])
@@ -167,24 +200,24 @@ class _Course(NamedTuple):
         return cls(states, plan.actions, plan.action_costs)
 
 
-def _swept(course: _Course, windows: Windows, width: float, expansions: int, ends: float) -> _Course:
-    """Returns a course after one sweep with windows of equal width from its start to its end.
+def _swept(course: _Course, windows: Windows, sweep: Sweep, expansions: int, ends: float) -> _Course:
+    """Returns a course after one sweep.
 
     Args:
         course: the course.
         windows: the searches; they count the expansions.
-        width: least cost of a window; the last one may cost less.
+        sweep: the windows.
         expansions: number at which the sweep ends.
         ends: moment on the clock ``now`` at which it ends as well.
     """
     first, end = 0, 0
     while end < len(course.costs) and windows.expansions < expansions and now() < ends:
         spent = np.cumsum(course.costs[first:])
-        end = min(first + int(np.searchsorted(spent, width - 1e-9)) + 1, len(course.costs))
+        end = min(first + int(np.searchsorted(spent, sweep.width - 1e-9)) + 1, len(course.costs))
         cost = float(course.costs[first:end].sum())
         limit, (a, b) = cost * (1 - LEAST_GAIN), course.states[[first, end]]
-        most = min(MOST, expansions - windows.expansions)
-        path = windows.path(a, b, limit, most, ends) if windows.least(a, b) < limit else None
+        most = min(sweep.most, expansions - windows.expansions)
+        path = windows.path(a, b, limit, most, ends, sweep.trust) if windows.least(a, b) < limit else None
         if path is not None:
             course = _Course(
                 np.concatenate([course.states[:first], path.states, course.states[end + 1 :]]),

@@ -25,6 +25,11 @@ ENDS = (4.0, 3.35, 3.14), (1.0, 1.2, -1.57)
 STEPPING = (0.5, 0.75, 0.0), (1.6, 0.75, 0.0)
 
 
+def sweeps(*widths):
+    """Exact sweeps, for as long as they take."""
+    return tuple(polish.Sweep(width, 0.0, 40_000) for width in widths)
+
+
 @pytest.fixture(scope="module")
 def arena():
     return Planner(random_arena(7), heuristic="manual").prepare()
@@ -64,7 +69,7 @@ def test_the_default_is_a_fast_search_that_the_polish_makes_good(arena):
 
 def test_a_second_plan_leaves_a_way_round(arena, monkeypatch):
     """Windows of single actions find nothing, so only the second plan can be cheaper."""
-    monkeypatch.setattr(polish, "WIDTHS", (0.0,))
+    monkeypatch.setattr(polish, "SWEEPS", sweeps(0.0))
     monkeypatch.setattr(polish, "OWN", ((1.03, 10), (1.25, 30_000)))
     first, both = arena.plan(*ENDS, 3.0, polish=0), arena.plan(*ENDS, 3.0)
     second = arena.plan(*ENDS, 1.25, polish=0)
@@ -78,7 +83,7 @@ def test_another_abstraction_finds_a_way_that_the_first_one_judges_dear(monkeypa
     heights[78:82, [*range(60), *range(100, 170), *range(210, 240)]] = 1.0  # two doors
     terrain, ends = HeightMap(heights), ((1.2, 2.0, 0.0), (2.8, 2.0, 0.0))
     planner, manual = (Planner(terrain, heuristic=costs, conditioning=None) for costs in (DearDoor(), "manual"))
-    monkeypatch.setattr(polish, "WIDTHS", (0.0,))
+    monkeypatch.setattr(polish, "SWEEPS", sweeps(0.0))
     monkeypatch.setattr(polish, "OWN", ())
     plain = planner.plan(*ends, 1.25, polish=0.0)
     for weight, limits in ((1.03, (30_000,)), (1.25, (10, 30_000))):
@@ -126,7 +131,7 @@ def test_no_window_begins_after_the_time(arena, monkeypatch):
     monkeypatch.setattr(windows, "now", ticking)
     monkeypatch.setattr(polish, "PER_SECOND", 10**9)
     short, long = (arena.plan(*ENDS, 2.0, polish=seconds) for seconds in (0.02, 0.06))
-    looks = 1e-3 * (len(polish.WIDTHS) + 2)  # each sweep looks at the clock
+    looks = 1e-3 * (len(polish.SWEEPS) + 2)  # each sweep looks at the clock
     assert short.stats.polish_seconds <= 0.02 + looks and long.stats.polish_seconds <= 0.06 + looks
     assert long.cost < short.cost < short.stats.unpolished_cost
 
@@ -153,7 +158,7 @@ def test_every_action_of_a_polished_plan_is_legal_and_one_window_finds_the_cheap
     plain = planner.plan(*ends, 4.0, start_free=False, polish=0)
     assume(plain.solved and plain.actions)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(polish, "WIDTHS", (narrow,) if narrow else (0.1, 100.0))
+        patch.setattr(polish, "SWEEPS", sweeps(narrow) if narrow else sweeps(0.1, 100.0))
         plan = planner.plan(*ends, 4.0, start_free=False, polish=1.0)
     assert plan.cost <= plain.cost
     found = [tuple(planner.grid.to_lattice(state[:3], state[3:]).tolist()) for state in plan.states]
@@ -223,3 +228,36 @@ def test_a_search_for_a_window_ends_at_its_limits(arena):
     assert (
         windows.Windows(world, 1000).path(a, (b + (60, 40, 8, 0, 0, 0, 0)), math.inf, Limits.expansions, 1e99) is None
     )
+
+
+def test_a_window_with_a_guide_takes_fewer_expansions_and_a_guide_that_contradicts_the_limit_is_left_out(monkeypatch):
+    made = []
+
+    class Recorded(windows.Windows):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            made.append(arguments)
+
+    monkeypatch.setattr(polish, "Windows", Recorded)
+    planner = Planner(with_bar(), heuristic="manual").prepare()
+    plan = planner.plan(*STEPPING, 3.0)
+    a, b = (planner.grid.to_lattice(state[:3], state[3:]) for state in plan.states[[0, -1]])
+    exact, trusting = windows.Windows(*made[-1][:2]), windows.Windows(*made[-1])
+    limit = 2 * plan.cost
+    least = exact.path(a, b, limit, 1_000_000, math.inf).cost
+    guided = trusting.path(a, b, limit, 1_000_000, math.inf, 0.9)
+    assert least * (1 - 1e-6) <= guided.cost < limit and trusting.expansions < 0.5 * exact.expansions
+    spent = trusting.expansions
+    assert trusting.path(a, b, limit, 1_000_000, math.inf, 100.0).cost == pytest.approx(least)
+    assert trusting.expansions == spent + exact.expansions
+
+
+def test_a_plan_of_an_admissible_heuristic_has_no_guide(monkeypatch):
+    """Its values rise while a search goes on, so differences between them say nothing."""
+    guides = []
+    monkeypatch.setattr(
+        polish, "Windows", lambda *arguments: guides.append(arguments[2]) or windows.Windows(*arguments)
+    )
+    planner = Planner(HeightMap.flat((100, 100)), heuristic="grid")
+    planner.plan((0.6, 0.6, 0.0), (1.7, 1.8, 2.5), 3.0, polish=0.1)
+    assert set(guides) == {None}

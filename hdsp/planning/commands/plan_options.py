@@ -73,7 +73,7 @@ def _add_search(group: Any) -> None:
     )  # fmt: skip
     group.add_argument(
         "--polish", type=float, metavar="S",
-        help="seconds in which parts of the path are planned again, so that it gets cheaper; 0 for none (default: 0.2 "
+        help="seconds in which parts of the path are planned again, so that it gets cheaper; 0 for none (default: 0.3 "
         "if nothing bounds its cost)",
     )  # fmt: skip
     group.add_argument(
