@@ -180,7 +180,9 @@ def _lone(heights: np.ndarray, away: np.ndarray, least: float, most_cells: int) 
         if count == 0:
             continue
         raised = np.where(np.isfinite(heights), sign * heights, -np.inf)
-        beside = maximum_filter(np.where(groups == 0, raised, -np.inf), 3, mode="nearest")
+        # Neighbours count with the ground around them: their own noise may be as large as half of a spike.
+        ground = np.where((groups == 0) & np.isfinite(heights), sign * (heights - away), -np.inf)
+        beside = maximum_filter(ground, 3, mode="nearest")
         # A group that goes on in ground of about its height is a corner of it.
         goes_on = np.zeros(count + 1, bool)
         goes_on[groups[(groups > 0) & (beside > raised - 0.5 * sign * away)]] = True
