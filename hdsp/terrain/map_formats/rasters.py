@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
+import uuid
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -19,6 +19,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.quiet import quiet_thread
+from hdsp.terrain.map_formats.ascii_grids import AsciiGrid, read_ascii_grid
 from hdsp.terrain.map_formats.fields import (
     MapFields,
     MissingOption,
@@ -32,36 +33,27 @@ from hdsp.terrain.map_frame import MapFrame
 
 #: Drivers by suffix. Drivers whose files refer to other files or addresses are left out.
 _DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".asc": "AAIGrid", ".dem": "USGSDEM", ".img": "HFA"}
-#: Drivers of texts, by their first words.
-_TEXTS = {
-    "AAIGrid": ("ncols", "nrows", "xll", "yll", "cellsize", "dx", "dy"),
-    "GRASSASCIIGrid": ("north", "south", "east", "west", "rows", "cols"),
-}
-
+_OF_TEXTS = ".asc", ".dem"
 #: Tag with the frame of a map that this package wrote.
 _TAG = "HDSP_FRAME"
 #: Tag with a checksum over heights and transform, for files whose last line (`file_checksum`) is lost.
 _DIGEST = "HDSP_SHA256"
 _CHANGED = "it differs from its checksum: changed by another program, or damaged"
 
-#: A line of numbers, not of the header, in an ASCII grid.
-_IS_BODY = re.compile(r"\s*([-+.,0-9*]|nan\b|inf\b)", re.IGNORECASE)
-
-_BYTE_ORDER_MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
-
 
 def read_raster(path: Path, options: ReadOptions) -> MapFields:
     """Reads one band of a raster."""
     check_file(path)
-    with _opened(path) as raster:
+    with _opened(path) as (raster, grid):
         options.check_cells(raster.width, raster.height)
         band = _band(raster, options.layer)
         kind = np.dtype(raster.dtypes[band - 1]).kind
         if kind not in "iuf":
             raise InputError(f"band {band} has the type {raster.dtypes[band - 1]}; need numbers")
         check_crs(raster.crs)
-        rows = _ascii_heights(path, raster) if raster.driver in _TEXTS else raster.read(band, masked=True)
+        rows = grid.heights(raster.height, raster.width) if grid else raster.read(band, masked=True)
         scale, offset, notes = height_units(raster, band)
+        notes += [f"heights times {grid.multiplier:g}, as the header says"] if grid and grid.multiplier != 1 else []
         written = raster.tags().get(_TAG, "")
         changed = raster.tags().get(_DIGEST, "") not in ("", _digest(rows, raster.transform, written))
         notes += [_CHANGED] if changed else []
@@ -83,15 +75,16 @@ def read_raster(path: Path, options: ReadOptions) -> MapFields:
 
 def raster_contents(path: Path) -> str:
     """Size, bands, CRS, transform and no-data value of a raster."""
-    with _opened(path) as raster:
+    with _opened(path) as (raster, grid):
         bands = ", ".join(
             f"{number} ({kind}{f', {name}' if name else ''})"
             for number, kind, name in zip(raster.indexes, raster.dtypes, raster.descriptions, strict=True)
         )
+        nodata = grid.nodata if grid else raster.nodata
         units = " / ".join(sorted({str(unit) for unit in raster.units if unit})) or "not named"
         return (
             f"{raster.width} x {raster.height} pixels, bands {bands}, CRS {raster.crs or 'none'}, "
-            f"no-data value {'none' if raster.nodata is None else f'{raster.nodata:g}'}, vertical units {units}"
+            f"no-data value {'none' if nodata is None else f'{nodata:g}'}, vertical units {units}"
         )
 
 
@@ -127,26 +120,40 @@ def _digest(rows: Any, transform: Any, frame: str) -> str:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _opened(path: Path) -> Iterator[tuple[Any, AsciiGrid | None]]:
+    """The opened raster, and its text if it is an ASCII grid."""
     import rasterio
-    from rasterio.io import MemoryFile
 
     with ExitStack() as stack:
         stack.enter_context(rasterio.Env())
         stack.enter_context(quiet_thread())  # a message of GDAL that cites damaged bytes has a traceback printed
-        driver, encoding = _DRIVERS[path.suffix.lower()], None
-        if path.suffix.lower() in (".asc", ".dem"):
-            encoding = _marked_encoding(path)
-            with path.open(encoding=encoding or "latin-1", errors="replace") as file:
-                first = file.read(100).lstrip().lower()
-            driver = next((name for name, words in _TEXTS.items() if first.startswith(words)), driver)
-        if encoding is None:
-            raster = stack.enter_context(rasterio.open(path, driver=driver))
+        suffix = path.suffix.lower()
+        grid = read_ascii_grid(path) if suffix in _OF_TEXTS else None
+        if grid and not _as_gdal_expects(path):
+            raster = _opened_in_memory(path, grid, stack)
+        else:
+            raster = stack.enter_context(rasterio.open(path, driver=grid.driver if grid else _DRIVERS[suffix]))
             _check_files(path, raster)
-            yield raster
-        else:  # GDAL knows no byte-order marks
-            text = path.read_text(encoding).encode()
-            yield stack.enter_context(stack.enter_context(MemoryFile(text, ext=".asc")).open(driver=driver))
+        yield raster, grid
+
+
+def _as_gdal_expects(path: Path) -> bool:
+    """Whether a text begins with a word of its header; GDAL knows neither byte-order marks nor comments before it."""
+    with path.open("rb") as file:
+        return file.read(1).isalpha()
+
+
+def _opened_in_memory(path: Path, grid: AsciiGrid, stack: ExitStack) -> Any:
+    """Raster of a text, with the CRS in the .prj file beside it."""
+    from rasterio.io import MemoryFile
+
+    folder = uuid.uuid4().hex
+    for crs in (path.with_suffix(".prj"), path.with_suffix(".PRJ")):
+        if crs.is_file():
+            stack.enter_context(MemoryFile(crs.read_bytes(), dirname=folder, filename="grid.prj"))
+            break
+    file = stack.enter_context(MemoryFile(grid.text.encode(), dirname=folder, filename="grid.asc"))
+    return stack.enter_context(file.open(driver=grid.driver))
 
 
 def _check_files(path: Path, raster: Any) -> None:
@@ -155,44 +162,6 @@ def _check_files(path: Path, raster: Any) -> None:
     for name in raster.files:
         if Path(name).resolve().parent != folder:
             raise InputError(f"it refers to {name}, outside its folder")
-
-
-def _marked_encoding(path: Path) -> str | None:
-    with path.open("rb") as file:
-        begin = file.read(3)
-    return next((name for mark, name in _BYTE_ORDER_MARKS.items() if begin.startswith(mark)), None)
-
-
-def _ascii_heights(path: Path, raster: Any) -> Any:
-    """Numbers [rows, columns] of an ASCII grid.
-
-    GDAL reads a word that is no number as 0, and "nan" amid whole numbers, too.
-    """
-    lines = path.read_text(_marked_encoding(path) or "latin-1").splitlines()
-    begin = next((k for k, line in enumerate(lines) if _IS_BODY.match(line)), len(lines))
-    try:
-        rows = [_numbers(line) for line in lines[begin:]]
-    except ValueError:
-        raise InputError("its heights have a word that is no number") from None
-    heights = np.concatenate([np.empty(0), *rows])
-    if heights.size != raster.width * raster.height:
-        raise InputError(f"it has {heights.size} heights for {raster.width} x {raster.height} cells")
-    heights = heights.reshape(raster.height, raster.width)
-    if raster.nodata is None:
-        return np.ma.masked_array(heights)
-    unknown = (heights == raster.nodata) | (heights.astype(np.float32) == np.float32(raster.nodata))
-    return np.ma.masked_array(heights, mask=unknown)
-
-
-def _numbers(line: str) -> np.ndarray:
-    """Numbers in a line, float64 [n].
-
-    Raises:
-        ValueError: a word is no number.
-    """
-    if not line.isascii() or "_" in line:  # Python's numbers have underscores, and digits of all scripts
-        raise ValueError
-    return np.array(line.replace(",", ".").replace("*", "nan").split(), float)
 
 
 def _band(raster: Any, layer: str | int | None) -> int:

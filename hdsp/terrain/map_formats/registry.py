@@ -30,6 +30,7 @@ from hdsp.terrain.map_formats.archives import (
     read_npy,
     read_npz,
 )
+from hdsp.terrain.map_formats.ascii_grids import is_ascii_grid
 from hdsp.terrain.map_formats.fields import MapFields, MissingOption, ReadOptions
 from hdsp.terrain.map_formats.grid_map_bags import bag_contents, is_bag_folder, read_grid_map
 from hdsp.terrain.map_formats.images import image_contents, read_image_map
@@ -266,6 +267,8 @@ def _is_text_of_points(path: Path) -> bool:
     if path.suffix.lower() != ".asc" or not path.is_file():
         return False
     try:
+        if is_ascii_grid(path):
+            return False
         with path.open("rb") as file:
             begin = file.read(400).replace(b"\0", b"").lstrip(b"\xef\xbb\xbf\xff\xfe \t\r\n")
     except OSError:
