@@ -1,4 +1,4 @@
-"""Texts of ASCII grids, of ESRI and of GRASS: their header and their heights.
+"""ASCII grids by ESRI and GRASS: their header and their heights.
 
 GDAL reads these files with little care: a missing corner is 0, a no-data value or a height that is no number is 0, too,
 and so is "nan" amid whole numbers. Here the header is checked, and the heights are read.
@@ -48,10 +48,10 @@ class AsciiGrid(NamedTuple):
 
     Attributes:
         path: the file.
-        driver: name of GDAL's driver.
-        body: number of the first line with heights, from 0.
-        nodata: value of unknown heights; None = no number stands for them.
-        multiplier: factor of all heights.
+        driver: GDAL's driver.
+        body: first line with heights, from 0.
+        nodata: value for unknown heights; None = no number stands for them.
+        multiplier: factor for all heights.
     """
 
     path: Path
@@ -62,7 +62,7 @@ class AsciiGrid(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The text from the first line of the header on."""
+        """The text from the header on."""
         return _without_comments(self._whole())
 
     def _whole(self) -> str:
@@ -72,7 +72,7 @@ class AsciiGrid(NamedTuple):
         """Heights float64 [rows, columns], times the multiplier; unknown ones are NaN or masked.
 
         Raises:
-            InputError: a word is no number, or the number of heights is another one.
+            InputError: a word is no number, or there are too few or too many.
         """
         lines = self._whole().splitlines()[self.body :]
         found = [np.empty(0), *(_numbers(line, number) for number, line in enumerate(lines, self.body + 1))]
@@ -90,7 +90,7 @@ def read_ascii_grid(path: Path) -> AsciiGrid | None:
     """Reads an ASCII grid with a checked header; None for a text that begins with other words.
 
     Raises:
-        InputError: an entry of the header is missing, is there in two ways, or has an impossible value.
+        InputError: an entry is missing, is there in two ways, or has an impossible value.
     """
     begin = _begin(path)
     driver = _driver(begin)
@@ -109,7 +109,7 @@ def read_ascii_grid(path: Path) -> AsciiGrid | None:
 
 
 def is_ascii_grid(path: Path) -> bool:
-    """Whether a text begins with the header of a grid, perhaps behind comments."""
+    """Whether a text begins as a grid, perhaps behind comments."""
     return _driver(_begin(path)) is not None
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from hdsp.base.errors import InputError
 
-#: Metres per vertical unit.
-_METRES = {
+#: Metres per unit of length, by its name in small letters.
+METRES = {
     **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
     **dict.fromkeys(("ft", "foot", "feet", "international foot"), 0.3048),
     **dict.fromkeys(("us survey foot", "us-ft", "ftus", "us_survey_foot", "foot_us", "us survey feet"), 1200 / 3937),
@@ -53,7 +53,7 @@ def height_units(raster: Any, band: int) -> tuple[float, float, list[str]]:
     if (scale, offset) != (1.0, 0.0):
         notes.append(f"heights times {scale:g} plus {offset:g}, as the band says")
     unit, in_crs = str(raster.units[band - 1] or "").strip(), vertical_unit(raster.crs)
-    factor = _METRES.get(unit.lower())
+    factor = METRES.get(unit.lower())
     if in_crs is not None and unit.lower() in ("", in_crs[0].lower()):
         unit, factor = in_crs
     if factor is None:

@@ -19,7 +19,7 @@ from hdsp.terrain.pointcloud.las_units import metres_in_las
 from hdsp.terrain.pointcloud.octree import read_octree
 from hdsp.terrain.pointcloud.pcd import read_pcd
 from hdsp.terrain.pointcloud.ply import read_ply
-from hdsp.terrain.pointcloud.text import read_text
+from hdsp.terrain.pointcloud.text import read_text, text_points
 from hdsp.terrain.pointcloud.vtk import read_vtk
 
 _PACKED = (".gz", ".bz2")
@@ -40,7 +40,8 @@ def read_points(
 
     Args:
         path: the file; its suffix selects the format (`FORMATS`), and .gz or .bz2 may follow.
-        units: metres per unit in the file, e.g. 0.001 for millimetres. None: LAS and LAZ by their CRS, others metres.
+        units: metres per unit in the file, e.g. 0.001 for millimetres. None: LAS and LAZ by their CRS, texts by
+            their header, others metres.
         axes: the file's axes for our x (forward), y (left) and z (up), e.g. ("z", "-x", "-y") for a camera.
         max_points: largest number of points; None = 50 million in binary formats, 10 million lines in texts.
         max_bytes: largest contents, unpacked; None = 1 GiB.
@@ -62,10 +63,17 @@ def read_points(
             f"point cloud {path}: suffix {suffix!r}; need one of {', '.join(FORMATS)}, or these + .gz, .bz2"
         )
     path = existing_file(path, "point cloud")
+    own: Any = 1.0
     try:
         content = limits.read(path, suffix in _TEXTS)
-        points = np.asarray(FORMATS[suffix](content, limits), dtype=float)
-        metres = _metres(suffix, content) if units is None else units
+        if not content:
+            raise InputError("the file is empty")
+        if FORMATS[suffix] is read_text:
+            points, own = text_points(content, limits)
+        else:
+            points = np.asarray(FORMATS[suffix](content, limits), dtype=float)
+            if FORMATS[suffix] is read_las and units is None:
+                own = metres_in_las(content)
     except ImportError as error:
         raise InputError(
             f"point cloud {path}: {error}; install the extra 'scans': pip install 'hdsp[scans]'"
@@ -83,7 +91,7 @@ def read_points(
     if len(finite) == 0:
         raise InputError(f"point cloud {path}: none of its {len(points)} points is finite")
     indices, signs = turn
-    return (finite * metres)[:, indices] * signs
+    return (finite * (own if units is None else units))[:, indices] * signs
 
 
 def _read_obj(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray:
@@ -129,11 +137,6 @@ def _turn(axes: Sequence[str]) -> tuple[list[int], list[float]]:
     if np.linalg.det(order) < 0:
         raise InputError(f"axes are {list(axes)}: they mirror the scan; need a right-handed choice, e.g. z, -x, -y")
     return indices, signs
-
-
-def _metres(suffix: str, content: bytes) -> np.ndarray | float:
-    """Metres per unit of a file."""
-    return metres_in_las(content) if FORMATS[suffix] is read_las else 1.0
 
 
 def _positive(units: Any) -> float:

@@ -9,73 +9,101 @@ Rules where a line can be read in two ways:
 - Commas are decimal commas if another character separates the numbers.
 - Commas separate numbers if nothing else does. An even number, at least six, of whole numbers separated by commas could
   as well be half as many decimal numbers, and whole numbers with leading zeros (``1,050,0,500``) are none: refused.
-- Commas and points in one number: the last one is the decimal sign, the others group thousands.
+- Commas and points in one number: the last one is the decimal sign, the others group thousands. Between quotation
+  marks, commas belong to a number.
+- An empty last field is a missing number where other lines have one there, else the line's end.
+
+Numbers without names that may mean something else are refused: many columns as in a grid, and a first column that
+counts the points.
 """
 
 from __future__ import annotations
 
 import codecs
+import csv
 import io
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from hdsp.terrain.pointcloud.cloud_limits import DEFAULT_LIMITS, CloudLimits
+from hdsp.terrain.pointcloud.text_columns import is_number, named_columns
 
 _MARKS = {codecs.BOM_UTF32_LE: "utf-32", codecs.BOM_UTF32_BE: "utf-32", codecs.BOM_UTF8: "utf-8-sig"} | dict.fromkeys(
     (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE), "utf-16"
 )
 _COMMENT = re.compile(r"#|//|%|!")
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$|[-+]?(nan|inf|infinity)$", re.IGNORECASE)
 _MISSING = ("", "na", "n/a", "null", "none", "-", "--", "*")
+#: NaN as C libraries of Windows print it; its # begins no comment.
+_WINDOWS_NAN = re.compile(r"[-+]?1\.#(qnan|snan|ind)0*", re.IGNORECASE)
 _OF_NUMBERS = str.maketrans(dict.fromkeys("0123456789+-.eE \t\r\n"))
 _LONGEST_LINE = 10_000
 _SAMPLE = 1000  # lines that decide how all lines are read
-_DEGREES = {"lat", "latitude", "lon", "long", "lng", "longitude"}
-_AXIS = {"0": "x", "1": "y", "2": "z"} | {f"{head}{axis}": axis for head in ("", "p", "pos") for axis in "xyz"}
-_OTHER_VECTORS = re.compile(r"normal|vel|speed|acc|rot|quat|dir|ang|gyro|colou?r")
-#: Names of columns beside those with the words x, y and z.
-_SURVEY = {
-    **dict.fromkeys(("easting", "east", "e", "rechtswert"), "x"),
-    **dict.fromkeys(("northing", "north", "n", "hochwert"), "y"),
-    **dict.fromkeys(("height", "elevation", "elev", "altitude", "alt", "h", "up", "u", "hoehe", "höhe"), "z"),
-}
+_MOST_COLUMNS = 20  # more columns without names are a grid of heights
+_COUNTED = 3  # points; so many are needed to tell a count of points from coordinates
+
+
+class TextPoints(NamedTuple):
+    """Points in a text.
+
+    Attributes:
+        points: float64 [n, 3], in the file's units.
+        metres: metres per unit for x, y and z by the header; ones for a text that names no units.
+    """
+
+    points: np.ndarray
+    metres: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
 def read_text(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray:
-    """Reads points float64 [n, 3], in the file's units, from a file's contents.
+    """Reads points float64 [n, 3], in the file's units, from a file's contents; errors as in `text_points`."""
+    return text_points(content, limits).points
+
+
+def text_points(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> TextPoints:
+    """Reads points and their units from a file's contents.
 
     Raises:
         ValueError: if lines differ in their number of columns, a line is too long, commas can be read in two ways, a
-            coordinate is no number, or the number of points is not the stated one.
+            coordinate is no number, the number of points is not the stated one, or columns without names may be a grid
+            or begin with numbers of points.
         InputError: if there are more lines than the limit.
     """
     text = _decoded(content)
     if (plain := _plain(text)) is not None:
-        return plain
-    lines = [line for line in map(_clean, re.split(r"\r\n|\n|\r", text)) if line]
+        return TextPoints(plain)
+    lines = _lines(text)
     limits.check_rows(len(lines))
+    if lines and lines[0].strip() == "OFF":
+        raise ValueError("a mesh in the format OFF; write it as PLY or OBJ")
     if longest := next((line for line in lines if len(line) > _LONGEST_LINE), ""):
         raise ValueError(f"a line of {len(longest):,} characters; need at most {_LONGEST_LINE:,}")
-    sample = [_without_comment(line) for line in lines[: _SAMPLE + 100]]
-    split = _splitter([line for line in sample if line])
+    split = _splitter(lines)
     titles, counts, rows = _sorted(lines, split)
+    if any(title.lower().startswith("ncols") for title in titles):
+        raise ValueError("an ASCII grid of heights, no points; unpack it, and name it .asc")
     if not rows:
         if titles or any(len(split(_without_comment(line))) > 2 for line in lines):
             first = next((line for line in lines if _without_comment(line)), lines[0])
             raise ValueError(f"no line of numbers; the first line is {first[:60]!r}")
         if counts:
             raise ValueError(f"lines of {len(counts[0])} numbers; need at least x y z")
-        return np.zeros((0, 3))
+        return TextPoints(np.zeros((0, 3)))
     _check_count(counts, len(rows))
-    labelled = not _is_number(rows[0][0]) and rows[0][0].lower() not in _MISSING
+    labelled = not is_number(rows[0][0]) and rows[0][0].lower() not in _MISSING
     width = len(rows[0])
     start = int(labelled)
-    columns = _columns(titles, split, width) or (start, start + 1, start + 2)
+    named = named_columns(titles, split, width)
+    columns = named.places if named else (start, start + 1, start + 2)
     if width <= max(columns):
         raise ValueError(f"lines of {width} numbers; need at least x y z")
-    return _values(rows, columns)
+    points = _values(rows, columns)
+    if named is None and not labelled:
+        _refuse_other_numbers(points, width)
+    return TextPoints(points, named.metres) if named else TextPoints(points)
 
 
 def _decoded(content: bytes) -> str:
@@ -101,13 +129,55 @@ def _plain(text: str) -> np.ndarray | None:
     if not (rest == "" or separated) or len(first.replace(",", " ").split()) < 3:
         return None
     try:
-        return np.loadtxt(io.StringIO(text.replace(",", " ") if rest else text), comments=None, ndmin=2)[:, :3]
+        numbers = np.loadtxt(io.StringIO(text.replace(",", " ") if rest else text), comments=None, ndmin=2)
     except ValueError:
         return None  # the slow way names the line
+    _refuse_other_numbers(numbers, numbers.shape[1])
+    return numbers[:, :3]
+
+
+def _refuse_other_numbers(numbers: np.ndarray, width: int) -> None:
+    """Refuses numbers without names that seem to be no coordinates: a grid, or points with their numbers."""
+    if width > _MOST_COLUMNS:
+        raise ValueError(
+            f"{len(numbers)} lines of {width} numbers: a grid of heights? load it with numpy and give it to HeightMap; "
+            "points need a line with the names of the columns"
+        )
+    first = numbers[:, 0]
+    if width == 3 or len(first) < _COUNTED or not (np.isfinite(first) & (np.floor(first) == first)).all():
+        return
+    steps = np.diff(first)
+    if (steps >= 1).all() and np.median(steps) == 1:
+        raise ValueError(
+            f"the first column counts {first[0]:g}, {first[1]:g}, {first[2]:g}: numbers of points? name the columns in "
+            "a first line, e.g. id x y z"
+        )
+
+
+def _lines(text: str) -> list[str]:
+    """Lines that are not empty; quotation marks stay only where they hold a number with a comma."""
+    if "1.#" in text:
+        text = _WINDOWS_NAN.sub("nan", text)
+    lines = [_clean(line) for line in re.split(r"\r\n|\n|\r", text)]
+    if '"' in text and not any(map(_has_quoted_comma, lines[: _SAMPLE + 100])):
+        lines = [line.replace('"', "") for line in lines]
+    return [line for line in lines if line.strip()]
 
 
 def _clean(line: str) -> str:
-    return line.replace("\u2212", "-").replace("\xa0", " ").replace('"', "").strip("\ufeff \t\f\v")
+    return line.replace("\u2212", "-").replace("\xa0", " ").strip("\ufeff \f\v")
+
+
+def _has_quoted_comma(line: str) -> bool:
+    """Whether commas separate fields, and a number in quotation marks has one, too."""
+    outside = re.sub(r'"[^"]*"', "", line)
+    if "," not in outside or re.search(r"[;|\t]", outside):
+        return False
+    return any("," in word and re.fullmatch(r"[-+]?[\d., ]*\d", word) for word in _quoted_words(line))
+
+
+def _quoted_words(line: str) -> list[str]:
+    return [word.strip() for word in next(csv.reader([line], skipinitialspace=True), [])]
 
 
 def _without_comment(line: str) -> str:
@@ -116,27 +186,48 @@ def _without_comment(line: str) -> str:
 
 
 def _splitter(lines: Sequence[str]):
-    """The function that splits a line into its fields with decimal points."""
-    numeric = [line for line in lines if re.match(r"[-+.,]?\d", line)] or list(lines)
-    inner = [re.sub(r"\s*([;|\t,])\s*", r"\1", line.strip(" ;|,")) for line in numeric]
+    """The function that splits a line into its fields with decimal points, by the first lines."""
+    lines = [line for line in map(_without_comment, lines[: _SAMPLE + 100]) if line]
+    numeric = [line for line in lines if re.match(r'\s*"?[-+.,]?\d', line)] or list(lines)
+    if any(map(_has_quoted_comma, numeric)):
+        _refuse_two_signs(word for line in numeric for word in _quoted_words(line))
+        return lambda line: [_point(word) for word in _quoted_words(line)]
+    inner = [re.sub(r"\s*([;|\t,])\s*", r"\1", line.strip(" ;|,\t")) for line in numeric]
     for sign in ";|\t":
         if sum(sign in line for line in inner) > len(inner) / 2:
             if sign == "\t" and any(" " in line for line in inner):
                 break  # spaces and tabs in one line both separate numbers
             _refuse_two_signs(word for line in inner for word in line.split(sign))
-            return lambda line: [_point(word.strip()) for word in _trimmed(line, sign).split(sign)]
+            width = _width(numeric, lines, sign)
+            return lambda line: [_point(word) for word in _fields(line, sign, width)]
     if sum(len(line.split()) >= 3 for line in inner) > len(inner) / 2:
         _refuse_two_signs(word for line in inner for word in line.split())
         return lambda line: [_point(word) for word in re.sub(r",(?=\s|$)", " ", line).split()]
     if any("," in line for line in inner):
         _refuse_two_readings(inner, lines)
-        return lambda line: [word.strip() for word in _trimmed(line, ",").split(",")]
+        width = _width(numeric, lines, ",")
+        return lambda line: _fields(line, ",", width)
     return lambda line: line.split()
 
 
-def _trimmed(line: str, sign: str) -> str:
-    """The line without a separator at its end, or at both ends as in tables with bars."""
-    return line.strip("| ") if sign == "|" else line[:-1] if line.endswith(sign) else line
+def _fields(line: str, sign: str, width: int) -> list[str]:
+    """Fields in a line. A separator at its end, or at both as in tables with bars, makes no field beyond the width."""
+    words = [word.strip() for word in (line.strip("| ") if sign == "|" else line).split(sign)]
+    if len(words) != width and words[-1] == "":
+        words.pop()
+    if len(words) != width and words and words[0] == "" and sign == "\t":  # indented
+        words.pop(0)
+    return words
+
+
+def _width(numeric: Sequence[str], lines: Sequence[str], sign: str) -> int:
+    """Most frequent number of fields among lines without a separator at an end; 0 without such a line."""
+    for some in (numeric, lines):
+        bare = [line.strip("| " if sign == "|" else " ") for line in some]
+        counts = Counter(line.count(sign) + 1 for line in bare if line == line.strip(sign) and sign in line)
+        if counts:
+            return counts.most_common(1)[0][0]
+    return 0
 
 
 def _refuse_two_signs(words: Iterable[str]) -> None:
@@ -182,10 +273,6 @@ def _point(word: str) -> str:
     return word.replace(",", ".") if word.count(",") == 1 else word
 
 
-def _is_number(word: str) -> bool:
-    return _NUMBER.match(word) is not None
-
-
 def _sorted(lines: Sequence[str], split) -> tuple[list[str], list[list[str]], list[list[str]]]:
     """Titles and headers, lines of one or two whole numbers (number of points), and the fields of all other lines."""
     titles: list[str] = []
@@ -206,7 +293,7 @@ def _sorted(lines: Sequence[str], split) -> tuple[list[str], list[list[str]], li
             rows.append(words)
         elif rows:
             raise ValueError(f"line {number} is no point: {line[:60]!r}")
-        elif len(words) < 3 and all(map(_is_number, words)):
+        elif len(words) < 3 and all(map(is_number, words)):
             raise ValueError(f"lines of {len(words)} numbers; need at least x y z")
         else:
             titles.append(line)
@@ -215,7 +302,7 @@ def _sorted(lines: Sequence[str], split) -> tuple[list[str], list[list[str]], li
 
 def _looks_like_a_point(words: Sequence[str]) -> bool:
     """Whether most fields are numbers: labels and missing values may be among them."""
-    numbers = sum(map(_is_number, words))
+    numbers = sum(map(is_number, words))
     missing = sum(word.lower() in _MISSING for word in words)
     return numbers >= 1 and numbers + missing >= min(3, len(words)) and 2 * (numbers + missing) >= len(words)
 
@@ -227,55 +314,6 @@ def _check_count(counts: Sequence[Sequence[str]], points: int) -> None:
     if points != sum(stated) and [len(words) for words in counts] + [int(counts[0][0])] != [2, points]:
         kind = "cut off: " if points < sum(stated) else ""
         raise ValueError(f"{kind}{points} points; a line says {' '.join(counts[0])}")
-
-
-def _columns(titles: Sequence[str], split, width: int) -> tuple[int, int, int] | None:
-    """Columns of x, y and z by their names; None if no header names the columns."""
-    for title in titles:
-        if title.strip() == "":
-            continue
-        for names in (_named(split(title)), _named(re.split(r"[,;\t|]|\s+", title))):
-            if len(names) != width:
-                if {"x", "y", "z"} <= set(names) and names[:3] != ["x", "y", "z"]:
-                    raise ValueError(f"{len(names)} names of columns ({', '.join(names)[:80]}), but {width} columns")
-                continue
-            found = _axes(names)
-            if found:
-                return found
-            if set(names) & _DEGREES:
-                raise ValueError(f"columns {', '.join(names)[:80]}: latitudes and longitudes; need metres")
-            if len(names) >= 3 and re.search(r"[,;\t|]", title) and not any(map(_is_number, names)):
-                raise ValueError(f"columns are {', '.join(names)[:80]}; need x, y and z")
-    return None
-
-
-def _named(words: Sequence[str]) -> list[str]:
-    return [name for name in (word.strip(" \t'").lower() for word in words) if name]
-
-
-def _axes(names: Sequence[str]) -> tuple[int, int, int] | None:
-    """Columns of x, y and z: exact names first, then names with these words and the same rest, then survey names."""
-    parts = [re.sub(r"[\[(].*?[\])]", "", name).strip() for name in names]
-    if all(parts.count(axis) == 1 for axis in "xyz"):
-        return parts.index("x"), parts.index("y"), parts.index("z")
-    alike: dict[str, dict[str, int]] = {}
-    for k, name in enumerate(parts):
-        words = re.split(r"([^a-zäöü0-9]+|(?<=[a-z])(?=\d))", name)
-        for at, word in enumerate(words):
-            axis = _AXIS.get(word or "")
-            if axis:
-                rest = "".join([*(part or "" for part in words[:at]), "*", *(part or "" for part in words[at + 1 :])])
-                alike.setdefault(rest, {}).setdefault(axis, k)
-    for rest, found in alike.items():
-        if len(found) == 3 and not _OTHER_VECTORS.search(rest):
-            return found["x"], found["y"], found["z"]
-    survey: dict[str, int] = {}
-    for k, name in enumerate(parts):
-        words = re.split(r"[^a-zäöü]+", name)
-        axis = next((_SURVEY.get(word, word) for word in words if word in _SURVEY or word in ("x", "y", "z")), "")
-        if axis:
-            survey.setdefault(axis, k)
-    return (survey["x"], survey["y"], survey["z"]) if len(survey) == 3 else None
 
 
 def _values(rows: list[list[str]], columns: tuple[int, int, int]) -> np.ndarray:
@@ -293,6 +331,6 @@ def _values(rows: list[list[str]], columns: tuple[int, int, int]) -> np.ndarray:
 def _number(word: str, number: int) -> float:
     if word.lower() in _MISSING:
         return np.nan
-    if not _is_number(word):
+    if not is_number(word):
         raise ValueError(f"point {number}: {word[:40]!r} is no number")
     return float(re.sub("[dD]", "e", word) if not word.lower().endswith("d") else word)

@@ -251,7 +251,7 @@ def test_units_and_axes_are_changed_to_ours(tmp_path):
         ("scan.e57", "x", {}, "suffix '.e57'; need one of .pcd, .ply"),
         ("scan", "x", {}, "suffix ''"),
         ("scan.gz", "x", {}, "suffix ''"),
-        ("empty.xyz", "", {}, "none of its 0 points is finite"),
+        ("empty.xyz", "", {}, "the file is empty"),
         ("nan.xyz", "nan nan nan\n", {}, "none of its 1 points is finite"),
         ("two.xyz", "1 2\n", {}, "lines of 2 numbers"),
         ("words.xyz", "one two three\n", {}, "cannot be read"),

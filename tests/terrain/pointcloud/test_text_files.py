@@ -121,6 +121,8 @@ def test_m12_commas_with_two_readings_are_refused(tmp_path, text):
         ("a,b,c\n1,2,3\n", "columns are a, b, c; need x, y and z"),
         ("intensity x y z\n1 2 3\n", "4 names of columns"),
         ("\x00\x01\x02 1 2 3\n", "binary contents"),
+        ("OFF\n3 1 0\n1 2 3\n4 5 6\n7 8 9\n3 0 1 2\n", "a mesh in the format OFF"),
+        ("OFF\n3 0 0\n1 2 3\n4 5 6\n7 8 9\n", "a mesh in the format OFF; write it as PLY or OBJ"),
     ],
 )
 def test_m11_lines_that_are_no_points_are_named(tmp_path, text, words):
@@ -131,3 +133,78 @@ def test_m11_lines_that_are_no_points_are_named(tmp_path, text, words):
 
 def test_missing_coordinates_are_no_points(tmp_path):
     np.testing.assert_allclose(read(tmp_path, "x;y;z\n1;;3\n1;NA;2\n4;5;6\n"), [[4, 5, 6]])
+
+
+SURVEY = np.array([[412345.678, 5654321.123, 0.01], [412346.25, 5654322.5, -1.5]])
+
+
+def test_quoted_numbers_have_their_commas_to_themselves(tmp_path):
+    grouped = "".join(",".join(f'"{value:,.3f}"' for value in point) + "\n" for point in SURVEY)
+    decimal = "".join(",".join(f'"{value:.3f}"'.replace(".", ",") for value in point) + "\n" for point in SURVEY)
+    for head in ("", '"X","Y","Z"\n', "x,y,z\n", '"Survey, 2024"\nx,y,z\n'):
+        for text in (grouped, decimal, grouped.replace('","', '", "')):
+            np.testing.assert_allclose(read(tmp_path, head + text), SURVEY)
+        np.testing.assert_allclose(read(tmp_path, head.replace(",", ";") + decimal.replace('","', '";"')), SURVEY)
+    with pytest.raises(InputError, match="is the comma a decimal sign"):
+        read(tmp_path, '"1,250","0.5","2.5"\n')
+
+
+@pytest.mark.parametrize("sign", [",", ";", "\t"])
+def test_an_empty_last_field_is_a_missing_number_or_the_end_of_a_line(tmp_path, sign):
+    def rewritten(text):
+        return text.replace(",", sign)
+
+    for head in ("", "x,y,z\n"):
+        some = "1.0,2.0,\n1.5,2.5,3.5\n,,\n4.5,,\n5.5,6.5,7.5\n"
+        np.testing.assert_allclose(read(tmp_path, rewritten(head + some)), [[1.5, 2.5, 3.5], [5.5, 6.5, 7.5]])
+        ended = "1.0,2.0,3.0,\n1.5,2.5,3.5,\n"
+        for end in (head, head.replace("z", "z,")):
+            np.testing.assert_allclose(read(tmp_path, rewritten(end + ended)), [[1, 2, 3], [1.5, 2.5, 3.5]])
+    with pytest.raises(InputError, match="none of its 2 points is finite"):
+        read(tmp_path, rewritten("x,y,z\n1.0,2.0,\n1.5,2.5,\n"))
+
+
+def test_lines_indented_by_tabs_are_read(tmp_path):
+    for text in ("\t1.0\t2.0\t3.0\n", "x\ty\tz\n\t1.0\t2.0\t3.0\n", "\t1.0 2.0 3.0\n# a\n"):
+        np.testing.assert_allclose(read(tmp_path, text), [[1, 2, 3]])
+
+
+@pytest.mark.parametrize(
+    ("head", "metres"),
+    [
+        ("x_ft,y_ft,z_ft", 0.3048),
+        ("X(mm),Y(mm),Z(mm)", 0.001),
+        ("X [cm];Y [cm];Z [cm]", 0.01),
+        ("pos x in mm,pos y in mm,pos z in mm", 0.001),
+        ("x,y,z\nmm,mm,mm", 0.001),
+        ("x,y,z\n[ft],[ft],[ft]", 0.3048),
+        ("easting [m],northing [m],height [cm]", (1, 1, 0.01)),
+        ("x_m,y_m,z_m", 1),
+        ("x [local],y [local],z", 1),
+    ],
+)
+def test_units_in_a_header_count_unless_the_option_says_others(tmp_path, head, metres):
+    text = head + "\n" + rows(between=";" if ";" in head else ",")
+    np.testing.assert_allclose(read(tmp_path, text), POINTS * metres)
+    np.testing.assert_allclose(read_points(tmp_path / "cloud.csv", units=2.0), POINTS * 2)
+
+
+@pytest.mark.parametrize("between", [" ", ",", ";"])
+def test_numbers_of_points_and_grids_need_names(tmp_path, between):
+    numbered = np.c_[np.arange(1, 4), POINTS]
+    lines = "".join(between.join(["%d", *["%.3f"] * 3]) % tuple(point) + "\n" for point in numbered)
+    with pytest.raises(InputError, match=r"the first column counts 1, 2, 3: numbers of points.* id x y z"):
+        read(tmp_path, lines)
+    np.testing.assert_allclose(read(tmp_path, between.join(["id", "x", "y", "z"]) + "\n" + lines), POINTS)
+    grid = rows(np.random.default_rng(0).random((12, 30)), between)
+    with pytest.raises(InputError, match=r"12 lines of 30 numbers: a grid of heights.* HeightMap"):
+        read(tmp_path, grid)
+
+
+def test_an_ascii_grid_is_no_text_of_points(tmp_path):
+    with pytest.raises(InputError, match="an ASCII grid of heights, no points; unpack it"):
+        read(tmp_path, "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 1\n1 2 3\n4 5 6\n", "grid.txt")
+
+
+def test_nan_as_windows_prints_it_is_no_comment(tmp_path):
+    np.testing.assert_allclose(read(tmp_path, "1 2 1.#QNAN\n1 2 3\n4 5 -1.#IND00\n"), [[1, 2, 3]])
