@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,7 +20,7 @@ from hdsp.terrain.pointcloud.las_units import metres_in_las
 from hdsp.terrain.pointcloud.octree import read_octree
 from hdsp.terrain.pointcloud.pcd import read_pcd
 from hdsp.terrain.pointcloud.ply import read_ply
-from hdsp.terrain.pointcloud.text import read_text, text_points
+from hdsp.terrain.pointcloud.text import decoded_text, read_text, text_points
 from hdsp.terrain.pointcloud.vtk import read_vtk
 
 _PACKED = (".gz", ".bz2")
@@ -96,9 +97,9 @@ def read_points(
 
 def _read_obj(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray:
     """Reads the vertices of a Wavefront file, lines ``v x y z``, in their order; faces and textures do not matter."""
-    lines = [
-        line.split()[1:4] for line in content.decode("utf-8", "replace").splitlines() if line.startswith(("v ", "v\t"))
-    ]
+    text = re.sub(r"\\[ \t]*(\r\n|\n|\r)", " ", decoded_text(content))  # a backslash joins two lines
+    words = (line.split() for line in text.splitlines())
+    lines = [line[1:4] for line in words if line[:1] == ["v"]]
     limits.check_rows(len(lines))
     if any(len(words) < 3 for words in lines):
         raise ValueError("a vertex has fewer than three numbers")

@@ -72,7 +72,7 @@ def text_points(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> TextPoi
             or begin with numbers of points.
         InputError: if there are more lines than the limit.
     """
-    text = _decoded(content)
+    text = decoded_text(content)
     if (plain := _plain(text)) is not None:
         return TextPoints(plain)
     lines = _lines(text)
@@ -106,7 +106,12 @@ def text_points(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> TextPoi
     return TextPoints(points, named.metres) if named else TextPoints(points)
 
 
-def _decoded(content: bytes) -> str:
+def decoded_text(content: bytes) -> str:
+    """Decodes UTF-8, UTF-16 and UTF-32, with or without a byte-order mark, else Latin-1.
+
+    Raises:
+        ValueError: binary contents.
+    """
     mark = next((mark for mark in _MARKS if content.startswith(mark)), None)
     if mark is not None:
         return content.decode(_MARKS[mark])

@@ -139,6 +139,24 @@ def test_m13_meshes_of_another_library_keep_their_vertices(tmp_path, suffix):
     np.testing.assert_allclose(read_points(tmp_path / f"mesh.{suffix}"), GRID, atol=1e-5)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "latin-1"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_m13_vertices_of_a_wavefront_file_are_found_however_they_are_written(tmp_path, encoding, end):
+    lines = [
+        "v 1 2 3",
+        " v 4 5 6 0.5 0.5 0.5",
+        "\tv\t7\t8\t9",
+        "v 1 \\",
+        "  2 \\",
+        "  4",
+        "vt 0 0",
+        "vn 1 0 0",
+        "# öv 1 1 1",
+    ]
+    (tmp_path / "mesh.obj").write_bytes(end.join([*lines, "g v", "f 1 2 3", ""]).encode(encoding))
+    np.testing.assert_allclose(read_points(tmp_path / "mesh.obj"), [[1, 2, 3], [4, 5, 6], [7, 8, 9], [1, 2, 4]])
+
+
 def pcd(fields, sizes, types, counts, body, points, data="binary"):
     head = f"VERSION 0.7\nFIELDS {fields}\nSIZE {sizes}\nTYPE {types}\nCOUNT {counts}\nWIDTH {points}\nHEIGHT 1\n"
     return f"{head}VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {points}\nDATA {data}\n".encode() + body
