@@ -4,11 +4,14 @@
 variable length, then point records. Every point record begins with x, y and z as int32. Plain records are read here,
 since laspy trusts all numbers of records and reads on for hours. Compressed points go through laspy and lazrs in a
 process of their own (`laz_program`), which costs about a second for each file.
+
+Points that the file calls noise, or withheld, are left out.
 """
 
 from __future__ import annotations
 
 import struct
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +23,9 @@ from hdsp.terrain.pointcloud.cloud_limits import DEFAULT_LIMITS, CloudLimits
 _PROGRAM = Path(__file__).with_name("laz_program.py")
 #: First number of compressed point formats.
 _COMPRESSED = 128
+#: First point format with the classification in a byte of its own; its class 18 is high noise, as 7 is low noise.
+_WITH_FLAGS = 6
+_NOISE, _HIGH_NOISE = 7, 18
 #: Bytes of the separate process: for Python and libraries, and for each point and each byte of the file.
 _MEMORY, _PER_POINT, _PER_BYTE = 1 << 30, 400, 4
 #: CPU seconds of the separate process: for its start, and points in each further second.
@@ -36,7 +42,10 @@ class _LasHeader(NamedTuple):
 
 
 def read_las(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray:
-    """Reads points float64 [n, 3], in the file's units, from a file's contents.
+    """Reads points float64 [n, 3], in the file's units, from a file's contents; NaN = noise, or withheld.
+
+    Warns:
+        UserWarning: there are points called noise or withheld.
 
     Raises:
         ValueError: if the file is no LAS file, cut off or damaged.
@@ -45,8 +54,13 @@ def read_las(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray
     """
     header = _header(content)
     limits.check_points(header.points)
-    if header.kind < _COMPRESSED:
-        return _plain(content, header)
+    points = _plain(content, header) if header.kind < _COMPRESSED else _compressed(content, header)
+    if dropped := int(np.isnan(points[:, 0]).sum()):
+        warnings.warn(f"{dropped:,} points called noise or withheld left out", stacklevel=2)
+    return points
+
+
+def _compressed(content: bytes, header: _LasHeader) -> np.ndarray:
     import laspy  # noqa: F401, a missing package is named here
     import lazrs  # noqa: F401
 
@@ -80,6 +94,13 @@ def _header(content: bytes) -> _LasHeader:
 def _plain(content: bytes, header: _LasHeader) -> np.ndarray:
     if header.length < 20 or header.start + header.points * header.length > len(content):
         raise ValueError(f"cut off: {(len(content) - header.start) // max(1, header.length)} of {header.points} points")
-    record = np.dtype({"names": ["xyz"], "formats": [("<i4", 3)], "offsets": [0], "itemsize": header.length})
-    numbers = np.frombuffer(content, record, header.points, header.start)["xyz"]
-    return numbers * header.scales + header.offsets
+    # Bytes 15 and 16: class and flags in one, or flags and class.
+    layout = {"names": ["xyz", "flags", "class"], "formats": [("<i4", 3), "u1", "u1"], "offsets": [0, 15, 16]}
+    records = np.frombuffer(content, np.dtype({**layout, "itemsize": header.length}), header.points, header.start)
+    if header.kind < _WITH_FLAGS:
+        dropped = (records["flags"] & 0x1F == _NOISE) | (records["flags"] & 0x80 > 0)
+    else:
+        dropped = np.isin(records["class"], (_NOISE, _HIGH_NOISE)) | (records["flags"] & 0x04 > 0)
+    points = records["xyz"] * header.scales + header.offsets
+    points[dropped] = np.nan
+    return points

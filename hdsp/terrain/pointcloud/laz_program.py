@@ -1,7 +1,8 @@
 """Program that reads the compressed points of a LAZ file by laspy and lazrs: python laz_program.py OUT MEMORY SECONDS.
 
 It runs in a process of its own (`hdsp.base.separate_process`), because lazrs ends the process where a damaged file asks
-for more memory than there is. Standard input is the file; the points float64 [n, 3] go to OUT.
+for more memory than there is. Standard input is the file; the points float64 [n, 3] go to OUT,
+NaN = noise, or withheld.
 """
 
 import io
@@ -22,7 +23,10 @@ def _main() -> None:
         # One reader in one thread; extended records of variable length stay unread.
         with laspy.open(io.BytesIO(content), laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False) as reader:
             points = reader.read_points(reader.header.point_count)
-        np.save(out, np.stack([points.x, points.y, points.z], axis=1), allow_pickle=False)
+        noise = (7, 18) if reader.header.point_format.id >= 6 else (7,)  # as in `las`
+        places = np.stack([points.x, points.y, points.z], axis=1)
+        places[np.isin(points.classification, noise) | (np.asarray(points.withheld) > 0)] = np.nan
+        np.save(out, places, allow_pickle=False)
     except BaseException as error:  # lazrs panics with an exception beside Exception
         raise SystemExit(" ".join(f"{error}".split()) or type(error).__name__) from None
 
