@@ -36,7 +36,10 @@ def test_heights_in_feet_of_the_crs_become_metres(tmp_path):
     assert equal(HeightMap.load(tmp_path / "a.asc"), np.array(HEIGHTS) * 1200 / 3937, (10, 20))
 
 
-@pytest.mark.parametrize("crs", ['LOCAL_CS["site",UNIT["metre",1]]', 'LOCAL_CS["site"]', "EPSG:32632"])
+@pytest.mark.parametrize(
+    "crs",
+    ['LOCAL_CS["site",UNIT["metre",1]]', 'LOCAL_CS["site"]', "EPSG:32632", "EPSG:3001", "EPSG:3994", "EPSG:2056"],
+)
 def test_a_plane_in_metres_is_welcome(tmp_path, crs):
     assert equal(HeightMap.load(geotiff(tmp_path / "a.tif", crs=crs)), HEIGHTS, (100, 199))
 
@@ -50,6 +53,9 @@ def test_a_plane_in_metres_is_welcome(tmp_path, crs):
         ("EPSG:2263+5703", "in units of US survey foot; reproject it"),
         ("EPSG:4979", "EPSG:4979 is in degrees"),
         ("EPSG:4978", "EPSG:4978 is geocentric; need metres on a plane"),
+        ("EPSG:3857", "EPSG:3857 is a Mercator projection, whose metres are true at the equator only; .* gdalwarp"),
+        ("EPSG:3395", "EPSG:3395 is a Mercator projection"),
+        ("EPSG:3857+5703", "is a Mercator projection"),
     ],
 )
 def test_m7_rasters_in_other_units_than_metres_are_refused(tmp_path, crs, words):

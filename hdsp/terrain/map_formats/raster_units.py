@@ -18,6 +18,8 @@ METRES = {
     **dict.fromkeys(("km", "kilometre", "kilometer", "kilometres", "kilometers"), 1000.0),
 }
 
+#: What is wrong with a Mercator projection of the world, where a metre is 0.6 to 0.7 m in Europe.
+MERCATOR = "is a Mercator projection, whose metres are true at the equator only"
 _REPROJECT = "reproject it to metres, e.g. gdalwarp -t_srs EPSG:25832 IN OUT"
 
 
@@ -25,7 +27,7 @@ def check_crs(crs: Any) -> None:
     """Refuses a CRS whose coordinates are not metres on a plane; None is welcome.
 
     Raises:
-        InputError: the CRS is geographic or geocentric, or has another unit.
+        InputError: the CRS is geographic or geocentric, has another unit, or is a Mercator projection of the world.
     """
     if not crs:
         return
@@ -37,11 +39,13 @@ def check_crs(crs: Any) -> None:
 
 
 def check_plane(crs: Any, advice: str) -> None:
-    """Refuses a geographic or geocentric CRS with advice."""
+    """Refuses a geographic or geocentric CRS, and a Mercator projection of the world, with advice."""
     if crs.is_geographic:
         raise InputError(f"its CRS {_short(crs)} is in degrees; {advice}")
     if any(str(axis.get("direction", "")).startswith("geocentric") for axis in _axes(crs)):
         raise InputError(f"its CRS {_short(crs)} is geocentric; need metres on a plane: {advice}")
+    if any(map(_is_true_at_the_equator, _conversions(crs))):
+        raise InputError(f"its CRS {_short(crs)} {MERCATOR}; {advice}")
 
 
 def height_units(raster: Any, band: int) -> tuple[float, float, list[str]]:
@@ -74,20 +78,38 @@ def vertical_unit(crs: Any) -> tuple[str, float] | None:
     return None
 
 
+def _is_true_at_the_equator(conversion: dict[str, Any]) -> bool:
+    """Whether a projection is a Mercator projection, web or other, whose scale holds at the equator."""
+    name = str(conversion.get("method", {}).get("name", ""))
+    values = {str(each.get("name", "")): each.get("value") for each in conversion.get("parameters", [])}
+    whole = {"Latitude": 0.0, "Scale": 1.0}  # first words of names, and the value at the equator
+    true = all(values[key] == whole.get(key.split()[0], values[key]) for key in values)
+    return true and (name.startswith("Mercator") or "Pseudo Mercator" in name)
+
+
 def _axes(crs: Any) -> list[dict[str, Any]]:
     """All axes of a CRS, as in PROJJSON; none for a CRS that PROJ cannot describe."""
+    return [axis for part in _parts(crs) for axis in part.get("coordinate_system", {}).get("axis", [])]
+
+
+def _conversions(crs: Any) -> list[dict[str, Any]]:
+    """All projections of a CRS, as in PROJJSON."""
+    return [part["conversion"] for part in _parts(crs) if "conversion" in part]
+
+
+def _parts(crs: Any) -> list[dict[str, Any]]:
+    """A CRS and the systems that it is made of, as in PROJJSON."""
     from rasterio.errors import CRSError
 
     try:
-        return _axes_in(crs.to_dict(projjson=True))
+        return _parts_in(crs.to_dict(projjson=True))
     except CRSError:
         return []
 
 
-def _axes_in(described: dict[str, Any]) -> list[dict[str, Any]]:
-    parts = [*described.get("components", []), *([described["source_crs"]] if "source_crs" in described else [])]
-    own = described.get("coordinate_system", {}).get("axis", [])
-    return [*own, *(axis for part in parts for axis in _axes_in(part))]
+def _parts_in(described: dict[str, Any]) -> list[dict[str, Any]]:
+    inner = [*described.get("components", []), *([described["source_crs"]] if "source_crs" in described else [])]
+    return [described, *(part for each in inner for part in _parts_in(each))]
 
 
 def _short(crs: Any) -> str:

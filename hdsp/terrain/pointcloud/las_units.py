@@ -17,7 +17,7 @@ import numpy as np
 
 from hdsp.base.errors import InputError
 from hdsp.base.quiet import quiet_thread
-from hdsp.terrain.map_formats.raster_units import check_plane, vertical_unit
+from hdsp.terrain.map_formats.raster_units import MERCATOR, check_plane, vertical_unit
 
 _OWNER = b"LASF_Projection"
 _WKT, _KEYS = 2112, 34735
@@ -26,6 +26,7 @@ _MOST_RECORDS = 10_000
 _MODEL, _PLANE, _PLANE_UNIT, _HEIGHT, _HEIGHT_UNIT = 1024, 3072, 3076, 4096, 4099
 _GEOGRAPHIC, _GEOCENTRIC = 2, 3  # models
 _NO_CODE = (0, 32767)
+_MERCATOR_CODES = (3857, 3785, 3395)  # of the world: web, its predecessor, ellipsoidal
 #: Metres per unit, by the code of the unit.
 _METRES = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937, 9036: 1000.0}
 _ADVICE = "reproject it to metres, e.g. with pdal, or give the option units"
@@ -37,7 +38,7 @@ def metres_in_las(content: bytes) -> np.ndarray:
     Heights without units of their own have those of x and y.
 
     Raises:
-        InputError: the CRS is geographic or geocentric.
+        InputError: the CRS is geographic or geocentric, or a Mercator projection of the world.
 
     Warns:
         UserWarning: the CRS is unknown, and metres are assumed.
@@ -47,6 +48,8 @@ def metres_in_las(content: bytes) -> np.ndarray:
     if keys.get(_MODEL) in (_GEOGRAPHIC, _GEOCENTRIC):
         named = "in degrees" if keys[_MODEL] == _GEOGRAPHIC else "geocentric"
         raise InputError(f"its CRS is {named}; {_ADVICE}")
+    if keys.get(_PLANE) in _MERCATOR_CODES:
+        raise InputError(f"its CRS EPSG:{keys[_PLANE]} {MERCATOR}; {_ADVICE}")
     wkt = records.get(_WKT, b"").split(b"\0")[0].decode("utf-8", "replace").strip()
     plane, height = _METRES.get(keys.get(_PLANE_UNIT, 0)), _METRES.get(keys.get(_HEIGHT_UNIT, 0))
     if wkt:

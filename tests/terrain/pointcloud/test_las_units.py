@@ -51,6 +51,9 @@ def test_las_files_are_read_in_the_units_of_their_wkt(tmp_path, extended):
         ({1024: 3, 2048: 4978}, "its CRS is geocentric"),
         ("EPSG:4326", "EPSG:4326 is in degrees"),
         ("EPSG:4978", "EPSG:4978 is geocentric"),
+        ({1024: 1, 3072: 3857, 3076: 9001}, "EPSG:3857 is a Mercator projection, whose metres are true at the equator"),
+        ("EPSG:3857", "EPSG:3857 is a Mercator projection"),
+        ("EPSG:3395+5703", "is a Mercator projection"),
     ],
 )
 def test_las_files_that_are_not_on_a_plane_need_units(tmp_path, record, words):
