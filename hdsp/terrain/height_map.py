@@ -25,7 +25,7 @@ from hdsp.terrain.conditioning import ConditioningReport, Stages, is_conditioned
 from hdsp.terrain.map_filters import UNCHANGED, ConditioningSettings
 from hdsp.terrain.map_formats import MAP_SUFFIXES, MapFields, ReadOptions, is_map, read_map, write_map
 from hdsp.terrain.map_frame import MapFrame
-from hdsp.terrain.no_data import implausible_heights, unmasked
+from hdsp.terrain.no_data import implausible_heights, outlying_heights, unmasked
 from hdsp.terrain.patches import TIE, checked_side, gather, nearest_cell, patch_offsets
 from hdsp.terrain.pointcloud.cloud_files import FORMATS, read_points
 from hdsp.terrain.pointcloud.cloud_mapping import MapSettings, map_points
@@ -338,10 +338,11 @@ def as_height_map(terrain: "HeightMap | np.ndarray | str | os.PathLike", resolut
         InputError: an array without a resolution, a resolution beside a map that has one, or an invalid map.
 
     Warns:
-        UserWarning: heights seem to be millimetres, or no-data values are amid them.
+        UserWarning: heights seem to be millimetres, or no-data values or other single values are amid them.
     """
     found = _converted(terrain, resolution)
-    for sign in implausible_heights(found.heights, found.resolution):
+    known = found.heights[np.isfinite(found.heights)].astype(float)
+    for sign in implausible_heights(found.heights, found.resolution) or outlying_heights(known):
         warnings.warn(f"terrain: {sign}", stacklevel=3)
     return found
 

@@ -9,16 +9,12 @@ import numpy as np
 from hdsp.robot.lattice import RESOLUTION, cells
 from hdsp.terrain.conditioning import COARSEST
 from hdsp.terrain.height_map import HeightMap
-from hdsp.terrain.no_data import implausible_heights
+from hdsp.terrain.no_data import implausible_heights, outlying_heights
 
 _FINEST = 0.01  # m, side of a cell
 _SMALLEST = 1.0  # m, side of a map; robots are about as long
 _MOST_CELLS = 16_000_000  # of the planner, 100 x 100 m
 _LEVEL = 3.0  # m, height of the ground over zero that is worth a word
-_APART = 5.0  # m between one frequent height and all others
-_FREQUENT = 0.001  # share of cells with one height
-_LOWEST = 0.02  # share of the known cells that may lie under the ground
-_UNDER = 1.0  # m under the ground
 _STEEP = 3.0  # step between neighbours, in cells
 _UNKNOWN = 0.8  # share
 
@@ -44,33 +40,10 @@ def _about_heights(heights: np.ndarray, terrain: HeightMap) -> Iterator[str]:
         if heights.size > 1:
             yield f"all known heights are {low:g} m"
     else:
-        yield from _about_extremes(heights, low, high)
-        yield from _about_depths(heights)
+        yield from outlying_heights(heights)
     level = float(np.median(heights))
     if abs(level) > _LEVEL and not terrain.frame.crs:
         yield f"the ground lies {abs(level):.2f} m {'above' if level > 0 else 'below'} zero"
-
-
-def _about_extremes(heights: np.ndarray, low: float, high: float) -> Iterator[str]:
-    for value in (low, high):
-        there = heights == value
-        distance = np.abs(heights[~there] - value).min()
-        if there.mean() >= _FREQUENT and np.count_nonzero(there) > 2 and distance > _APART:
-            yield (
-                f"{there.mean():.1%} of the known cells have the height {value:g} m, {distance:.1f} m from all others: "
-                "a no-data value?"
-            )
-
-
-def _about_depths(heights: np.ndarray) -> Iterator[str]:
-    count = int(len(heights) * _LOWEST)
-    lowest = np.partition(heights, count)[: count + 1]
-    lowest.sort()
-    gaps = np.flatnonzero(np.diff(lowest) > _UNDER)
-    if len(gaps):
-        under = int(gaps[-1]) + 1
-        cells = "1 cell lies" if under == 1 else f"{under:,} cells lie"
-        yield f"{cells} under the ground, the lowest by {lowest[under] - lowest[0]:.1f} m"
 
 
 def _about_axes(terrain: HeightMap) -> Iterator[str]:

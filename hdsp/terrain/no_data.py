@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 #: Usual no-data values: of geographic rasters, of 16 bit integers.
-_USUAL = (-9999.0, -99999.0, -999999.0, -32768.0, -32767.0, -10000.0, -999.0, -9999.9, 9999.0, 99999.0, 999999.0)
+_NEGATIVE = (-999.0, -9999.0, -9999.9, -9999.99, -10000.0, -32767.0, -32768.0, -99999.0, -1e5, -999999.0, -1e6)
+_USUAL = (*_NEGATIVE, 9999.0, 65535.0, 99999.0, 999999.0, 1e6)
 
 _LEAST = min(abs(value) for value in _USUAL)
 
@@ -16,6 +18,11 @@ _LIMIT = 1e7
 
 #: A usual value counts as no-data if the other heights are farther from it than this share of it.
 _APART = 0.5
+
+_FREQUENT, _MOST = 0.001, 0.5  # shares of cells with one height far from all others
+_FAR, _TALL = 5.0, 20.0  # m between this height and all others; above the ground, simulated walls have one height
+_LOWEST = 0.02  # share of the known cells that may lie under the ground
+_UNDER = 1.0  # m under the ground
 
 _FINE = 0.25  # m; cells up to this size show steps
 _RISE, _SHARE = 0.5, 0.2  # m; in ground in metres fewer steps between neighbours are so high
@@ -93,6 +100,41 @@ def implausible_heights(heights: np.ndarray, resolution: float) -> tuple[str, ..
         span = f"{known.min():g} to {known.max():g}"
         signs.append(f"heights from {span} m in cells of {resolution:g} m: millimetres or centimetres?")
     return tuple(signs)
+
+
+def outlying_heights(heights: np.ndarray) -> tuple[str, ...]:
+    """Signs of single values amid heights that may be no measurements: one frequent height far from all others, and few
+    cells deep under the ground.
+
+    Args:
+        heights: float [n], m, all known.
+    """
+    return (*_extremes(heights), *_depths(heights)) if heights.size else ()
+
+
+def _extremes(heights: np.ndarray) -> Iterator[str]:
+    low, high = heights.min(), heights.max()
+    for value, far in ((low, _FAR), (high, _TALL if high > 0 else _FAR)):
+        there = heights == value
+        if there.all():
+            return
+        distance = np.abs(heights[~there] - value).min()
+        if _FREQUENT <= there.mean() <= _MOST and np.count_nonzero(there) > 2 and distance > far:
+            yield (
+                f"{there.mean():.1%} of the known cells have the height {value:g} m, {distance:.1f} m from all others: "
+                "a no-data value?"
+            )
+
+
+def _depths(heights: np.ndarray) -> Iterator[str]:
+    count = int(len(heights) * _LOWEST)
+    lowest = np.partition(heights, count)[: count + 1]
+    lowest.sort()
+    gaps = np.flatnonzero(np.diff(lowest) > _UNDER)
+    if len(gaps):
+        under = int(gaps[-1]) + 1
+        cells = "1 cell lies" if under == 1 else f"{under:,} cells lie"
+        yield f"{cells} under the ground, the lowest by {lowest[under] - lowest[0]:.1f} m"
 
 
 def _seem_millimetres(heights: np.ndarray, resolution: float) -> bool:

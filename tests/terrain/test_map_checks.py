@@ -45,9 +45,27 @@ def test_m18_millimetres_are_suspected_and_a_planner_warns(noise):
         Planner(heights, resolution=0.025)
 
 
-@pytest.mark.parametrize("value", [-9999, -32768, 1e20])
+@pytest.mark.parametrize("value", [-9999, -9999.99, -32768, 65535, -1e6, 1e6, 1e20])
 def test_m10_no_data_values_in_an_array_are_named(value):
     assert f"with the no-data value {value:g}; make it NaN" in told(put(ground() + 412, value, 0.01))
+
+
+@pytest.mark.parametrize("value", [0.0, 65.535, -99.0])
+def test_a_planner_warns_of_a_patch_with_one_height_far_from_all_others(value):
+    heights = ground() + 312
+    heights[60:66, 30:50] = value
+    with pytest.warns(
+        UserWarning, match=f"terrain: 0.8% of the known cells have the height {value:g} m, .* all others"
+    ):
+        Planner(heights, resolution=0.025)
+
+
+def test_a_planner_warns_of_cells_deep_under_the_ground(recwarn):
+    Planner(put(ground(), np.nan, 0.3), resolution=0.025)
+    Planner(np.where(np.arange(120) < 4, 9.0, ground()), resolution=0.025)  # a wall
+    assert not recwarn.list
+    with pytest.warns(UserWarning, match=r"terrain: 40 cells lie under the ground, the lowest by 4\.0 m"):
+        Planner(np.where(np.arange(14400).reshape(120, 120) % 360 == 7, -4.0, ground(noise=0)), resolution=0.025)
 
 
 @pytest.mark.parametrize(

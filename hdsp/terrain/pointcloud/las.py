@@ -95,8 +95,11 @@ def _plain(content: bytes, header: _LasHeader) -> np.ndarray:
     if header.length < 20 or header.start + header.points * header.length > len(content):
         raise ValueError(f"cut off: {(len(content) - header.start) // max(1, header.length)} of {header.points} points")
     # Bytes 15 and 16: class and flags in one, or flags and class.
-    layout = {"names": ["xyz", "flags", "class"], "formats": [("<i4", 3), "u1", "u1"], "offsets": [0, 15, 16]}
-    records = np.frombuffer(content, np.dtype({**layout, "itemsize": header.length}), header.points, header.start)
+    kinds = [("<i4", 3), "u1", "u1"]
+    record = np.dtype(
+        {"names": ["xyz", "flags", "class"], "formats": kinds, "offsets": [0, 15, 16], "itemsize": header.length}
+    )
+    records = np.frombuffer(content, record, header.points, header.start)
     if header.kind < _WITH_FLAGS:
         dropped = (records["flags"] & 0x1F == _NOISE) | (records["flags"] & 0x80 > 0)
     else:
