@@ -25,7 +25,7 @@ from hdsp.terrain.conditioning import ConditioningReport, Stages, is_conditioned
 from hdsp.terrain.map_filters import UNCHANGED, ConditioningSettings
 from hdsp.terrain.map_formats import MAP_SUFFIXES, MapFields, ReadOptions, is_map, read_map, write_map
 from hdsp.terrain.map_frame import MapFrame
-from hdsp.terrain.no_data import implausible_heights, outlying_heights, unmasked
+from hdsp.terrain.no_data import coarse_steps, implausible_heights, outlying_heights, unmasked
 from hdsp.terrain.patches import TIE, checked_side, gather, nearest_cell, patch_offsets
 from hdsp.terrain.pointcloud.cloud_files import FORMATS, read_points
 from hdsp.terrain.pointcloud.cloud_mapping import MapSettings, map_points
@@ -47,6 +47,9 @@ class HeightMap:
     Raises:
         InputError: if the heights are not a 2D array of finite or NaN numbers, or the resolution is not positive.
 
+    Warns:
+        UserWarning: heights are float16 with steps of more than 1 cm.
+
     Example:
         >>> import numpy as np
         >>> terrain = HeightMap(np.zeros((80, 40)), origin=(1.0, 2.0), resolution=0.05)
@@ -61,8 +64,13 @@ class HeightMap:
 
     def __post_init__(self):
         try:
+            if coarse := coarse_steps(self.heights):
+                warnings.warn(f"height map: {coarse}", stacklevel=3)
+            given = np.asarray(unmasked(self.heights))
+            if given.dtype.kind not in "iufO":
+                raise InputError(f"height map: heights have the type {given.dtype}; need numbers in metres")
             with np.errstate(over="ignore"):  # a float64 too large for float32 becomes inf and is rejected below
-                heights = np.array(unmasked(self.heights), dtype=np.float32, order="C")
+                heights = np.array(given, dtype=np.float32, order="C")
             origin = tuple(real(value) for value in self.origin)
         except (TypeError, ValueError, OverflowError) as error:
             raise InputError(f"height map: {error}; need a 2D array, an origin (x, y) and a resolution") from None

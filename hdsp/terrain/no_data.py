@@ -24,6 +24,8 @@ _FAR, _TALL = 5.0, 20.0  # m between this height and all others; above the groun
 _LOWEST = 0.02  # share of the known cells that may lie under the ground
 _UNDER = 1.0  # m under the ground
 
+_COARSE = 0.01  # m; coarser steps of heights look like kerbs
+
 _FINE = 0.25  # m; cells up to this size show steps
 _RISE, _SHARE = 0.5, 0.2  # m; in ground in metres fewer steps between neighbours are so high
 _HIGH = 8.0  # m; in ground in metres some step is lower
@@ -57,6 +59,16 @@ def no_data_values(heights: np.ndarray) -> list[float]:
     values = heights[rest]
     apart = [value for value in found if not values.size or np.abs(values - value).min() > _APART * abs(value)]
     return sorted([*apart, *huge])
+
+
+def coarse_steps(heights: Any) -> str:
+    """A phrase on half-precision heights whose steps are too coarse; "" for others."""
+    if getattr(heights, "dtype", None) != np.float16 or not np.isfinite(heights).any():
+        return ""
+    highest = np.abs(np.ma.getdata(heights)[np.isfinite(np.ma.getdata(heights))]).max()
+    if np.spacing(highest) <= _COARSE:
+        return ""
+    return f"heights are float16, with steps of {float(np.spacing(highest)):g} m at {float(highest):g} m; need float32"
 
 
 def without_no_data(heights: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:

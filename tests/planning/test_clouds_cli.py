@@ -52,6 +52,21 @@ def test_m8_the_line_tells_a_slope_and_how_to_level_it(tmp_path, capsys):
     assert back[2] == pytest.approx(3 - np.tan(np.radians(12)) * (back[0] - 10), abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--max-tilt", "100"], "--max-tilt is 100; need more than 0, and at most 90 degrees"),
+        (["--max-tilt=-1"], "--max-tilt is -1; need more than 0"),
+        (["--max-tilt", "nan"], "--max-tilt is nan; need more than 0"),
+        (["--no-level", "--max-tilt", "10"], "--no-level keeps z, and --max-tilt levels; need one of them"),
+    ],
+)
+def test_a_tilt_without_a_meaning_is_refused(tmp_path, capsys, options, words):
+    cloud = saved(tmp_path / "a.xyz", room())
+    assert main(["map", cloud, *options, "--out", str(tmp_path / "a.npz")]) == 1
+    assert words in capsys.readouterr().err and not (tmp_path / "a.npz").exists()
+
+
 def test_m16_another_axis_up_is_refused_until_the_axes_are_given(tmp_path, capsys):
     cloud = saved(tmp_path / "a.xyz", np.concatenate([room(), wall(-2, (-1.5, 1.5), (0, 2.4))])[:, [1, 2, 0]])
     assert main(["map", cloud, "--out", str(tmp_path / "a.npz")]) == 1

@@ -1,4 +1,5 @@
 import math
+import re
 
 import numpy as np
 import pytest
@@ -50,6 +51,27 @@ def test_heights_cannot_be_changed_and_do_not_follow_what_they_were_made_from():
     assert terrain.heights[0, 0] == 0
     with pytest.raises(ValueError, match="read-only"):
         terrain.heights[0, 0] = 1
+
+
+@pytest.mark.parametrize("kind", [complex, bool, str, "datetime64[s]", "timedelta64[s]"])
+def test_heights_of_another_type_than_numbers_are_refused(kind):
+    with pytest.raises(InputError, match=r"height map: heights have the type .*; need numbers in metres"):
+        HeightMap(np.zeros((4, 4), int).astype(kind))
+    with pytest.raises(InputError, match="heights have the type"):
+        HeightMap([["1", "2"], ["3", "4"]])
+    assert HeightMap(np.zeros((2, 2), object)).shape == (2, 2)
+
+
+def test_half_precision_heights_far_from_zero_bring_a_warning(tmp_path, recwarn):
+    near, far = np.full((4, 4), 3.1, np.float16), np.full((4, 4), 312.4, np.float16)
+    far[0, 0] = np.nan
+    HeightMap(near)
+    assert not recwarn.list
+    words = r"heights are float16, with steps of 0\.25 m at 312\.5 m; need float32"
+    with pytest.warns(UserWarning, match=words):
+        HeightMap(far)
+    np.save(tmp_path / "a.npy", far)
+    assert re.match(words, HeightMap.load(tmp_path / "a.npy", resolution=0.05).frame.notes[0])
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.int16])

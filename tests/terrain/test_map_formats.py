@@ -206,6 +206,12 @@ def test_m7_grey_values_of_a_pgm_are_heights(tmp_path, content):
     assert equal(terrain, [[-0.6, -0.9], [-0.5, -0.8], [math.nan, -0.7]], (3, 4))
 
 
+def test_grey_values_that_are_floats_are_refused(tmp_path):
+    (tmp_path / "a.pgm").write_bytes(b"Pf\n3 2\n-1.0\n" + PICTURE.astype("<f4").tobytes())
+    with pytest.raises(InputError, match=r"its grey values are floats \(Pf\); need whole numbers"):
+        HeightMap.load(tmp_path / "a.pgm", resolution=0.5, scale=1)
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_m7_grey_values_of_a_png_are_heights(tmp_path, dtype):
     values = PICTURE.astype(dtype) * (1 if dtype == np.uint8 else 1000)

@@ -44,6 +44,12 @@ def test_a_plane_in_metres_is_welcome(tmp_path, crs):
     assert equal(HeightMap.load(geotiff(tmp_path / "a.tif", crs=crs)), HEIGHTS, (100, 199))
 
 
+@pytest.mark.parametrize("tags", [{"scales": (0,)}, {"scales": (np.nan,)}, {"offsets": (np.inf,)}])
+def test_a_band_whose_scale_gives_no_heights_is_refused(tmp_path, tags):
+    with pytest.raises(InputError, match=r"band 1 has the scale .* and the offset .*; need finite ones, no scale 0"):
+        HeightMap.load(geotiff(tmp_path / "a.tif", np.array(HEIGHTS, np.int16), tags=tags))
+
+
 @pytest.mark.parametrize(
     ("crs", "words"),
     [

@@ -19,6 +19,7 @@ from hdsp.terrain.pointcloud import FORMATS, FloorSettings, MapSettings, describ
 
 POINT_FILES = f"points ({', '.join(FORMATS)}; also with .gz or .bz2)"
 _AXES = "x,y,z"
+_UPRIGHT = 90.0  # degrees
 #: Fields of `MapSettings` that are options of the same name.
 _MEANINGS = {
     "lowest": "m above the ground; lower points are dropped",
@@ -85,7 +86,9 @@ def map_clouds(chosen: argparse.Namespace) -> MadeMap:
     """
     if chosen.scan:
         return _map_scan(chosen)
-    clouds = []
+    if not chosen.level and chosen.max_tilt is not None:
+        raise InputError("--no-level keeps z, and --max-tilt levels; need one of them")
+    floor, clouds = floor_settings(chosen), []
     for number, path in enumerate(chosen.files, 1):
         with chosen.console.progress.during(f"reading {Path(path).name} ({number} of {len(chosen.files)})"):
             clouds.append(read_cloud(path, chosen))
@@ -94,7 +97,7 @@ def map_clouds(chosen: argparse.Namespace) -> MadeMap:
         **{name: getattr(chosen, name) for name in _MEANINGS},
         box=tuple(chosen.box) if chosen.box else None,
         level=False if not chosen.level else None if chosen.max_tilt is None else True,
-        floor=floor_settings(chosen),
+        floor=floor,
         check_up=chosen.axes is None,
     )
     resolution = {} if chosen.resolution is None else {"resolution": chosen.resolution}
@@ -137,4 +140,6 @@ def floor_settings(chosen: argparse.Namespace) -> FloorSettings:
     """Settings for the floor with the chosen tilt."""
     if chosen.max_tilt is None:
         return FloorSettings()
+    if not 0 < chosen.max_tilt <= _UPRIGHT:
+        raise InputError(f"--max-tilt is {chosen.max_tilt:g}; need more than 0, and at most {_UPRIGHT:g} degrees")
     return replace(FloorSettings(), max_tilt=float(np.deg2rad(chosen.max_tilt)))

@@ -54,6 +54,8 @@ def _grey(image: Any) -> np.ma.MaskedArray:
     """Grey values [rows, columns] as in the file; transparent pixels are masked."""
     largest = _largest(image)
     transparent = image.info.get("transparency")
+    if image.mode == "F":
+        raise InputError("its grey values are floats (Pf); need whole numbers, or a GeoTIFF")
     if image.mode == "P":
         image = image.convert("RGBA" if transparent is not None else "RGB")
     values = np.array(image)

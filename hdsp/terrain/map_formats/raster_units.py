@@ -52,8 +52,13 @@ def height_units(raster: Any, band: int) -> tuple[float, float, list[str]]:
     """Scale and offset to metres by the scale, offset and units of a band, and notes.
 
     Units of a band that names none are those of the heights in the CRS.
+
+    Raises:
+        InputError: the scale is 0, or one of them is not finite.
     """
     scale, offset, notes = raster.scales[band - 1], raster.offsets[band - 1], []
+    if not (math.isfinite(scale) and math.isfinite(offset) and scale != 0):
+        raise InputError(f"band {band} has the scale {scale:g} and the offset {offset:g}; need finite ones, no scale 0")
     if (scale, offset) != (1.0, 0.0):
         notes.append(f"heights times {scale:g} plus {offset:g}, as the band says")
     unit, in_crs = str(raster.units[band - 1] or "").strip(), vertical_unit(raster.crs)

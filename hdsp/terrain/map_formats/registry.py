@@ -36,7 +36,7 @@ from hdsp.terrain.map_formats.grid_map_bags import bag_contents, is_bag_folder, 
 from hdsp.terrain.map_formats.images import image_contents, read_image_map
 from hdsp.terrain.map_formats.rasters import geotiff_bytes, raster_contents, read_raster
 from hdsp.terrain.map_frame import MapFrame
-from hdsp.terrain.no_data import without_no_data
+from hdsp.terrain.no_data import coarse_steps, without_no_data
 
 _HEIGHTS = ("scale", "offset", "nodata", "max_cells")
 _PLACE = ("resolution", "origin")
@@ -286,7 +286,7 @@ def _in_metres(fields: MapFields, options: ReadOptions) -> MapFields:
         raise InputError(f"its cells of {float(fields.resolution):g} m are none; need {_SMALLEST:g} to {_LARGEST:g} m")
     if not (np.abs(np.asarray(fields.origin, float)) <= _FARTHEST).all():
         raise InputError(f"its origin {tuple(fields.origin)} is no place on Earth in metres")
-    values = np.ma.getdata(fields.heights)
+    values, coarse = np.ma.getdata(fields.heights), coarse_steps(fields.heights)
     heights = np.array(values, dtype=np.float32 if values.dtype.itemsize < 4 else None)
     heights = heights.astype(float) if heights.dtype.kind != "f" else heights
     heights[np.ma.getmaskarray(fields.heights)] = np.nan
@@ -294,6 +294,7 @@ def _in_metres(fields: MapFields, options: ReadOptions) -> MapFields:
         # A no-data value is a decimal text, the heights are float32 or float64.
         heights[(heights == options.nodata) | (heights == np.float32(options.nodata))] = np.nan
     heights, notes = without_no_data(heights)
+    notes = (*notes, coarse) if coarse else notes
     if (fields.scale, fields.offset) != (1.0, 0.0):
         heights = heights * fields.scale + fields.offset
     if options.scale is not None:

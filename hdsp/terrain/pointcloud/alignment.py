@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from hdsp.base.errors import InputError
 from hdsp.base.messages import shown, spans
@@ -41,7 +42,7 @@ class FloorSettings:
         seed: seed for the proposals.
     """
 
-    max_tilt: Positive = math.radians(15)
+    max_tilt: Annotated[float, Field(gt=0, le=math.pi / 2)] = math.radians(15)
     thickness: Positive = 0.025
     voxel: Positive = 0.05
     reach: Positive = 1.5

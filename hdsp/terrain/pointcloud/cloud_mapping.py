@@ -19,7 +19,7 @@ from hdsp.base.settings import Natural, NotNegative, Positive, checked, fault, l
 from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.filling import filled, smoothed
 from hdsp.terrain.pointcloud.alignment import FloorSettings, Plane, fit_floor, level, thinned, unlevelled
-from hdsp.terrain.pointcloud.faults import Cleaned, check_extent, without_far_points, without_no_data
+from hdsp.terrain.pointcloud.faults import Cleaned, check_extent, check_steps, without_far_points, without_no_data
 from hdsp.terrain.pointcloud.gravity import Gravity, check_up, judge
 from hdsp.terrain.pointcloud.ground import ground_below
 from hdsp.terrain.pointcloud.point_arrays import point_array
@@ -129,8 +129,9 @@ def map_points(points: np.ndarray, settings: MapSettings | None = None, resoluti
         resolution: cell size, m.
 
     Raises:
-        InputError: if points or settings are invalid, no point is left, the extent is implausible for metres, no floor
-            is found, z is not up, or the resolution is no number from 0.0001 to 10,000.
+        InputError: if points or settings are invalid, no point is left, the extent is implausible for metres,
+            coordinates lost their decimals as float32, no floor is found, z is not up, or the resolution is no number
+            from 0.0001 to 10,000.
     """
     side = real(resolution)
     if not _SMALLEST <= side <= _LARGEST:
@@ -141,6 +142,7 @@ def map_points(points: np.ndarray, settings: MapSettings | None = None, resoluti
     given = len(points)
     points, notes = cleaned(points, settings.box)
     check_extent(points, resolution)
+    check_steps(points, resolution)
     points, floor, to_source, more, doubts = _levelled(points, settings)
     before = len(points)
     points, cuts, under = _cut(points, settings)

@@ -9,7 +9,7 @@ from hdsp.base.settings import load_settings
 from hdsp.robot.lattice import RESOLUTION
 from hdsp.terrain.pointcloud.alignment import FloorSettings, Plane, fit_floor
 from hdsp.terrain.pointcloud.cloud_mapping import MapSettings, about_gravity, about_tilt, cleaned
-from hdsp.terrain.pointcloud.faults import check_extent, millimetres
+from hdsp.terrain.pointcloud.faults import check_extent, check_steps, millimetres
 from hdsp.terrain.pointcloud.gravity import check_up, judge
 from hdsp.terrain.pointcloud.point_arrays import finite_points
 
@@ -42,6 +42,7 @@ def describe_points(points: np.ndarray, settings: FloorSettings | None = None, l
             phrases.append(suspicion)
             return "; ".join(phrases)
         check_extent(rest, RESOLUTION)
+        check_steps(rest, RESOLUTION)
         phrases += _ground(rest, settings, level)
     except InputError as error:
         phrases.append(str(error))

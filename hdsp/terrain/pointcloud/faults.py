@@ -23,6 +23,7 @@ _FAR_SHARE, _FAR_POINTS = 0.001, 10  # more points than this are a part of the p
 _SMALLEST_EXTENT = 0.2  # m
 _GREATEST_RELIEF = 10_000.0  # m
 _LARGEST_MAP = 100_000_000  # cells; a larger scan is probably not in metres
+_MOST_STEP = 0.25  # cells; coarser steps of coordinates leave cells without points
 _MILLIMETRES = 1000.0  # m; larger extents in all three axes are millimetres
 
 
@@ -98,6 +99,18 @@ def check_extent(points: np.ndarray, resolution: float) -> None:
         raise InputError(
             f"{text} see the option units; or cut a box out of them: most lie in {spans(low[:2], high[:2])}"
         )
+
+
+def check_steps(points: np.ndarray, resolution: float) -> None:
+    """Raises an InputError if x or y went through float32 and lost the decimals that a map needs."""
+    for values, name in zip(points.T[:2], "xy", strict=True):
+        place = float(np.median(np.abs(values)))
+        step = float(np.spacing(np.float32(place)))
+        if step > _MOST_STEP * resolution and (values == values.astype(np.float32)).all():
+            raise InputError(
+                f"{name} has steps of {step:g} m, as float32 has at {place:,.0f} m; need float64, or subtract an "
+                "offset from the coordinates before they become float32"
+            )
 
 
 def millimetres(points: np.ndarray) -> str:

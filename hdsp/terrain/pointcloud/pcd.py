@@ -65,6 +65,8 @@ def read_pcd(content: bytes, limits: CloudLimits = DEFAULT_LIMITS) -> np.ndarray
     record = header.record
     if len(body) < header.points * record.itemsize:
         raise ValueError(f"cut off: {len(body) // record.itemsize} of {header.points} points")
+    if record.itemsize and len(body) // record.itemsize > header.points:
+        raise ValueError(f"data of {len(body) // record.itemsize} points; the header says {header.points}")
     records = np.frombuffer(body, record, header.points)
     return np.stack([records[str(axis)][:, 0].astype(float) for axis in axes], axis=1)
 
@@ -88,10 +90,10 @@ def _header(content: bytes) -> _Header:
     kinds = [kind.upper() for kind in entries.get("TYPE", ["F"] * width)]
     if len(kinds) != width or any(size not in _KINDS.get(kind, ()) for kind, size in zip(kinds, sizes, strict=True)):
         raise ValueError(f"TYPE {' '.join(kinds)} with SIZE {sizes} for {width} fields; need F 2 4 8, or I, U 1 2 4 8")
-    if "POINTS" in entries:
-        points = _numbers(entries, "POINTS", 1)[0]
-    else:
-        points = _numbers(entries, "WIDTH", 1)[0] * _numbers(entries, "HEIGHT", 1)[0]
+    sides = [_numbers(entries, side, 1)[0] for side in ("WIDTH", "HEIGHT")] if "WIDTH" in entries else []
+    points = _numbers(entries, "POINTS", 1)[0] if "POINTS" in entries or not sides else sides[0] * sides[1]
+    if sides and points != sides[0] * sides[1]:
+        raise ValueError(f"POINTS {points}, but WIDTH {sides[0]} and HEIGHT {sides[1]}")
     encoding = " ".join(entries["DATA"]).lower()
     if encoding not in ("ascii", "binary", "binary_compressed"):
         raise ValueError(f"DATA {encoding}; need ascii, binary or binary_compressed")

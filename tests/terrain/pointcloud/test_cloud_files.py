@@ -181,6 +181,22 @@ def test_m14_other_types_and_orders_of_fields(tmp_path):
     np.testing.assert_array_equal(read_points(tmp_path / "whole.pcd"), whole)
 
 
+def test_pcd_headers_that_contradict_themselves_or_their_data_are_refused(tmp_path):
+    body = GRID.astype("<f4").tobytes()
+    whole = pcd("x y z", "4 4 4", "F F F", "1 1 1", body, 400)
+    for content, words in (
+        (pcd("x y z", "4 4 4", "F F F", "1 1 1", body, 399), "data of 400 points; the header says 399"),
+        (whole.replace(b"WIDTH 400", b"WIDTH 20"), "POINTS 400, but WIDTH 20 and HEIGHT 1"),
+        (whole.replace(b"HEIGHT 1", b"HEIGHT 2"), "POINTS 400, but WIDTH 400 and HEIGHT 2"),
+    ):
+        (tmp_path / "a.pcd").write_bytes(content)
+        with pytest.raises(InputError, match=words):
+            read_points(tmp_path / "a.pcd")
+    for content in (whole.replace(b"POINTS 400\n", b""), whole.replace(b"WIDTH 400\nHEIGHT 1\n", b""), whole + b"\n"):
+        (tmp_path / "a.pcd").write_bytes(content)
+        np.testing.assert_array_equal(read_points(tmp_path / "a.pcd"), GRID)
+
+
 def test_m14_compressed_fields_lie_one_after_the_other(tmp_path):
     lzf = pytest.importorskip("lzf")
     fields = [np.zeros(400, "<u2"), *np.ascontiguousarray(GRID.T.astype("<f8"))]

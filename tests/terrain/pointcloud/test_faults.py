@@ -29,6 +29,17 @@ def test_coordinates_of_a_projected_cloud_keep_their_decimals_in_messages():
     assert any("e.g. (412999.12, 5654999.5, 1)" in note for note in mapped.report.notes)
 
 
+def test_coordinates_of_a_survey_that_went_through_float32_are_refused():
+    cloud = (FLOOR + (412345.678, 5654321.123, 312.4)).astype(np.float32)
+    with pytest.raises(InputError, match=r"x has steps of 0\.03125 m, as float32 has at 412,34\d m; need float64, or"):
+        map_points(cloud)
+    assert "x has steps of 0.03125 m" in describe_points(cloud)
+    with pytest.raises(InputError, match=r"y has steps of 0\.5 m, as float32 has at 5,654,32\d m"):
+        map_points(cloud, resolution=0.2)
+    assert map_points((FLOOR + (412, 565, 312)).astype(np.float32)).heights.shape[0] >= 160
+    assert map_points(np.round(FLOOR + (412345.678, 5654321.123, 312.4), 2)).heights.shape[0] >= 160
+
+
 @pytest.mark.parametrize("resolution", ["0.05", np.nan, 0, -1, True, None, np.inf, [0.05], 10**400, 1e-300, 1e5])
 def test_a_resolution_is_looked_at_before_the_points(resolution):
     with pytest.raises(InputError, match=r"^resolution is .*; need 0\.0001 to 10000 metres per cell$"):
