@@ -118,11 +118,9 @@ def test_m18_a_plan_on_millimetres_is_warned_of_in_one_line(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (
-            ["map", "{}/ours.npz", "--out", "{}/o.npz", "--units", "0.001"],
-            "option --units does not apply to the",
-        ),
-        (["map", "{}/ours.npz", "--out", "{}/o.npz", "--no-level"], "option --level does not apply"),
+        (["map", "{}/ours.npz", "--out", "{}/o.npz", "--units", "0.001"], "ours.npz; see --scale"),
+        (["info", "{}/ours.npz", "--units", "0.001"], "option --units does not apply to the height map"),
+        (["map", "{}/ours.npz", "--out", "{}/o.npz", "--no-level"], "option --no-level does not apply"),
         (["map", "{}/ours.npz", "{}/ours.h5", "--out", "{}/o.npz"], "2 files; need one height map"),
         (["map", "{}/ours.npz", "--out", "{}/o.npz", "--resolution", "0.05"], "the file has its own resolution"),
         (["map", "{}/grid.tif", "--out", "{}/o.npz", "--topic", "/a"], "option topic does not apply to GeoTIFF"),

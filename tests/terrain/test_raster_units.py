@@ -6,7 +6,7 @@ import rasterio
 
 from hdsp.base.errors import InputError
 from hdsp.terrain.height_map import HeightMap
-from tests.terrain.rasters import HEIGHTS, equal, geotiff
+from tests.terrain.rasters import HEIGHTS, PICTURE, equal, geotiff
 
 SITE_IN_FEET = 'LOCAL_CS["site",UNIT["foot",0.3048]]'
 UTM_WITH_HEIGHTS_IN_FEET = """PROJCRS["UTM with heights",
@@ -68,3 +68,14 @@ def test_m7_rasters_in_other_units_than_metres_are_refused(tmp_path, crs, words)
     with pytest.raises(InputError, match=words) as error:
         HeightMap.load(geotiff(tmp_path / "a.tif", crs=crs))
     assert "\n" not in str(error.value)
+
+
+def test_a_raster_with_ground_control_points_needs_a_transform(tmp_path):
+    corners = [
+        rasterio.control.GroundControlPoint(row, column, 10 + column, 20 - row) for row in (0, 2) for column in (0, 3)
+    ]
+    shape = {"count": 1, "height": 2, "width": 3, "dtype": "float32"}
+    with rasterio.open(tmp_path / "a.tif", "w", driver="GTiff", gcps=corners, crs="EPSG:25832", **shape) as file:
+        file.write(PICTURE.astype("f4"), 1)
+    with pytest.raises(InputError, match=r"it has ground control points and no transform; make one"):
+        HeightMap.load(tmp_path / "a.tif", resolution=0.5)

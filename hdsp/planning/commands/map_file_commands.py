@@ -70,7 +70,9 @@ def refuse_given(chosen: argparse.Namespace, parser: argparse.ArgumentParser, ap
     """Refuses options that were given but do not apply."""
     for name, value in vars(chosen).items():
         if name not in apply and name not in _COMMON and value != parser.get_default(name):
-            raise InputError(f"option --{name.replace('_', '-')} does not apply to {why}")
+            flag = next((action.option_strings[0] for action in parser._actions if action.dest == name), name)
+            hint = "; see --scale" if name == "units" and why.startswith("the height map") else ""
+            raise InputError(f"option {flag} does not apply to {why}{hint}")
 
 
 def convert_map(chosen: argparse.Namespace, parser: argparse.ArgumentParser) -> HeightMap:

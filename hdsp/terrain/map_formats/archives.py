@@ -29,6 +29,12 @@ from hdsp.terrain.map_formats.hdf5_entries import hdf5_entries
 
 _HEIGHTS, _ORIGIN, _RESOLUTION, _FRAME, _DIGEST = "heights", "origin", "resolution", "frame", "digest"
 
+#: Numbers in an entry.
+_COUNTS = {_ORIGIN: 2, _RESOLUTION: 1}
+
+#: Rows of three numbers, so many and more, are points rather than a map three cells wide.
+_POINTS = 100
+
 #: Largest number of elements in an entry beside the heights.
 _SMALL = 1_000_000
 
@@ -160,11 +166,15 @@ def _missing_origin(entries: Mapping[str, Entry], options: ReadOptions) -> list[
 
 
 def _own(name: str, small: Mapping[str, np.ndarray], option: Any, options: ReadOptions) -> Any:
-    """Value of an entry, or of the option with its name."""
+    """Value of an entry, or of the option with its name; an error for an entry with other numbers."""
     if name not in small:
         return option
     options.refuse([name], f"the file has its own {name}, {small[name].tolist()}")
-    return small[name].item() if small[name].size == 1 else small[name]
+    count, values = _COUNTS[name], small[name]
+    if values.size != count or not np.isfinite(values).all():
+        need = "one finite number" if count == 1 else f"{count} finite numbers"
+        raise InputError(f"entry {name} is {values.tolist()!s:.80}; need {need} of metres")
+    return values.item() if count == 1 else tuple(values.ravel().tolist())
 
 
 def _small(name: str, entries: Mapping[str, Entry]) -> np.ndarray:
@@ -177,6 +187,10 @@ def _small(name: str, entries: Mapping[str, Entry]) -> np.ndarray:
 def _check_heights(name: str, shape: tuple[int, ...], dtype: np.dtype, options: ReadOptions) -> None:
     if len(shape) != 2 or dtype.kind not in "iuf":
         raise InputError(f"{name} is {_of_kind(shape, dtype)}; need numbers in two axes [nx, ny]")
+    if shape[1] == 3 and shape[0] >= _POINTS:
+        raise InputError(
+            f"{name} is {_of_kind(shape, dtype)}: points? load it with numpy; HeightMap.from_points maps it"
+        )
     options.check_cells(*shape)
 
 

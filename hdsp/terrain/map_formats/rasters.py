@@ -60,6 +60,8 @@ def read_raster(path: Path, options: ReadOptions) -> MapFields:
         if raster.count > 1:
             notes.append(f"band {band} of {raster.count}")
         crs = raster.crs.to_string() if raster.crs else ""
+        if raster.transform.is_identity and raster.gcps[0]:
+            raise InputError("it has ground control points and no transform; make one, e.g. gdalwarp IN OUT")
         if raster.transform.is_identity:
             resolution = options.cell_size("it has no transform, so no cell size")
             frame = MapFrame(crs=crs, notes=tuple(notes))
