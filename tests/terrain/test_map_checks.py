@@ -50,6 +50,7 @@ def test_m10_no_data_values_in_an_array_are_named(value):
     assert f"with the no-data value {value:g}; make it NaN" in told(put(ground() + 412, value, 0.01))
 
 
+@pytest.mark.filterwarnings("ignore:terrain. 120 cells lie under the ground")
 @pytest.mark.parametrize("value", [0.0, 65.535, -99.0])
 def test_a_planner_warns_of_a_patch_with_one_height_far_from_all_others(value):
     heights = ground() + 312
