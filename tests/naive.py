@@ -10,7 +10,18 @@ import itertools
 import math
 from typing import NamedTuple
 
-from tests.naive_ground import CELL, HEADINGS, INF, MOVES, NaiveGround, deviation_angle, nearest, rotated, turned
+from tests.naive_ground import (
+    CELL,
+    HEADINGS,
+    INF,
+    MOVES,
+    NaiveGround,
+    deviation_angle,
+    nearest,
+    rotated,
+    rounding,
+    turned,
+)
 
 
 class Naive(NaiveGround):
@@ -193,7 +204,8 @@ class Naive(NaiveGround):
         before, after = float(self.height(foothold)), float(self.height(landing))
         highest = max([before, after, *(self.lifted_over(cell) for cell in passed)])
         limits = self.robot.step
-        return abs(after - before) <= limits.max_height and highest - min(before, after) <= limits.max_clearance
+        most = limits.max_height + rounding(before), limits.max_clearance + rounding(before)
+        return abs(after - before) <= most[0] and highest - min(before, after) <= most[1]
 
     def can_step(self, cell, heading, way):
         """Whether a foot in a cell has a foothold in line behind an edge."""

@@ -14,6 +14,7 @@ HEADINGS = 64
 MOVES = [(x, y) for x in range(-2, 3) for y in range(-2, 3) if (x, y) != (0, 0) and not abs(x) == abs(y) == 2]
 INF = math.inf
 TOUCH = 1e-6  # m; a body that touches the ground by no more is free
+ULP = 2.0**-23  # distance between neighbouring float32 values, as a share of them
 REMEMBERED = ["known", "difference", "foothold_difference", "edge", "joined", "steep", "unevenness", "standable",
               "foot_cell", "contact_cell", "cells_of_feet", "contact_height", "blocked", "cost_at", "free", "line",
               "lifted_over", "can_step", "deviation", "least_deviation", "arc"]  # fmt: skip
@@ -47,6 +48,11 @@ def nearest(value, direction):
     if abs(value - below - 0.5) < 1e-9:
         return below + 1 if direction > 0 else below
     return math.floor(value + 0.5)
+
+
+def rounding(height):
+    """Excess (m) of a difference of heights over a limit that may come from their rounding."""
+    return 1e-5 + ULP * abs(float(height))
 
 
 @cache
@@ -134,11 +140,13 @@ class NaiveGround:
 
     def edge(self, cell):
         """Whether no wheel passes a map cell."""
-        return not self.known(cell) or self.difference(cell) > np.float32(self.robot.drive.highest_edge)
+        if not self.known(cell):
+            return True
+        return self.difference(cell) > self.robot.drive.highest_edge + rounding(self.height(cell))
 
     def steep(self, cell, heading):
         """Whether the ground at a cell is too steep for a foot of a robot at this heading."""
-        rolled_over, slope = float(np.float32(self.robot.drive.highest_edge)), self.robot.slope
+        rolled_over, slope = self.robot.drive.highest_edge, self.robot.slope
         steepest = math.tan(slope.max_pitch), math.tan(slope.max_roll)
         # Along this length, an edge that a wheel passes is no steeper than the limit.
         longest = max(math.ceil(self.robot.drive.highest_edge / min(steepest) / CELL / 2 - 1e-9), 1)
@@ -147,10 +155,12 @@ class NaiveGround:
             ends = [(cell[0] + dx, cell[1] + dy), (cell[0] - dx, cell[1] - dy)]
             if not self.joined(cell, way, n):
                 continue
-            rise = abs(float(self.height(ends[0])) - float(self.height(ends[1])))
+            end = float(self.height(ends[0]))
+            rise = abs(end - float(self.height(ends[1])))
             x, y = rotated(-heading, dx, dy)
             largest = math.hypot(steepest[0] * x, steepest[1] * y) / math.hypot(dx, dy)
-            if rise > rolled_over * (1 + 1e-5) and rise / (2 * CELL * math.hypot(dx, dy)) > largest * (1 + 1e-5):
+            gradient = (rise - ULP * abs(end)) / (2 * CELL * math.hypot(dx, dy))
+            if rise > rolled_over + rounding(end) and gradient > largest * (1 + 1e-5):
                 return True
         return False
 

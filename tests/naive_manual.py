@@ -2,12 +2,11 @@
 
 import math
 
-import numpy as np
-
 from hdsp.abstract.flat_table import flat_table
 from hdsp.abstract.manual import coarse_features
 from hdsp.abstract.oracle import CostKind
 from hdsp.robot.lattice import ABSTRACT_ACTIONS, ABSTRACT_HEADINGS, heading_angle, robot_frame_goals
+from tests.naive_ground import rounding
 
 CELL = 0.1  # m
 
@@ -55,14 +54,17 @@ class NaiveManual:
             inside = 0 <= x < values.shape[0] and 0 <= y < values.shape[1]
             return float(values[x, y]) if inside else outside
 
+        def higher(at, limit):
+            return not read(self.ground.height_range, at, math.inf) <= limit + rounding(read(self.ground.top, at, 0.0))
+
         def edge(at):
-            return not read(self.ground.height_range, at, math.inf) <= np.float32(robot.drive.highest_edge)
+            return higher(at, robot.drive.highest_edge)
 
         feet, reach, steps, z = robot.neutral_feet(), settings.foot_reach, set(), []
         for foot, (x, y) in enumerate(feet.tolist()):
             under = cell(x, y)
             z.append(read(self.ground.ground, under, math.nan))
-            if math.isnan(z[-1]) or read(self.ground.height_range, under, math.inf) > np.float32(robot.step.max_height):
+            if math.isnan(z[-1]) or higher(under, robot.step.max_height):
                 return True, set(), 0.0
             if edge(under):
                 steps.add(foot)

@@ -53,6 +53,7 @@ from hdsp.robot.lattice import (
 )
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.rounding import height_tolerance
 
 
 @checked
@@ -267,7 +268,8 @@ def _features_in(heights: np.ndarray, region: Region) -> Features:
 def _ground(features: Features, robot: Robot, reach: int | None) -> CoarseGround:
     """Terrain for kernels, with the highest ground within ``reach`` cells; None leaves it unbounded."""
     ranges, wall, edge = features.height_range, np.float32(robot.step.max_height), np.float32(robot.drive.highest_edge)
-    walls = np.isnan(features.ground) | (ranges > wall)
+    rounding = height_tolerance(features.top)
+    walls = np.isnan(features.ground) | (ranges > wall + rounding)
     tops, heights = np.ascontiguousarray(features.top), np.ascontiguousarray(features.ground)
     near = np.full_like(tops, np.inf)
     if reach is not None:
@@ -275,7 +277,7 @@ def _ground(features: Features, robot: Robot, reach: int | None) -> CoarseGround
 
         known = np.where(np.isnan(tops), np.float32(-np.inf), tops)
         near = maximum_filter(known, 2 * reach + 1, mode="constant", cval=-np.inf)
-    return CoarseGround(walls, ranges > edge, np.nan_to_num(ranges), tops, heights, near)
+    return CoarseGround(walls, ranges > edge + rounding, np.nan_to_num(ranges), tops, heights, near)
 
 
 def _cells_on_the_way(dx: float, dy: float) -> list[tuple[int, int]]:

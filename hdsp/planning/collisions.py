@@ -28,6 +28,7 @@ from hdsp.robot.shape import Box
 from hdsp.terrain.arenas import Arena
 from hdsp.terrain.inclination import inclination
 from hdsp.terrain.obstacles import Block, Face, TiltedGround
+from hdsp.terrain.rounding import height_tolerance
 
 if TYPE_CHECKING:
     from hdsp.planning.answers.plans import Plan
@@ -270,7 +271,8 @@ def _foot_gaps(arena: Arena, feet: np.ndarray, ground: np.ndarray, robot: Robot,
         outside = nearest.T + np.minimum(_BESIDE / np.maximum(distance, _BESIDE), 1.0)[:, None] * (feet - nearest.T)
         rise = arena.scene.heights_at(*outside.T) - ground
         furthest = steepest * np.maximum(distance, 0.0)
-        high = np.broadcast_to(top > ground + np.clip(rise, -furthest, furthest) + limit, ground.shape)
+        most = ground + np.clip(rise, -furthest, furthest) + limit + height_tolerance(ground)
+        high = np.broadcast_to(top > most, ground.shape)
         gaps[high, index] = distance[high] - FOOT_RADIUS
     return gaps
 
@@ -280,4 +282,4 @@ def _drops(arena: Arena, feet: np.ndarray, ground: np.ndarray, limit: float, tol
     radius = max(FOOT_RADIUS - tolerance, 0.0)
     x = feet[:, :1] + radius * np.cos(_RIM)
     y = feet[:, 1:] + radius * np.sin(_RIM)
-    return arena.scene.heights_at(x, y).min(axis=1) < ground - limit - 1e-6
+    return arena.scene.heights_at(x, y).min(axis=1) < ground - limit - height_tolerance(ground)

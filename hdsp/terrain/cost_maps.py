@@ -13,6 +13,8 @@ difference to its eight neighbours.
 - Foot cost ``C_F = 1 + 0.309 S`` and base cost ``C_B = 1`` give the state cost
   ``C = 0.5 C_B + 0.1 (sum C_F + max C_F) = 1 + k (max S + sum S)`` (paper, Sec. V-A).
 
+A height difference or slope that exceeds its limit by rounding counts as within it (`hdsp.terrain.rounding`).
+
 Convention: arrays are indexed ``[ix, iy]``; heights in metres, NaN = unknown. No foot stands on an unknown cell, and a
 foot keeps the same clearance to an unknown cell as to an edge.
 """
@@ -27,6 +29,7 @@ from hdsp.base.short_repr import short_repr
 from hdsp.robot.lattice import HEADINGS, cells, heading_angle, metres
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.rounding import ROUNDING, height_tolerance
 
 _CELL = metres(1.0)  # m, side of a cell
 
@@ -65,7 +68,7 @@ def cost_maps(terrain: HeightMap, robot: Robot) -> CostMaps:
     difference = _height_difference(heights)
     between_footholds = _height_difference(contact_heights(heights, robot))
     unevenness = _unevenness(between_footholds, _disc_weights(cells(robot.drive.unevenness_radius)))
-    edge = np.isnan(heights) | (difference > np.float32(robot.drive.highest_edge))
+    edge = np.isnan(heights) | (difference > np.float32(robot.drive.highest_edge) + height_tolerance(heights))
     steep = _steep(heights, edge, steep_reach(robot), robot.drive.highest_edge, *_direction_limits(robot))
     standable = ~_near(edge, _disc(cells(robot.feet.clearance))) & (steep != EVERY_HEADING)
     return CostMaps(difference, unevenness, edge, steep, standable)
@@ -161,7 +164,6 @@ def _height_difference(heights):
 def _steep(heights, edge, reach, rolled_over, offsets, limits):
     nx, ny = heights.shape
     steep = np.zeros((nx, ny), dtype=np.uint64)
-    passed = np.float64(np.float32(rolled_over)) * (1 + 1e-5)
     for x in range(nx):
         for y in range(ny):
             for d in range(8):
@@ -171,8 +173,9 @@ def _steep(heights, edge, reach, rolled_over, offsets, limits):
                     if min(a, b, u, v) < 0 or max(a, u) >= nx or max(b, v) >= ny or edge[a, b] or edge[u, v]:
                         break  # beyond an edge lies other ground
                     rise = abs(np.float64(heights[a, b]) - heights[u, v])
-                    if rise > passed:
-                        gradient = rise / (2 * _CELL * np.hypot(np.float64(dx), np.float64(dy)))
+                    if rise > rolled_over + height_tolerance(heights[a, b]):
+                        length = 2 * _CELL * np.hypot(np.float64(dx), np.float64(dy))
+                        gradient = (rise - ROUNDING * abs(heights[a, b])) / length
                         for h in range(HEADINGS):
                             if gradient > limits[d, n, h] * (1 + 1e-5):
                                 steep[x, y] |= np.uint64(1) << np.uint64(h)

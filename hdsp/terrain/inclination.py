@@ -15,6 +15,7 @@ import numpy as np
 from hdsp.robot.lattice import cells, metres
 from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import slope_directions, steep_reach
+from hdsp.terrain.rounding import height_tolerance
 
 #: Heights (m) at points (x, y), with x's shape; NaN = unknown.
 Heights = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -100,7 +101,7 @@ def inclination_at_cell(heights: np.ndarray, cell: tuple[int, int], robot: Robot
             if _is_edge(near, high, highest) or _is_edge(near, low, highest):
                 break
             rise, length = abs(float(near[high] - near[low])), 2 * metres(float(np.hypot(*offset)))
-            if rise > highest:
+            if rise > highest + height_tolerance(near[high]):
                 steepest = max(steepest, rise / length)
     return math.atan(steepest)
 
@@ -108,7 +109,9 @@ def inclination_at_cell(heights: np.ndarray, cell: tuple[int, int], robot: Robot
 def _is_edge(heights: np.ndarray, cell: tuple[int, ...], highest: float) -> bool:
     """Whether a cell is unknown, or differs from a known neighbour by more than ``highest``."""
     around = heights[cell[0] - 1 : cell[0] + 2, cell[1] - 1 : cell[1] + 2]
-    return not np.nanmax(abs(around - heights[cell]), initial=0.0) <= highest if np.isfinite(heights[cell]) else True
+    if not np.isfinite(heights[cell]):
+        return True
+    return bool(np.nanmax(abs(around - heights[cell]), initial=0.0) > highest + height_tolerance(heights[cell]))
 
 
 def _crosses_edge(heights: Heights, feet: np.ndarray, unit: np.ndarray, half: float, robot: Robot) -> np.ndarray:

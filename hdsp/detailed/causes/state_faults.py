@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hdsp.detailed.actions.state_costs import foot_row
@@ -13,6 +15,7 @@ from hdsp.robot.lattice import Grid, cells, metres
 from hdsp.robot.robot import FEET, Robot
 from hdsp.terrain.cost_maps import disc_mask
 from hdsp.terrain.inclination import inclination_at_cell
+from hdsp.terrain.rounding import height_tolerance
 
 
 def faults_of(world: World, grid: Grid, robot: Robot, state: np.ndarray) -> tuple[Cause, ...]:
@@ -104,10 +107,11 @@ def _barrier(world: World, grid: Grid, robot: Robot, cell: tuple[int, int], foot
     """The cell as a cause: unknown, or an edge that no wheel passes."""
     if not (0 <= cell[0] < world.nx and 0 <= cell[1] < world.ny) or not world.edge[flat_index(world, cell)]:
         return None
-    if world.height[flat_index(world, cell)] == -np.inf:
+    height = float(world.height[flat_index(world, cell)])
+    if height == -math.inf:
         return Cause(Kind.UNKNOWN, place_of(grid, cell), foot=foot)
     difference = height_difference(world, cell)
-    if difference <= robot.drive.highest_edge:
+    if difference <= robot.drive.highest_edge + height_tolerance(height):
         return None  # too steep, but no edge
     return Cause(Kind.EDGE, place_of(grid, cell), difference, robot.drive.highest_edge, foot)
 

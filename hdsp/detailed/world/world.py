@@ -31,6 +31,7 @@ from hdsp.robot.lattice import DRIVE_MOVES, HEADINGS, cells, heading_angle, metr
 from hdsp.robot.robot import Robot
 from hdsp.terrain.cost_maps import EVERY_HEADING, CostMaps, cost_maps, disc_mask
 from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.rounding import height_tolerance
 
 _CELL = metres(1.0)  # m, side of a cell
 
@@ -357,7 +358,8 @@ def _possible_steps(standable, height, swing, edge, near_edge, line, max_height,
 @njit(inline="always")
 def step_fits(before, after, highest, max_height, max_clearance):
     """Whether a foot can step from height ``before`` over ``highest`` to ``after`` (all m)."""
-    return abs(after - before) <= max_height and highest - min(before, after) <= max_clearance
+    rounding = height_tolerance(before)
+    return abs(after - before) <= max_height + rounding and highest - min(before, after) <= max_clearance + rounding
 
 
 @njit(inline="always")

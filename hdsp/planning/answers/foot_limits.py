@@ -20,6 +20,7 @@ from hdsp.robot.action_limits import LONGEST_STEP
 from hdsp.robot.lattice import cells, metres
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.rounding import height_tolerance
 
 CLEARANCE, HEIGHT, LIFT, LENGTH = range(4)
 #: A foot with less clearance could turn over an edge.
@@ -80,7 +81,11 @@ def stopping_limits(
         if fewer and not is_foot_stopped(build_world(terrain, _robot_without(robot, fewer)), start, goal):
             blamed = fewer
     needs = {limit: _needed(line, _without(limits, on_line), limit) for limit in blamed}
-    words = [_words(line, robot, limit, needed) for limit, needed in needs.items() if needed is not None]
+    words = [
+        _words(line, robot, limit, needed)
+        for limit, needed in needs.items()
+        if needed is not None and (needed < limits[limit] if limit == CLEARANCE else needed > limits[limit])
+    ]
     return "; ".join(words) or None
 
 
@@ -175,8 +180,9 @@ def _passes(line: Line, limits: dict[int, float]) -> bool:
                 crossed, highest = crossed or bool(line.edge[j]), max(highest, lifted[j])
                 rolling = rolling and bool(stands[j])
                 lowest = min(line.height[i], line.height[j])
-                fits = abs(line.height[j] - line.height[i]) <= limits[HEIGHT] + 1e-6
-                fits = fits and crossed and highest < math.inf and highest - lowest <= limits[LIFT] + 1e-6
+                rounding = height_tolerance(line.height[i])
+                fits = abs(line.height[j] - line.height[i]) <= limits[HEIGHT] + rounding
+                fits = fits and crossed and highest < math.inf and highest - lowest <= limits[LIFT] + rounding
                 if stands[j] and not reached[j] and (rolling or fits):
                     reached[j] = True
                     waiting.append(j)
@@ -185,14 +191,15 @@ def _passes(line: Line, limits: dict[int, float]) -> bool:
 
 def _words(line: Line, robot: Robot, limit: int, needed: float) -> str:
     if limit == HEIGHT:
-        return f"a step there rises or falls by {needed:.3f} m; the robot steps up to {robot.step.max_height:g} m"
+        most = robot.step.max_height
+        return f"a step there rises or falls by {_above(needed, most)} m; the robot steps up to {most:g} m"
     if limit == LIFT:
-        return (
-            f"a foot would swing {needed:.3f} m above its lower foothold; the robot lifts it up to "
-            f"{robot.step.max_clearance:g} m"
-        )
+        most = robot.step.max_clearance
+        swing = f"a foot would swing {_above(needed, most)} m above its lower foothold"
+        return f"{swing}; the robot lifts it up to {most:g} m"
     if limit == LENGTH:
-        return f"a step there is {needed:.3f} m long; the robot steps up to {robot.step.max_length:g} m"
+        most = robot.step.max_length
+        return f"a step there is {_above(needed, most)} m long; the robot steps up to {most:g} m"
     clearance, treads = robot.feet.clearance, _treads(line, robot)
     if not treads:
         return f"no foothold there is {clearance:g} m away from all edges, only {needed:.3f} m"
@@ -203,6 +210,11 @@ def _words(line: Line, robot: Robot, limit: int, needed: float) -> str:
     )
 
 
+def _above(value: float, limit: float) -> str:
+    """A value in m with three decimals, or with so many that the words exceed the limit."""
+    return next((text for n in range(3, 7) if float(text := f"{value:.{n}f}") > limit), f"{value:g}")
+
+
 def _least_tread(robot: Robot) -> float:
     """Depth (m) of the shortest tread with a foothold; an edge takes the cells on both its sides."""
     return metres(2.0 * (math.floor(cells(robot.feet.clearance) + 1e-9) + 1) + 1)
@@ -211,7 +223,7 @@ def _least_tread(robot: Robot) -> float:
 def _treads(line: Line, robot: Robot) -> list[float]:
     """Depths (m) of the ground between edges that has no foothold."""
     known = np.where(np.isfinite(line.height), line.height, np.nan)
-    rises = np.flatnonzero(abs(np.diff(known)) > robot.drive.highest_edge) + 1
+    rises = np.flatnonzero(abs(np.diff(known)) > robot.drive.highest_edge + height_tolerance(known[1:])) + 1
     found = []
     for first, end in pairwise(rises):
         edge_away = line.edge_away[first:end]

@@ -34,6 +34,7 @@ from hdsp.robot.robot import Robot
 from hdsp.robot.shape import Rectangle
 from hdsp.terrain.cost_maps import disc_mask
 from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.rounding import height_tolerance
 
 _BLUR = 2  # cells around the footprint
 _RIM = 4  # cells around these, in which the ground is looked for
@@ -135,7 +136,7 @@ def _grounds(terrain: HeightMap, world: World, robot: Robot, wider: Robot, state
         x, y = known[np.argmin(np.hypot(*(known - state[:2]).T))]
         plane = np.full(heights.shape, float(terrain.heights[x, y]))
     with np.errstate(invalid="ignore"):
-        objects = around & (heights - plane > robot.drive.highest_edge)
+        objects = around & (heights - plane > robot.drive.highest_edge + height_tolerance(heights))
     itself = _own_parts(objects, heights - plane, body, min(box.above for box in robot.body.boxes))
     unknown = own & np.isnan(heights)
     for parts in (np.zeros_like(own), itself):
