@@ -27,6 +27,7 @@ from hdsp.detailed.search.reached import Reached, reached_by
 from hdsp.detailed.search.weighted_astar import HARD, solve
 from hdsp.detailed.world.world import World
 from hdsp.planning.answers.findings import Inquiry
+from hdsp.planning.answers.nearest_pose import Aim
 from hdsp.planning.answers.plan_statistics import PlanStatistics
 from hdsp.planning.answers.plans import Plan
 from hdsp.planning.ends.way_out import WayOut
@@ -84,6 +85,7 @@ class Query:
         admissible, consistent: whether ``estimate`` is, as in ``Heuristic``.
         assumed: changes in the map under the start, in words; see ``Plan``.
         way: way out of the clearance of obstacles, which comes before ``start``; None without one.
+        aims: what each goal asks for; empty: the states alone count.
         measured: the planner's map, without changes under the start; None if it is conditioned.
         limits: of the whole query; ``ends`` counts instead of the time. The memory is that of searches and proof.
         held: bytes of everything else, part of the memory in statistics.
@@ -112,6 +114,7 @@ class Query:
     progress: Progress | None = None
     assumed: tuple[str, ...] = ()
     way: WayOut | None = None
+    aims: tuple[Aim, ...] = ()
     measured: HeightMap | None = None
     whole: Prepared | None = None
     others: tuple[Prepared, ...] = ()
@@ -313,8 +316,11 @@ class Query:
 
     def inquiry(self, status: Status, reached: Reached | None) -> Inquiry:
         """Returns the inquiry into the reasons for a search that ended without a plan."""
+        goal = self.goal
+        number = int(self.goal_numbers[(self.goals == goal).all(axis=1).argmax()])
+        aim = self.aims[number] if self.aims else Aim(goal)
         return Inquiry(
-            self.terrain, self.robot, self.wider, self.start, self.goal, status, reached, measured=self.measured,
+            self.terrain, self.robot, self.wider, self.start, goal, aim, status, reached, measured=self.measured,
             seconds=self.limits.time,
         )  # fmt: skip
 

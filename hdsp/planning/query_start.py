@@ -16,9 +16,10 @@ from hdsp.detailed.search.life_cycle import Progress
 from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.world.world import World
 from hdsp.planning.answers.invalid_end import InvalidEnd
+from hdsp.planning.answers.nearest_pose import Aim
 from hdsp.planning.answers.plan_statistics import PlanStatistics
 from hdsp.planning.answers.plans import Plan
-from hdsp.planning.arguments import pose_values
+from hdsp.planning.arguments import lattice_state, pose_values
 from hdsp.planning.ends.arrival import STATE_BYTES, Arrival, Tolerance, arrival_steps, poses_of, several, with_heading
 from hdsp.planning.ends.departure import Departure, departure_steps
 from hdsp.planning.heuristics import GridHeuristic, Heuristic
@@ -96,6 +97,7 @@ def begin_query(ground: SharedGround, asked: Asked) -> Query | Plan:
         progress=asked.progress,
         assumed=begin.assumed,
         way=begin.way,
+        aims=tuple(_aim(ground, goal) for goal in several(asked.goal) or [asked.goal]),
         measured=ground.terrain if ground.exact else None,
         whole=None if heuristic.covers_map(found) else partial(estimate_of, heuristic),
         others=tuple(partial(estimate_of, other) for other in heuristic.others()),
@@ -144,6 +146,13 @@ def _invalid(ground: SharedGround, asked: Asked, begin: Departure, ends: Arrival
     faults = begin.faults or ends.faults
     plan = without_search(ground, status, asked.weight, began, (asked.start, asked.goal), faults)
     return plan.renewed(inquiry=inquiry, terrain=begin.terrain)
+
+
+def _aim(ground: SharedGround, goal: Any) -> Aim:
+    """What a goal asks for, without its tolerance."""
+    pose, free = with_heading(goal)
+    values = pose_values(pose, "goal", ground.wider)
+    return Aim(lattice_state(ground.grid, values, "goal"), free, len(values) == 7)
 
 
 def _on_ground(world: World, estimate: Estimate, ends: Arrival) -> Steps[Estimate]:

@@ -1,6 +1,8 @@
 """Causes of failures (M17, Q2): each kind is named where it is, and an independent check of the map bears it out."""
 
 import math
+import re
+import time
 from dataclasses import replace
 from itertools import pairwise
 
@@ -8,10 +10,10 @@ import numpy as np
 import pytest
 
 from hdsp import HeightMap, Planner
-from hdsp.detailed.causes import Cause, Kind
+from hdsp.detailed.causes import Cause, Kind, gap
 from hdsp.detailed.causes.gap import _resistance
 from hdsp.detailed.causes.state_faults import cell_under, flat_index
-from hdsp.detailed.relaxed.proofs import body_hits
+from hdsp.detailed.relaxed.proofs import POSE, body_hits
 from hdsp.detailed.search.outcome import Status
 from hdsp.robot.robot import Robot
 from tests.planning.cause_check import complaints, gap_complaints
@@ -94,17 +96,79 @@ def test_q2_each_kind_of_obstacle_is_named_at_its_place(name):
 
 def test_q2_where_only_the_heading_is_out_of_reach_the_robot_cannot_turn_there():
     # The robot drives into a bay. Its body, longer than wide, fits along and across, and its corners have no room.
-    heights = np.ones_like(X, dtype=np.float32)
-    heights[X < 1.3] = 0
-    heights[(abs(Y - 1.5) < 0.4) & (X < 2.88)] = 0
-    heights[(abs(Y - 1.5) < 0.48) & (abs(X - 2.45) < 0.43)] = 0
-    plan = planner_on(heights).plan((0.7, 1.5, 0.0), (2.4, 1.5, math.pi / 2), weight=2)
+    plan = turned_plan(math.pi / 2)
     causes = checked(plan)
     assert plan.status == Status.INFEASIBLE, plan.explain()
     assert causes[0].kind == Kind.HEADING and causes[0].amount == pytest.approx(math.pi / 2, abs=1e-6)
     assert len(causes) > 1 and plan.findings.gap.turns, plan.explain()
     assert plan.nearest.distance < 0.1 and plan.nearest.turn > 0.5
     assert "with a goal tolerance of" in plan.explain() and plan.limits is None
+
+
+def turned_plan(heading, **options):
+    """A plan to a heading that the robot cannot turn to, in a bay with room for its body along and across."""
+    heights = np.ones_like(X, dtype=np.float32)
+    heights[X < 1.3] = 0
+    heights[(abs(Y - 1.5) < 0.4) & (X < 2.88)] = 0
+    heights[(abs(Y - 1.5) < 0.48) & (abs(X - 2.45) < 0.43)] = 0
+    return planner_on(heights).plan((0.7, 1.5, 0.0), (2.4, 1.5, heading), weight=2, **options)
+
+
+@pytest.mark.parametrize("heading", [1.52, math.pi / 2, 1.61])
+def test_an_advised_tolerance_has_a_plan_for_headings_between_those_of_the_lattice(heading):
+    words = turned_plan(heading).explain()
+    metres, degrees = re.search(r"a goal tolerance of ([\d.]+) m and (\d+) degrees there is a plan", words).groups()
+    assert turned_plan(heading, tolerance=(float(metres), math.radians(int(degrees)))).solved
+
+
+@pytest.mark.parametrize("heading", [None, 0.0, 0.03])
+def test_a_pose_in_reach_but_not_on_the_given_feet_is_said_so(heading):
+    planner, pose = planner_on(np.zeros_like(X, dtype=np.float32), heuristic="manual"), (2.0, 1.5, heading)
+    plan = planner.plan(START, (*pose, 0.1, 0.1, 0.1, 0.1))
+    words = plan.explain()
+    assert "the robot gets to the pose, but not onto these feet; without foot offsets there is a plan" in words
+    assert plan.limits is None and "tolerance" not in words and planner.plan(START, pose).solved
+
+
+def test_the_nearest_pose_counts_from_the_goal_as_asked_and_no_tolerance_adds_to_it():
+    planner = planner_on(ground(abs(X - 1.7) < 0.05, 1.0), heuristic="manual")
+    plans = [planner.plan(START, (*GOAL[:2], heading), tolerance=t, weight=2) for heading, t in
+             ((0.0, None), (None, None), (0.0, (0.3, 0.5)))]  # fmt: skip
+    away = [math.dist(plan.nearest.pose[:2], GOAL[:2]) for plan in plans]
+    assert [plan.nearest.distance for plan in plans] == pytest.approx(away, abs=0.02) and plans[1].nearest.turn == 0
+
+
+def test_an_obstacle_before_an_undecided_search_is_not_called_the_end_of_all_ways():
+    planner = planner_on(ground(X > 1.7, 0.15), heuristic="manual")
+    words = planner.plan(START, GOAL, expansions=100).explain()
+    assert "stopped after 100 expansions" in words and "an obstacle stops driving from" in words
+    assert "the robot cannot get" not in words and planner.plan(START, GOAL, weight=2).solved
+    assert "stopped after 1 expansion;" in planner.plan(START, GOAL, expansions=1).explain()
+
+
+def test_a_proved_obstacle_is_named_also_where_the_time_ends_before_the_reasons():
+    heights = ground((abs(X - 1.7) < 0.06) & (abs(Y - 1.5) > 0.3), 1.0)
+    plan = planner_on(heights, heuristic="manual").plan(START, GOAL, weight=2)
+    assert plan.status == Status.INFEASIBLE and plan.inquiry.proof.proof == POSE
+    late = replace(plan, inquiry=replace(plan.inquiry, seconds=0.0))
+    assert checked(late) and late.findings.gap is not None
+    assert {cause.kind for cause in late.causes} == {Kind.BODY}
+    assert late.explain().endswith("; the reasons take longer than the time limit")
+
+
+def test_the_longest_step_of_the_reasons_needs_no_second_time_of_its_length(monkeypatch):
+    plan = planner_on(ground(DOOR, 1.0), heuristic="manual").plan(START, GOAL, weight=2)
+    assert plan.causes
+    quick = gap._way_of_least_resistance
+
+    def slow(*arguments):
+        time.sleep(max(1.0, 2 * plan.findings.seconds))
+        return quick(*arguments)
+
+    monkeypatch.setattr(gap, "_way_of_least_resistance", slow)
+    seconds = 1.5 * max(1.0, 2 * plan.findings.seconds)
+    again = replace(plan, inquiry=replace(plan.inquiry, seconds=seconds))
+    assert again.causes == plan.causes and "longer than the time" not in again.explain()
 
 
 def test_m17_one_unknown_cell_beside_a_foot_is_unknown_ground_not_an_edge():

@@ -22,11 +22,12 @@ from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.causes.cause import Cause, Kind
 from hdsp.detailed.causes.state_faults import faults_of, ground_fault, place_of
 from hdsp.detailed.relaxed.heading_masks import PoseFlood
-from hdsp.detailed.relaxed.proofs import FOOT, Unreachable
+from hdsp.detailed.relaxed.proofs import FOOT, POSE, Unreachable
 from hdsp.detailed.world.body import collides
 from hdsp.detailed.world.world import World, cell_index
 from hdsp.robot.lattice import HEADINGS, Grid, heading_angle
 from hdsp.robot.robot import FEET, Robot
+from hdsp.terrain.height_map import HeightMap
 
 _MOST_POSES = 400_000  # on the coarse lattice; a way takes about a second then
 _HEADINGS = 16  # of the coarse lattice
@@ -58,13 +59,21 @@ class Gap(NamedTuple):
         return self.near[:2] == self.far[:2]
 
     def __str__(self) -> str:
+        return self.words()
+
+    def words(self, proved: bool = True) -> str:
+        """The gap in words; ``proved``: nothing closes it, otherwise steps or a way around it may."""
         near, far = f"({self.near[0]:.2f}, {self.near[1]:.2f})", f"({self.far[0]:.2f}, {self.far[1]:.2f}) m"
         if self.foot is not None:
             return f"the {self.foot} foot gets nowhere from {near} to {far}, neither by rolling nor by stepping"
         if near == far[:-2]:
             one, other = (math.degrees(pose[2]) for pose in (self.near, self.far))
-            return f"the robot cannot turn from {one:.0f} to {other:.0f} degrees at {far}"
-        return f"the robot cannot get from {near} to {far}"
+            way, stops = f"turn from {one:.0f} to {other:.0f} degrees at {far}", f"turning at {far}"
+        else:
+            way, stops = f"get from {near} to {far}", f"driving from {near} to {far}"
+        if proved:
+            return f"the robot cannot {way}"
+        return f"an obstacle stops {stops}; steps and ways around it were not searched to the end"
 
 
 class Obstacle(NamedTuple):
@@ -111,8 +120,8 @@ def obstacle_steps(
         heading = Cause(Kind.HEADING, place_of(grid, goal[:2]), theta)
         return obstacle._replace(causes=(heading, *obstacle.causes))
     yield
+    # The longest step comes last: nothing after it asks for as much time again.
     way = _way_of_least_resistance(world, start, goal, reached, around_goal)
-    yield
     return _first_obstacle(world, grid, robot, way, reached, around_goal) or Obstacle((), None)
 
 
@@ -130,6 +139,18 @@ def obstacle_of_foot(proof: Unreachable, world: World, grid: Grid, robot: Robot)
             for kind in (Kind.EDGE, Kind.SLOPE)]  # fmt: skip
     ends = (place_of(grid, proof.from_start), place_of(grid, proof.from_goal))
     return Obstacle((*unknown, *(cause for cause in rest if cause is not None)), Gap(*ends, foot=name))
+
+
+def obstacle_of_base(proof: Unreachable, terrain: HeightMap, grid: Grid) -> Obstacle:
+    """Returns the obstacle in a proof for the whole robot, as far as it is known without further work."""
+    assert proof.proof == POSE
+    heading = float(heading_angle(proof.heading))
+    x, y = proof.blocked[len(proof.blocked) // 2] if len(proof.blocked) else proof.from_goal
+    pose = (*place_of(grid, np.array((x, y))), heading, 0.0, 0.0, 0.0, 0.0)
+    hits = [(place_of(grid, cell), float(terrain.heights[tuple(cell)])) for cell in proof.body_hits[:1]]
+    causes = tuple(Cause(Kind.BODY, place, height, pose=pose) for place, height in hits)
+    near, far = ((*place_of(grid, cell), heading) for cell in (proof.from_start, proof.from_goal))
+    return Obstacle(causes, Gap(near, far) if near != far else None)
 
 
 def _turn_at(reached: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
@@ -170,7 +191,7 @@ def _way_of_least_resistance(
     world: World, start: np.ndarray, goal: np.ndarray, reached: np.ndarray, around_goal: np.ndarray
 ) -> np.ndarray:
     """Poses int64 [n, 3] from a pose in reach to the goal or to a pose from which the robot can drive to it."""
-    from scipy.ndimage import distance_transform_edt
+    from scipy.ndimage import binary_erosion, distance_transform_edt
     from skimage.graph import MCP_Geometric
 
     stride = max(2, math.ceil(math.sqrt(world.nx * world.ny * (_HEADINGS + 2 * _WRAP) / _MOST_POSES)))
@@ -179,22 +200,32 @@ def _way_of_least_resistance(
     away = distance_transform_edt(~world.standable.reshape(-1, world.stride)).astype(np.float32).ravel()
     headings = (int(goal[2]) + turn * np.arange(-_WRAP, _HEADINGS + _WRAP)) % HEADINGS
     costs = 1.0 + _resistance(world, away, shift, stride, headings)
-    ways = MCP_Geometric(costs, fully_connected=True)
     starts, ends = (_coarse(bits, shift, stride, headings) for bits in (reached, around_goal))
+    if len(both := np.argwhere(starts & ends)):
+        return _detailed(both[:1], shift, stride, headings)
+    # Ways begin and end at the rims.
+    inside = [binary_erosion(nodes, np.ones((3, 3, 3)), border_value=True) for nodes in (starts, ends)]
+    costs[inside[0]] = np.inf
+    starts, ends = (np.argwhere(nodes & ~inner) for nodes, inner in zip((starts, ends), inside, strict=True))
+    ways = MCP_Geometric(costs, fully_connected=True)
     near_start = [*np.clip(np.rint((start[:2] - shift) / stride).astype(int), 0, np.array(costs.shape[:2]) - 1)]
     begin = near_start + [int(np.argmin(abs((headings - start[2] + HEADINGS // 2) % HEADINGS - HEADINGS // 2)))]
-    end = [*((goal[:2] - shift) // stride), _WRAP]
-    costs_to, _ = ways.find_costs([*starts.tolist(), begin], [*ends.tolist(), end], find_all_ends=False)
-    arrived = min([tuple(end), *map(tuple, ends.tolist())], key=lambda node: costs_to[node])
-    coarse = np.array(ways.traceback(arrived))
-    poses = np.column_stack([coarse[:, :2] * stride + shift, headings[coarse[:, 2]]])
+    ends = np.concatenate([[[*((goal[:2] - shift) // stride), _WRAP]], ends])
+    costs_to, _ = ways.find_costs([*starts.tolist(), begin], ends.tolist(), find_all_ends=False)
+    arrived = ends[np.argmin(costs_to[tuple(ends.T)])]
+    poses = _detailed(np.array(ways.traceback(arrived)), shift, stride, headings)
     return _refined(poses if _holds(reached, poses[0]) else np.concatenate([start[None, :3], poses]))
 
 
 def _coarse(bits: np.ndarray, shift: np.ndarray, stride: int, headings: np.ndarray) -> np.ndarray:
-    """Nodes of the coarse lattice whose poses are in ``bits``, int64 [n, 3]."""
+    """Whether the poses of the coarse lattice are in ``bits``, bool [nx, ny, headings]."""
     sampled = bits[shift[0] :: stride, shift[1] :: stride]
-    return np.argwhere(sampled[..., None] >> headings.astype(np.uint64) & np.uint64(1))
+    return (sampled[..., None] >> headings.astype(np.uint64) & np.uint64(1)).astype(bool)
+
+
+def _detailed(nodes: np.ndarray, shift: np.ndarray, stride: int, headings: np.ndarray) -> np.ndarray:
+    """Poses int64 [n, 3] of nodes [n, 3] of the coarse lattice."""
+    return np.column_stack([nodes[:, :2] * stride + shift, headings[nodes[:, 2]]])
 
 
 def _refined(poses: np.ndarray) -> np.ndarray:

@@ -14,12 +14,13 @@ import numpy as np
 from hdsp.detailed.base_pose import base_poses
 from hdsp.detailed.causes import Cause, Kind
 from hdsp.planning.answers.nearest_pose import Nearest
-from hdsp.robot.lattice import Grid, rotation
+from hdsp.robot.lattice import HEADINGS, Grid, rotation
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
 
 _TOLERANCE = 0.5  # m, largest distance from a goal that is still worth a tolerance
 _ROUNDING = 0.02  # m, between a goal and the centre of its cell
+_HALF_TURN = math.pi / HEADINGS  # rad, between a goal's heading and the nearest one on the lattice
 
 
 def advice_for(
@@ -29,6 +30,7 @@ def advice_for(
     wider: Robot,
     causes: Sequence[Cause],
     nearest: Nearest | None,
+    feet_given: bool = False,
 ) -> tuple[str, ...]:
     """Returns advice in words.
 
@@ -39,10 +41,15 @@ def advice_for(
         wider: the robot with its margin.
         causes: why there is no plan.
         nearest: the pose in reach that is nearest to the goal; None without one.
+        feet_given: whether the goal names the feet on which the robot arrives.
     """
     found = []
+    if nearest is not None and feet_given:
+        if nearest.at_goal:
+            without = "" if any(nearest.pose[3:]) else "; without foot offsets there is a plan"
+            found.append(f"the robot gets to the pose, but not onto these feet{without}")
     # With a tolerance, the robot arrives on neutral feet.
-    if nearest is not None and nearest.distance <= _TOLERANCE and not any(nearest.pose[3:]):
+    elif nearest is not None and nearest.distance <= _TOLERANCE and not (any(nearest.pose[3:]) or nearest.at_goal):
         found.append(_tolerance(nearest.distance, nearest.turn))
     if measured is not None and (healed := _healed(measured, causes)):
         found.append(f"a conditioned map has {healed} there")
@@ -52,7 +59,7 @@ def advice_for(
 
 
 def _tolerance(distance: float, turn: float) -> str:
-    degrees = math.ceil(math.degrees(turn) - 1e-6)
+    degrees = math.ceil(math.degrees(turn + _HALF_TURN) - 1e-6) if turn else 0
     if distance == 0:
         return f"a goal with a free heading, or a tolerance of {degrees} degrees, has a plan"
     also = f" and {degrees} degrees" if degrees else ""

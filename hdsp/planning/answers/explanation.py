@@ -72,13 +72,13 @@ def explain_ending(
     endings = {
         Status.INFEASIBLE: proved,
         Status.COST_LIMIT: "there is no plan within the cost limit",
-        Status.EXPANSION_LIMIT: f"not decided: stopped after {stats.expansions:,} expansions",
+        Status.EXPANSION_LIMIT: f"not decided: stopped after {counted(stats.expansions, 'expansion')}",
         Status.MEMORY_LIMIT: f"not decided: stopped at {stats.memory / 2**20:,.0f} MiB of states",
         Status.TIME_LIMIT: f"not decided: stopped after {stats.seconds:.1f} s",
         Status.CANCELLED: f"not decided: cancelled after {stats.seconds:.1f} s",
     }
     words = endings[status]
-    reasons = [str(findings.gap)] if findings.gap is not None else []
+    reasons = [findings.gap.words(status == Status.INFEASIBLE)] if findings.gap is not None else []
     if limits:
         reasons.append(limits)
     reasons += [str(cause) for cause in findings.causes]

@@ -14,9 +14,9 @@ from hdsp.base.gradual import Gradual, Steps, now
 from hdsp.base.short_repr import short_repr
 from hdsp.detailed.actions.successors import Rules
 from hdsp.detailed.causes import Cause, Gap, Kind, Obstacle, obstacle_steps
-from hdsp.detailed.causes.gap import obstacle_of_foot
+from hdsp.detailed.causes.gap import obstacle_of_base, obstacle_of_foot
 from hdsp.detailed.relaxed.heading_masks import PoseFlood
-from hdsp.detailed.relaxed.proofs import FOOT, Unreachable
+from hdsp.detailed.relaxed.proofs import FOOT, POSE, Unreachable
 from hdsp.detailed.search.estimate import geometric_estimate
 from hdsp.detailed.search.outcome import Limits, Status
 from hdsp.detailed.search.reached import METRES_PER_RADIAN, Reached
@@ -25,7 +25,7 @@ from hdsp.detailed.world.world import World, build_world
 from hdsp.planning.answers.advice import advice_for
 from hdsp.planning.answers.decisive_limits import decisive_limits
 from hdsp.planning.answers.foot_limits import stopping_limits
-from hdsp.planning.answers.nearest_pose import Nearest
+from hdsp.planning.answers.nearest_pose import Aim, Nearest
 from hdsp.robot.lattice import HEADINGS, Grid, cells, heading_angle, metres
 from hdsp.robot.robot import Robot
 from hdsp.terrain.height_map import HeightMap
@@ -71,6 +71,7 @@ class Inquiry:
         wider: the same robot with its margin.
         start: int64 [7], lattice units.
         goal: int64 [7], lattice units; of several goal states, the one that stands for all.
+        aim: what the query asks of its end.
         status: end of the search.
         reached: states that the search reached.
         proof: proof of infeasibility; None without one.
@@ -83,6 +84,7 @@ class Inquiry:
     wider: Robot
     start: np.ndarray
     goal: np.ndarray
+    aim: Aim
     status: Status
     reached: Reached | None
     proof: Unreachable | None = None
@@ -95,7 +97,10 @@ class Inquiry:
         ends = began + self.seconds
         looking = Gradual(self._obstacle_steps())
         if not looking.run(ends):
-            return Findings(advice=(_LATE,), seconds=now() - began)
+            known = Obstacle((), None)
+            if self.proof is not None and self.proof.proof == POSE:
+                known = obstacle_of_base(self.proof, self.terrain, Grid(self.terrain.origin, self.terrain.shape))
+            return Findings(known.causes, known.gap, advice=(_LATE,), seconds=now() - began)
         world, reached, obstacle = looking.result
         nearest = None if self.reached is None else self._nearest(world, reached, ends)
         return Findings(
@@ -103,7 +108,9 @@ class Inquiry:
             gap=obstacle.gap,
             nearest=nearest,
             reached=reached != 0,
-            advice=advice_for(self.terrain, self.measured, self.robot, self.wider, obstacle.causes, nearest),
+            advice=advice_for(
+                self.terrain, self.measured, self.robot, self.wider, obstacle.causes, nearest, self.aim.feet_given
+            ),
             seconds=now() - began,
         )
 
@@ -142,7 +149,8 @@ class Inquiry:
         """
         causes = findings.causes
         ground_alone = bool(causes) and all(cause.kind != Kind.EDGE for cause in causes)
-        if self.status != Status.INFEASIBLE or ground_alone:
+        only_feet = self.aim.feet_given and findings.nearest is not None and findings.nearest.at_goal
+        if self.status != Status.INFEASIBLE or ground_alone or only_feet:
             return None
         if self.proof is not None and self.proof.proof == FOOT:
             line = np.concatenate([[self.proof.from_start], self.proof.blocked, [self.proof.from_goal]])
@@ -154,7 +162,11 @@ class Inquiry:
         assert self.reached is not None
         state = self.reached.nearest
         nearer = _nearest_pose(reached, self.goal)
-        if _distance(nearer, self.goal) < _distance(state, self.goal) - cells(_NEARER):
+        if self.aim.feet_given and (state[:2] == self.aim.state[:2]).all() and state[3:].any():
+            nearer = np.array([*state[:3], 0, 0, 0, 0])  # does the robot get there on other feet?
+        elif _distance(nearer, self.goal) >= _distance(state, self.goal) - cells(_NEARER):
+            nearer = state
+        if nearer is not state:
             # A relaxed problem may reach more than the robot.
             found = solve(
                 world, self.start, nearer, geometric_estimate(world, nearer), weight=3.0, admissible=False,
@@ -162,10 +174,11 @@ class Inquiry:
             )  # fmt: skip
             if found.status == [Status.SOLVED]:
                 state = nearer
-        away = metres(float(np.hypot(*(state[:2] - self.goal[:2]))))
+        away = metres(float(np.hypot(*(state[:2] - self.aim.state[:2]))))
+        turn = 0.0 if self.aim.heading_free else abs(float(heading_angle(state[2] - self.aim.state[2])))
         grid = Grid(self.terrain.origin, self.terrain.shape)
         pose = tuple(float(value) for value in grid.to_world(state))
-        return Nearest(pose, away, abs(float(heading_angle(state[2] - self.goal[2]))))
+        return Nearest(pose, away, turn)
 
 
 def _nearest_pose(headings: np.ndarray, goal: np.ndarray) -> np.ndarray:
