@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hdsp.base.errors import RefinementError
 from hdsp.base.gradual import now
 from hdsp.detailed.search import anytime
 from hdsp.detailed.search.bounds import LEAST_GAIN, rounding, suboptimality
@@ -38,7 +39,7 @@ def improving_plans(
     polished, unpolished = {"polish_expansions": 0, "polish_seconds": 0.0}, None
     error = rounding(query.world)
     refused = RefusedSteps(query)
-    rounds = _rounds(query, weights, refinable, refused)
+    rounds = _rounds(query, weights, refused, polish if refinable else None)
     with closing(rounds):
         for plan, ended in rounds:
             lower = max(lower, plan.stats.lower_bound)
@@ -84,13 +85,20 @@ def _polished(query: Query, plan: Plan, polish: Polish, refinable: bool) -> Plan
 
 
 def _rounds(
-    query: Query, weights: Sequence[float], refinable: bool, refused: RefusedSteps
+    query: Query, weights: Sequence[float], refused: RefusedSteps, refinable: Polish | None
 ) -> Generator[tuple[Plan, Status | None]]:
     """Yields plans from all rounds, and the end of the search.
 
-    After a refused step the rounds start again without it, from the present weight on.
+    After a refused step the rounds start again without it, from the present weight on. A plan that cannot be carried
+    out without a step to blame gives way to the plan before.
+
+    Args:
+        query, weights: as in ``improving_plans``.
+        refused: steps that could not be carried out; grows.
+        refinable: budget for polished plans in place of plans that cannot be carried out; None: plans are not refined.
     """
     began, spent, cost, world = now(), 0, np.inf, query.world
+    kept: Plan | None = None
     proof = query.proof()
     guide = None if query.admissible else query.estimate
     admissible = query.estimate if guide is None else query.grid_anchor()
@@ -121,15 +129,21 @@ def _rounds(
                 "proof_seconds": proof.seconds,
             }
             plan = plan.renewed(spent_now)
-            if refinable and plan.solved and plan.cost < cost * (1 - LEAST_GAIN):
-                if refused.refuse_from(plan):
+            if refinable is not None and plan.solved and plan.cost < cost * (1 - LEAST_GAIN):
+                try:
+                    plan, again = refused.tried(query, plan, refinable)
+                except RefinementError:
+                    if kept is None:
+                        raise
+                    plan, again = kept.renewed({**spent_now, "lower_bound": plan.stats.lower_bound}), False
+                if again:
                     world, spent = world._replace(banned=refused.banned), plan.stats.expansions
                     weights = weights[weights.index(found.weight) :]
                     break
                 if refused.undecided:
                     yield query.without_path(plan, Status.TIME_LIMIT), Status.TIME_LIMIT
                     return
-                cost = plan.cost
+                cost, kept = plan.cost, plan
             if found.ended == Status.INFEASIBLE and not plan.solved and query.may_prove and not refused.words:
                 proof.succeeds_by(query.ends)
                 plan = query.without_way(plan, proof.found)

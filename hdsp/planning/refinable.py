@@ -50,6 +50,28 @@ class RefusedSteps:
             return True
         return False
 
+    def tried(self, query: Query, plan: Plan, polish: Polish | None) -> tuple[Plan, bool]:
+        """Like ``refuse_from``; where no step is to blame, the polished plan takes the place of the plan.
+
+        Args:
+            query: the query.
+            plan: a plan of it.
+            polish: budget for the polished plan; None: there is none.
+
+        Returns:
+            The plan, or the polished one, and whether a step was refused.
+
+        Raises:
+            RefinementError: neither plan can be carried out, and no step of the plan is to blame.
+        """
+        try:
+            return plan, self.refuse_from(plan)
+        except RefinementError:
+            polished = plan if polish is None else polish.of(without(query, self.banned), plan)
+            if polished.cost >= plan.cost or self.refuse_from(polished):
+                raise
+            return polished, False
+
 
 def refinable_plan(query: Query, search: Solver, plan: Plan, polish: Polish | None = None) -> Plan:
     """Searches again without the refused steps, until the robot can carry out the plan or no other plan exists.
@@ -61,11 +83,14 @@ def refinable_plan(query: Query, search: Solver, plan: Plan, polish: Polish | No
         polish: budget for the improvement of the plan that can be carried out; None: it stays as it is.
 
     Raises:
-        RefinementError: an action before the first step cannot be carried out.
+        RefinementError: an action before the first step cannot be carried out, nor is the polished plan possible.
     """
     refused = RefusedSteps(query)
     expansions, seconds = plan.stats.expansions, plan.stats.search_seconds
-    while plan.solved and refused.refuse_from(plan):
+    while plan.solved:
+        plan, again = refused.tried(query, plan, polish)
+        if not again:
+            break
         left = replace(query.limits, expansions=query.limits.expansions - expansions)
         plan = search(replace(without(query, refused.banned), limits=left), None)
         expansions += plan.stats.expansions

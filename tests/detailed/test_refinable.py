@@ -1,9 +1,12 @@
 """Steps without a motion are reported, and the planner plans again without them."""
 
+import math
+
+import numpy as np
 import pytest
 
 import hdsp.planning.answers.plans
-from hdsp import Planner, RefinementError, Status
+from hdsp import HeightMap, Planner, RefinementError, Status
 from hdsp.detailed.actions.action import BASE_FORWARD, STEP, ActionKind, action_of
 from hdsp.detailed.actions.state_costs import foot_row
 from hdsp.detailed.motion.refinement import ban, last_step
@@ -110,3 +113,18 @@ def test_a_ban_takes_one_step_of_a_foot_and_grows_when_it_fails_again(planner):
 def test_the_last_step_before_an_action_is_to_blame():
     actions = [action_of(code) for code in (0, STEP + 26, BASE_FORWARD, STEP + 32 + 26)]
     assert [last_step(actions, k) for k in (-1, 0, 1, 2, 3)] == [None, None, 1, 1, 3]
+
+
+def ramp(degrees):
+    """A ramp of 1.5 m along x for a robot with short legs, whose cheapest plan is at the end of their reach."""
+    along = (np.arange(240) + 0.5) * 0.025
+    heights = np.clip(along - 1.8, 0, 1.5) * math.tan(math.radians(degrees))
+    return Planner(HeightMap(np.repeat(heights[:, None], 120, axis=1)), "go2w", "manual")
+
+
+@pytest.mark.parametrize("degrees", [24, -24])
+def test_without_a_step_to_blame_the_polished_plan_is_carried_out(degrees):
+    planner, ends = ramp(degrees), ((1.0, 1.5, 0.0), (5.0, 1.5, 0.0))
+    assert planner.plan(*ends, refinable=True).refine().check() == []
+    plans = list(planner.improve(*ends, refinable=True, expansions=20_000))
+    assert plans and all(plan.refine().check() == [] for plan in plans)
