@@ -19,6 +19,8 @@ from hdsp.robot.robot import Robot
 
 #: Largest heading, rad. A larger one is more than a turn, and probably meant in degrees.
 _TURN = 2 * math.pi + 1e-6
+#: Largest weight of a search. Costs count as float32 there; with more, nothing but the heuristic would count.
+MOST_WEIGHT = 1e6
 #: Largest deviation of a rounded quaternion's norm from 1.
 _UNIT = 0.02
 #: Lengths in other units, as a factor to metres.
@@ -42,6 +44,18 @@ def number(name: str, value: Any, least: float, *, infinite: bool = False) -> fl
     if not found >= least or (math.isinf(found) and not infinite):
         allowed = f"a number >= {least:g}, or inf" if infinite else f"a finite number >= {least:g}"
         raise InputError(f"{name} is {shown(value)}; it must be {allowed}")
+    return found
+
+
+def factor(name: str, value: Any) -> float:
+    """Returns a weight of a search as float; arguments as in `number`.
+
+    Raises:
+        InputError: no number from 1 to ``MOST_WEIGHT``.
+    """
+    found = number(name, value, 1.0)
+    if found > MOST_WEIGHT:
+        raise InputError(f"{name} is {shown(value)}; it must be at most {MOST_WEIGHT:,.0f}")
     return found
 
 
@@ -72,12 +86,14 @@ def falling_weights(values: Any) -> tuple[float, ...]:
     """Returns the weights of an anytime search.
 
     Raises:
-        InputError: no sequence, an entry below 1, or weights that do not fall.
+        InputError: no sequence, no entry, an entry below 1 or above ``MOST_WEIGHT``, or weights that do not fall.
     """
     if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or np.ndim(values) != 1:
         raise InputError(f"weights is {shown(values)}; it must be a sequence of falling numbers >= 1")
-    weights = tuple(number("weight", value, 1.0) for value in values)
-    if not weights or any(after >= before for before, after in pairwise(weights)):
+    weights = tuple(factor("weight", value) for value in values)
+    if not weights:
+        raise InputError("weights are empty; need one or more falling numbers >= 1")
+    if any(after >= before for before, after in pairwise(weights)):
         raise InputError(f"weights are {shown(weights)}; each must be smaller than the one before it")
     return weights
 

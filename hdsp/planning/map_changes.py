@@ -19,9 +19,9 @@ def changed_cells(before: HeightMap, after: HeightMap, region: Region | None = N
     Raises:
         InputError: the region does not lie within the map.
     """
+    first_x, first_y, end_x, end_y = region_of(after, region)
     if before.shape != after.shape or before.origin != after.origin:
         return None
-    first_x, first_y, end_x, end_y = region_of(after, region)
     changed = np.zeros(after.shape, bool)
     part = slice(first_x, end_x), slice(first_y, end_y)
     old, new = before.heights[part], after.heights[part]

@@ -76,6 +76,7 @@ class MeasuredMap:
         return result, result._follow(measured, region)
 
     def _follow(self, measured: HeightMap, region: Region | None) -> Region | None:
+        region_of(measured, region)  # refuses a region beyond the map
         same = measured.resolution == self.measured.resolution
         changed = changed_cells(self.measured, measured, region) if same else None
         settled = is_conditioned(measured.frame.notes) == is_conditioned(self.measured.frame.notes)

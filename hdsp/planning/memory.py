@@ -17,6 +17,7 @@ from hdsp.detailed.world.world import World
 
 # Bytes for a cell of the map: reachable headings of a search that ends without a plan; a proof with its queues.
 _REACHED, _PROOF = 16, 160
+_MIB = 1 << 20
 
 
 def least_memory(world: World) -> int:
@@ -44,8 +45,10 @@ def memory_limit(asked: int, needed: int) -> int:
         needed: bytes of the heuristic and of an empty search.
 
     Raises:
-        InputError: the limit is below the need.
+        InputError: the limit is below the need; the message names it in whole MiB, rounded up.
     """
     if asked < needed:
-        raise InputError(f"memory is {asked}; a query on this map needs {needed} bytes at least")
+        # Whole MiB, which suffice later, too: results that later queries share may add some bytes.
+        least = -(-needed // _MIB) * _MIB
+        raise InputError(f"memory is {asked}; a query on this map needs {least} bytes at least")
     return asked

@@ -21,6 +21,7 @@ from hdsp.planning.answers.plans import Plan
 from hdsp.planning.arguments import (
     callback,
     choice,
+    factor,
     falling_weights,
     limits_of,
     number,
@@ -97,6 +98,9 @@ class Planner:
     def __repr__(self) -> str:
         ground = self._ground
         return f"Planner({ground.robot.name}, heuristic {ground.heuristic.name}, {ground.terrain})"
+
+    def __reduce__(self):
+        raise InputError("a planner can be neither pickled nor copied; make another one from its map and robot")
 
     @property
     def robot(self) -> Robot:
@@ -279,14 +283,16 @@ class Planner:
             A plan; ``status`` tells its end, ``explain()`` describes it in words, also an invalid start or goal.
 
         Raises:
-            InputError: a value is not a number, a pose lies off the map, a weight is < 1, or the memory is less than
-                an empty search on this map needs; the message names the least.
-            RefinementError: ``refinable``, and an action before the first step cannot be carried out.
+            InputError: a value is not a number, a pose lies off the map, a weight is < 1 or > 1e6, or the memory is
+                less than an empty search on this map needs; the message names the least.
+            RefinementError: ``refinable``, and an action before the first step cannot be carried out, also after the
+                polish.
         """
-        anchored = None if anchor_weight is None else number("anchor_weight", anchor_weight, 1.0)
+        anchored = None if anchor_weight is None else factor("anchor_weight", anchor_weight)
         limits, refinable = limits_of(cost, expansions, self._memory(memory), time), choice("refinable", refinable)
         start_free, way_out = choice("start_free", start_free), choice("way_out", way_out)
         unbounded = not self.heuristic.admissible and anchored is None
+        weight = None if weight is None else factor("weight", weight)
         weight, polish = weight_and_polish(weight, polish, unbounded)
         compile_for(self.robot, self.heuristic, anchored=anchored is not None, refinable=refinable)
         asked = Asked(start, goal, tolerance, start_free, way_out, weight, limits, callback("progress", progress))

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from hdsp.base.errors import InputError
-from hdsp.base.messages import coordinates
+from hdsp.base.messages import coordinates, spans
 
 RESOLUTION = 0.025  # metres, side of a detailed cell
 HEADINGS = 64
@@ -195,10 +195,10 @@ class Grid:
             )
         cell = self.cell(values[:2])
         if not self.contains(cell):
-            low, high = self.center((0, 0)), self.center(np.asarray(self.shape) - 1)
+            high = np.asarray(self.origin) + metres(np.asarray(self.shape, float))
             raise InputError(
                 f"position ({coordinates(values[:2])}) m is outside the map, which spans "
-                f"x {low[0]:.3f} to {high[0]:.3f} m and y {low[1]:.3f} to {high[1]:.3f} m"
+                f"{spans(self.origin, high)} m, upper ends excluded"
             )
         return np.array([*cell, heading_index(values[2]), *offset_steps(values[3:])], dtype=np.int64)
 

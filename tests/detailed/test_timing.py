@@ -138,7 +138,7 @@ def test_times_outside_the_motion_are_refused(motion, wrong):
         motion.at(wrong)
 
 
-@pytest.mark.parametrize("wrong", ["soon", {}, 10**400, [[1.0], [1.0, 2.0]]])
+@pytest.mark.parametrize("wrong", ["soon", {}, 10**400, [[1.0], [1.0, 2.0]], True])
 def test_times_and_rates_that_are_no_numbers_are_refused(motion, wrong, tmp_path):
     with pytest.raises(InputError, match=r"time .*: need numbers from 0 to"):
         motion.at(wrong)
@@ -146,6 +146,11 @@ def test_times_and_rates_that_are_no_numbers_are_refused(motion, wrong, tmp_path
         motion.save(tmp_path / "motion.csv", rate=wrong)
     with pytest.raises(InputError, match=r"speed .*; need a positive number"):
         motion.animate(tmp_path / "motion.gif", speed=wrong)
+
+
+def test_nothing_is_no_time(motion):
+    with pytest.raises(InputError, match="time None: need numbers from 0 to"):
+        motion.at(None)
 
 
 def test_faster_limits_make_faster_motions(motion):

@@ -1,6 +1,8 @@
 """Arguments of queries: each wrong value ends in one line, before anything is computed."""
 
+import copy
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -13,8 +15,8 @@ START, GOAL = (0.9, 0.9, 0.0), (1.6, 1.1, 0.3)
 HUGE = 10**400  # larger than any float
 NO_NUMBER = None, "2", True, 1j, [2.0, 3.0], math.nan, {}
 WRONG = {
-    "weight": (*NO_NUMBER[1:], 0.5, math.inf, -1.0, HUGE),
-    "anchor_weight": (*NO_NUMBER[1:], 0.5, math.inf, HUGE),
+    "weight": (1e7, 1e39, *NO_NUMBER[1:], 0.5, math.inf, -1.0, HUGE),
+    "anchor_weight": (1e39, *NO_NUMBER[1:], 0.5, math.inf, HUGE),
     "cost": (*NO_NUMBER, -1.0, -math.inf, -HUGE),
     "expansions": (*NO_NUMBER, 1.5, -1, math.inf),
     "memory": (*NO_NUMBER, 1.5, -1, math.inf),
@@ -58,7 +60,7 @@ def test_q6_wrong_arguments_are_named_with_their_value(unused, name, value):
 def test_q6_wrong_weights_of_an_anytime_search_are_named(unused, weights):
     with pytest.raises(InputError) as error:
         unused.improve(START, GOAL, weights)
-    one_line(error, "weight")
+    one_line(error, "weights are empty" if weights == () else "weight")
 
 
 def test_q6_numbers_of_other_libraries_and_limits_without_an_end_are_taken(flat):
@@ -117,7 +119,7 @@ def test_positions_on_projected_maps_have_all_their_digits():
     planner = Planner(HeightMap.flat((80, 80), (412345.678, 5654321.123)))
     with pytest.raises(InputError) as error:
         planner.valid((412344.25, 5654322.125, 0.0))
-    one_line(error, "position (412344.25, 5654322.125) m is outside", "x 412345.691 to")
+    one_line(error, "position (412344.25, 5654322.125) m is outside", "x 412345.678 to 412347.678")
     with pytest.raises(InputError) as error:
         planner.valid((412346.678, 5654322.125, 0.3, 0.0, 0.0, math.sin(0.4), math.cos(0.4)))
     one_line(error, "here (412346.678, 5654322.125, 0.8000)")
@@ -143,11 +145,21 @@ def test_q6_a_wrong_margin_is_named(margin):
     one_line(error, "margin is ")
 
 
-@pytest.mark.parametrize("heuristic", [None, 3, ManualCosts, np.array(["manual", "manual"]), "Manual", "learned:"])
+@pytest.mark.parametrize(
+    "heuristic",
+    [None, 3, ManualCosts, np.array(["manual", "manual"]), "Manual", "learned:", "os:getcwd", "json:dumps", "math:pi"],
+)
 def test_q6_a_wrong_heuristic_is_named(heuristic):
     with pytest.raises(InputError) as error:
         Planner(HeightMap.flat((80, 80)), heuristic=heuristic)
     one_line(error, "heuristic ")
+
+
+@pytest.mark.parametrize("act", [copy.copy, pickle.dumps])
+def test_a_planner_is_neither_copied_nor_pickled(flat, act):
+    with pytest.raises(InputError) as error:
+        act(flat)
+    one_line(error, "a planner can be neither pickled nor copied")
 
 
 def test_q6_a_heuristic_of_another_terrain_is_refused(flat):
@@ -163,6 +175,11 @@ def test_q6_a_wrong_region_is_named(flat, region):
     with pytest.raises(InputError) as error:
         flat.update(flat.terrain, region)
     one_line(error, "region ")
+    for other in (HeightMap.flat((100, 99)), HeightMap(flat.terrain.heights, origin=(1.0, 0.0))):
+        with pytest.raises(InputError) as error:
+            flat.update(other, region)
+        one_line(error, "region ")
+    assert flat.terrain.shape == (100, 100)
 
 
 def test_q6_an_update_takes_terrain_only(flat):

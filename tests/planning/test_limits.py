@@ -30,6 +30,7 @@ from hdsp.planning.answers import plans
 from hdsp.planning.compiled import compile_for
 from hdsp.planning.heuristics import goal_sources, standing
 from hdsp.planning.heuristics.standing import standing_states
+from hdsp.planning.memory import least_memory
 from hdsp.terrain.random_arenas import random_arena
 
 START, GOAL = (0.9, 0.9, 0.0), (1.6, 1.1, 0.3)
@@ -317,9 +318,13 @@ def test_memory_below_an_empty_search_is_an_error_that_names_the_least(flat):
         with pytest.raises(InputError, match="memory is 1000; a query on this map needs") as caught:
             planner.plan(START, GOAL, memory=1000)
         least = int(str(caught.value).split("needs ")[1].split()[0])
+        empty = planner.heuristic.needed_memory() + least_memory(planner.world)
+        assert empty <= least < empty + 2**20 and least % 2**20 == 0
         with pytest.raises(InputError, match=f"needs {least} bytes at least"):
-            planner.improve(START, GOAL, memory=least - 1)
+            planner.improve(START, GOAL, memory=empty - 1)
         plan = planner.plan(START, GOAL, 1.5, memory=least)
+        planner.plan(START, GOAL, 1.5)
+        planner.plan(START, GOAL, 1.5, memory=least)  # still enough after other queries
         assert plan.status in (Status.SOLVED, Status.MEMORY_LIMIT) and plan.stats.total_memory <= least
 
 

@@ -66,7 +66,7 @@ def test_a_pose_must_be_three_finite_numbers(pose):
 
 
 def test_a_pose_off_the_map_is_named_with_the_extent_of_the_map():
-    with pytest.raises(InputError, match=r"\(1.2, 0.1\) m is outside the map.*x 0.01") as error:
+    with pytest.raises(InputError, match=r"\(1.2, 0.1\) m is outside the map.*x 0 to 1, y 0 to 1 m, upper") as error:
         Grid((0.0, 0.0), (40, 40)).to_lattice((1.2, 0.1, 0.0))
     assert "\n" not in str(error.value)
 

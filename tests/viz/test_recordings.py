@@ -283,6 +283,10 @@ def test_wrong_files_are_refused_in_one_line(motion, folder, tmp_path):
         (lambda: Motion.load(tmp_path / "other.json", motion.terrain), "format 'something'"),
         (lambda: Motion.load(folder / "run.json"), "need the argument terrain"),
         (lambda: Motion.load(folder / "run.csv"), "need .npz or .json"),
+        (lambda: Motion.load(folder / "run.json", motion.terrain.heights), "terrain is an array; need a HeightMap"),
+        (lambda: Motion.load(folder / "run.json", 3), "terrain is a int"),
+        (lambda: Motion.load(folder / "run.json", tmp_path / "no.npz"), "no such file"),
+        (lambda: Motion.load(folder / "run.json", HeightMap.flat((20, 20))), "outside the map, which spans x 0 to 0.5"),
     ):
         with pytest.raises(InputError) as error:
             act()

@@ -123,9 +123,12 @@ class Motion:
     def _numbers(self, time: ArrayLike) -> np.ndarray:
         """Times as a user gives them, float64 of any shape."""
         try:
-            return np.asarray(time, float)
+            found = np.asarray(time)
+            if found.dtype.kind in "iuf":
+                return found.astype(float)
         except (TypeError, ValueError, OverflowError):
-            raise InputError(f"time {shown(time)}: need numbers from 0 to {self.duration:.6g} s") from None
+            pass
+        raise InputError(f"time {shown(time)}: need numbers from 0 to {self.duration:.6g} s")
 
     def save(self, path: str | os.PathLike, rate: float = 50.0) -> Path:
         """Writes the motion, whole or not at all; the suffix names the format (docs/motions.md).
@@ -166,16 +169,22 @@ class Motion:
         return animate_motion(self, path, speed=speed, fps=fps, width=width)
 
     @classmethod
-    def load(cls, path: str | os.PathLike, terrain: HeightMap | None = None, robot: Any = None) -> Motion:
+    def load(
+        cls,
+        path: str | os.PathLike,
+        terrain: HeightMap | str | os.PathLike | None = None,
+        robot: Any = None,
+    ) -> Motion:
         """Reads a motion's configurations from ``.npz`` or ``.json``.
 
         Args:
             path: file from `save`.
-            terrain: the map for a JSON file, which holds none.
+            terrain: the map for a JSON file, which holds none: a height map, or the path of one.
             robot: the robot for a JSON file, if it is no preset.
 
         Raises:
-            InputError: no such file, another format, or a JSON file without ``terrain``.
+            InputError: no such file, another format, or a JSON file without ``terrain`` or with one that the motion
+                leaves.
         """
         return cls(**read_motion(path, terrain, robot))
 

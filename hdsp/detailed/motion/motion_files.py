@@ -18,12 +18,12 @@ import numpy as np
 from hdsp.base.array_files import npz_arrays
 from hdsp.base.errors import InputError
 from hdsp.base.files import as_path, existing_file, replacing, writable_file
-from hdsp.base.messages import shown
+from hdsp.base.messages import coordinates, shown, spans
 from hdsp.base.scalars import real
 from hdsp.detailed.motion.motion_state import MotionState
 from hdsp.detailed.motion.phases import PHASES
 from hdsp.robot.robot import FEET, Robot
-from hdsp.terrain.height_map import HeightMap
+from hdsp.terrain.height_map import HeightMap, as_height_map
 from hdsp.terrain.map_frame import MapFrame
 
 #: Writes a motion to a path, with so many states per second.
@@ -190,7 +190,7 @@ def _write_npz(motion: Any, path: Path, rate: float) -> None:
         np.savez_compressed(temporary, facts=np.array(json.dumps(facts)), **arrays)
 
 
-def read_motion(path: str | os.PathLike, terrain: HeightMap | None, robot: Any) -> dict[str, Any]:
+def read_motion(path: str | os.PathLike, terrain: Any, robot: Any) -> dict[str, Any]:
     """Returns the motion fields in a file; see ``Motion.load``."""
     path = existing_file(path, "motion")
     try:
@@ -222,13 +222,28 @@ def _read_npz(path: Path) -> dict[str, Any]:
     }
 
 
-def _read_json(path: Path, terrain: HeightMap | None, robot: Any) -> dict[str, Any]:
+def _read_json(path: Path, terrain: Any, robot: Any) -> dict[str, Any]:
     document = json.loads(path.read_text(encoding="utf-8"))
     _check_format(path, document)
     if terrain is None:
         raise InputError(f"motion {path}: JSON holds no map; need the argument terrain")
     arrays = {name: np.array(document["configurations"][name], kind) for name, kind in _KINDS.items()}
+    if isinstance(terrain, np.ndarray | list | tuple):
+        raise InputError(f"motion {path}: terrain is an array; need a HeightMap, or the path of one")
+    terrain = as_height_map(terrain)
+    for places in (arrays["base"], arrays["feet"]):
+        _check_on_map(path, places[..., :2].reshape(-1, 2), terrain)
     return {**arrays, "terrain": terrain, "robot": Robot.load(document["robot"] if robot is None else robot)}
+
+
+def _check_on_map(path: Path, places: np.ndarray, terrain: HeightMap) -> None:
+    """Refuses places [n, 2], m, off a map."""
+    low = np.asarray(terrain.origin)
+    high = low + terrain.resolution * np.asarray(terrain.shape)
+    off = ~((places >= low) & (places < high)).all(axis=1)
+    if off.any():
+        at = coordinates(places[off.argmax()])
+        raise InputError(f"motion {path}: ({at}) m is outside the map, which spans {spans(low, high)} m")
 
 
 def _checked(path: Path, parts: dict[str, Any]) -> dict[str, Any]:

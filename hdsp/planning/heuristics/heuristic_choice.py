@@ -1,5 +1,7 @@
 """Heuristics by name: those of hdsp, those of other packages, and abstractions as heuristics."""
 
+import inspect
+
 from hdsp.abstract.abstract_costs import AbstractCosts
 from hdsp.abstract.manual import ManualCosts
 from hdsp.base.errors import InputError
@@ -76,8 +78,17 @@ def _guided_by(costs: AbstractCosts, name: str, world: World, terrain: HeightMap
 
 
 def _made_elsewhere(name: str, world: World, terrain: HeightMap) -> Heuristic | AbstractCosts:
-    """Returns the heuristic that another package makes for a terrain."""
-    made = load_extension(HEURISTICS, name)(world, terrain)
+    """Returns the heuristic that another package makes for a terrain.
+
+    Raises:
+        InputError: no function of a world and a terrain, or one that makes something else.
+    """
+    make = load_extension(HEURISTICS, name)
+    try:
+        inspect.signature(make).bind(world, terrain)
+    except (TypeError, ValueError):  # no function, other arguments, or none that are known
+        raise InputError(f"heuristic {name!r}: {shown(make)}; need a function make(world, terrain)") from None
+    made = make(world, terrain)
     if not isinstance(made, Heuristic | AbstractCosts):
         raise InputError(f"heuristic {name!r}: {type(made).__name__} is neither a Heuristic nor an AbstractCosts")
     return made
