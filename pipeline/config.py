@@ -127,8 +127,14 @@ def read_params(path: Path = PARAMS) -> Config:
 
 
 def write_params(path: Path = PARAMS, overrides: Sequence[str] = (), source: Source | None = None) -> None:
-    """Composes conf/ into params.yaml, byte for byte as `dvc exp run` does."""
-    text = OmegaConf.to_yaml(compose(overrides, source))
+    """Composes conf/ into params.yaml, byte for byte as `dvc exp run` does.
+
+    Raises:
+        InputError: as `configure`; the file then stays as it is.
+    """
+    composed = compose(overrides, source)
+    typed(composed)
+    text = OmegaConf.to_yaml(composed)
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 

@@ -6,6 +6,7 @@ needs of them.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping
 from typing import Annotated, Any, Literal, Self
 
@@ -14,7 +15,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from hdsp.abstract.manual import ManualSettings
 from hdsp.abstract.oracle import LabelSettings
 from hdsp.base.extensions import HEURISTICS, extension_place
-from hdsp.base.settings import DISTINCT, Count, Name, NotNegative, Positive, Seed, checked, chosen_by, fault
+from hdsp.base.settings import DISTINCT, Count, FileName, Name, NotNegative, Positive, Seed, checked, chosen_by, fault
 from hdsp.base.workers import MemorySize, Scheduler, SlurmOptions
 from hdsp.labels.course_patches import CoursePatchSettings
 from hdsp.labels.run.splits import Category, SplitSettings
@@ -34,6 +35,18 @@ from .split_roles import check_roles
 #: Prefix of names for shipped abstractions.
 SHIPPED = "shipped"
 METHODS = ("trained", SHIPPED, f"{SHIPPED}-NAME", "manual", "flat")
+
+
+def _registered(text: str) -> str:
+    """A name in MLflow's registry, NAME or NAME@ALIAS; MLflow refuses others, but only after the training."""
+    name, _, alias = text.partition("@")
+    named = name.strip() and not set(name) & set("/:")
+    aliased = "@" not in text or (
+        re.fullmatch(r"[A-Za-z0-9_-]+", alias) and not re.fullmatch(r"latest|v\d+", alias, re.I)
+    )
+    if not (named and aliased):
+        raise fault("", text, "NAME or NAME@ALIAS, NAME without / and :, ALIAS of letters, digits, _ and -, not latest")
+    return text
 
 
 def _method(name: str) -> str:
@@ -283,11 +296,11 @@ class Runtime:
     inputs: Name
     outputs: Name | None
     data_dir: Name | None
-    variant: Name | None
+    variant: FileName | None
     hardware: HardwareSettings
     lightning: LightningSettings
     system_metrics: bool
-    register: Name | None
+    register: Annotated[str, AfterValidator(_registered)] | None
 
 
 @checked
@@ -305,7 +318,7 @@ class SearchSettings:
         storage: Optuna's storage; None = SQLite in outputs/search.
     """
 
-    name: Name
+    name: FileName
     space: dict[str, Any]
     trials: Count
     jobs: Count

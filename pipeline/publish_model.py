@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hdsp.base.errors import InputError
+from hdsp.base.messages import shown
 from hdsp.robot.robot import Robot
 
 from .command_line import PACKAGE
@@ -166,7 +167,10 @@ def _validation(trainer: Mapping[str, Any], config: Config, folders: Folders) ->
     from hdsp.labels.tasks import TaskSet
 
     sets = []
-    for name in trainer.get("val_splits") or ["val"]:
+    names = trainer.get("val_splits") or ["val"]
+    if not isinstance(names, list | tuple) or not all(isinstance(name, str) and name.isidentifier() for name in names):
+        raise InputError(f"provenance.notes.trainer.val_splits is {shown(names)}; need names of splits")
+    for name in names:
         tasks, reason = read_set(shards_place(config, folders.inputs, name))
         if tasks is None:
             raise InputError(f"cannot calibrate: {reason}")

@@ -32,8 +32,10 @@ def checked_choices(line: CommandLine) -> set[str]:
     """Checks all values of a sweep; returns the keys that vary.
 
     Raises:
-        InputError: a value is wrong.
+        InputError: a value is wrong, or `runtime.outputs` is given: each run has a folder of its own.
     """
+    if any(override.get_key_element().lstrip("+") == "runtime.outputs" for override in parse_overrides(line.overrides)):
+        raise InputError("runtime.outputs: each run of a sweep has its own folder; give hydra.sweep.dir=FOLDER for all")
     words = [*configured_choices(line.overrides, line.source), *line.overrides]
     for variant in expand_choices(words):
         configure(variant, line.source)

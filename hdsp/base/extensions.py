@@ -12,6 +12,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from hdsp.base.errors import InputError
+from hdsp.base.messages import one_line
 
 #: Groups of entry points.
 NETWORKS, HEURISTICS, TERRAIN = "hdsp.networks", "hdsp.heuristics", "hdsp.terrain"
@@ -47,8 +48,9 @@ def load_extension(group: str, name: str) -> Any:
         raise InputError(f"{group} {name!r}: not announced by any installed package ({known}), and no module:name")
     try:
         return EntryPoint(name, place, group).load()
-    except (ImportError, AttributeError) as error:
-        raise InputError(f"{group} {name!r}: cannot load {place}: {error}") from error
+    except Exception as error:  # whatever the code of another package raises
+        kind = "" if isinstance(error, ImportError | AttributeError) else f"{type(error).__name__}: "
+        raise InputError(f"{group} {name!r}: cannot load {place}: {kind}{one_line(error)}") from error
 
 
 def distribution_of(place: str) -> str | None:

@@ -48,8 +48,8 @@ def _inside(text: str) -> str:
 
 
 def _file_name(text: str) -> str:
-    if text in (".", "..") or "/" in text or "\\" in text or "\0" in text:
-        raise fault("", text, "a name without slashes")
+    if text in (".", "..") or "/" in text or "\\" in text or not text.isprintable():
+        raise fault("", text, "a name without slashes and control characters")
     return text
 
 

@@ -155,6 +155,9 @@ class _Loader(yaml.SafeLoader):
             return super().construct_object(node, deep)
         except (ValueError, OverflowError) as error:  # invalid dates, numbers with thousands of digits
             raise yaml.constructor.ConstructorError(None, None, str(error), node.start_mark) from None
+        except (AttributeError, LookupError, TypeError):  # PyYAML's own, for a tag that the value does not fit
+            problem = f"{shown(node.value)} is no {node.tag.rpartition(':')[2]}"
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark) from None
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         # Only here does a node hold the keys of the text; its construction adds those of merged mappings.

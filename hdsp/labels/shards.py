@@ -282,7 +282,10 @@ def _verify(content: bytes, where: str) -> None:
     line = header.split(b"\n")[1].decode("ascii", "replace") if header.count(b"\n") > 1 else ""
     if line.startswith("schema ") and line[7:].isdigit() and header == _header(int(line[7:]), body):
         raise InputError(f"shard {where} has schema version {line[7:]}; need {SCHEMA_VERSION}: make it again")
-    raise InputError(f"shard {where} is damaged: its contents do not fit their checksum (cut off, or changed)")
+    raise InputError(
+        f"shard {where} is damaged: its contents do not fit their checksum (cut off, or changed); python -m "
+        "pipeline.label SPLIT --verify makes a labelled split whole again"
+    )
 
 
 def _plain(value):

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import expit
 
 from hdsp.base.errors import InputError
+from hdsp.base.messages import shown
 from hdsp.learning.calibration import MINIMUM_COST, Calibration, calibration_figures, fit_calibration
 from hdsp.learning.hub_card import HubCard, picture_of
 from hdsp.learning.inference.footprint_engine import FootprintEngine, KeptPlace, engine_options
@@ -236,6 +237,10 @@ class LearnedAbstraction:
             goals = np.broadcast_to(goals, (len(patches), *goals.shape))
         if goals.ndim != 3 or len(goals) != len(patches) or goals.shape[2] != 3:
             raise InputError(f"goals: shape {goals.shape} is not [{len(patches)}, goals, 3]")
+        if not np.isfinite(goals).all():
+            raise InputError("goals: need finite numbers")
+        if not isinstance(batch, int | np.integer) or batch < 1:
+            raise InputError(f"batch is {shown(batch)}; need a whole number >= 1")
         result = Judgements.empty(goals.shape[:2], self.predicts_planning_cost)
         evaluation: TorchEvaluation | FootprintEngine = self.engine or self.torch_evaluation
         for start in range(0, len(patches), batch):

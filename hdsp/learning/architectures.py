@@ -5,6 +5,7 @@ in ``ARCHITECTURES`` gives it a name; in another package, an entry point ``hdsp.
 is ``module:class``.
 """
 
+from dataclasses import is_dataclass
 from pkgutil import resolve_name
 from typing import Any
 
@@ -57,6 +58,8 @@ def network_class(name: str) -> type[Any]:
     if name in ARCHITECTURES:
         return resolve_name(architecture_place(name))
     found = load_extension(NETWORKS, name)
-    if not (isinstance(found, type) and isinstance(getattr(found, "Options", None), type)):
-        raise InputError(f"model.architecture: {name!r} is {found!r}; need a TaskNetwork with its class Options")
+    if not (isinstance(found, type) and is_dataclass(getattr(found, "Options", None))):
+        raise InputError(
+            f"model.architecture: {name!r} is {found!r}; need a TaskNetwork with its class Options, a dataclass"
+        )
     return found

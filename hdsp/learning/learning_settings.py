@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from hdsp.base.errors import InputError
 from hdsp.base.settings import (
+    DISTINCT,
     Count,
     Name,
     Natural,
@@ -61,7 +62,7 @@ class HeightEncoding:
     reference: Literal["none", "base"] = "none"
     unknown: float | None = 1.5
     clip: tuple[float, float] = (-1.5, 1.5)
-    scale: float = 1.0
+    scale: Positive = 1.0
     channels: Annotated[tuple[Channel, ...], Field(min_length=1)] = ("height",)
     edge_scale: Positive = 0.1
     unevenness_radius: Annotated[int, Field(ge=1, le=PATCH_CELLS)] = 12
@@ -179,6 +180,12 @@ class LossSettings:
     factor: Annotated[float, Field(gt=1)] = 5.0
     patience: Count = 3
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.feasibility == self.cost == 0:
+            raise fault("cost", self.cost, "a positive weight beside feasibility: 0, or nothing is learned")
+        return self
+
 
 @checked
 class SelectionSettings:
@@ -278,8 +285,8 @@ class TrainerSettings:
     stream_shards: Count = field(default=8, repr=False)
     share: Annotated[float, Field(gt=0, le=1)] = field(default=1.0, repr=False)
     residues: Annotated[tuple[Residue, ...], Field(min_length=1)] | None = field(default=None, repr=False)
-    splits: Annotated[tuple[Name, ...], Field(min_length=1)] = field(default=("train",), repr=False)
-    val_splits: Annotated[tuple[Name, ...], Field(min_length=1)] = field(default=("val",), repr=False)
+    splits: Annotated[tuple[Name, ...], Field(min_length=1), DISTINCT] = field(default=("train",), repr=False)
+    val_splits: Annotated[tuple[Name, ...], Field(min_length=1), DISTINCT] = field(default=("val",), repr=False)
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import model_validator
 
 from hdsp.base.errors import InputError
-from hdsp.base.settings import Name, checked, fault, load_settings
+from hdsp.base.settings import FileName, checked, fault, load_settings
 from hdsp.base.yaml_files import Document, parse_yaml, read_yaml
 from hdsp.robot.action_limits import BaseShift, Drive, FootMove, Slope, Step, Turn
 from hdsp.robot.lattice import offset_steps
@@ -55,7 +55,7 @@ class Robot:
         physics: masses, wheels and motors in a simulation.
     """
 
-    name: Name
+    name: FileName
     feet: Feet
     body: Body
     drive: Drive

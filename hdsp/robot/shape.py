@@ -43,6 +43,9 @@ class Feet:
         if self.contact_inward > nearest:
             need = f"at most {nearest:g} m, the distance of the feet from the middle of the body"
             raise fault("contact_inward", self.contact_inward, need)
+        if self.min_separation > 2 * self.neutral_x:
+            need = f"at most {2 * self.neutral_x:g} m, the distance of neutral feet (twice neutral_x)"
+            raise fault("min_separation", self.min_separation, need)
         if max(abs(self.offset_min), abs(self.offset_max)) < metres(OFFSETS):
             low, high = offset_steps([self.offset_min, self.offset_max])
             if low <= 0 <= high and high - low < OFFSETS:

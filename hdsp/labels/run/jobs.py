@@ -70,5 +70,7 @@ def store_shard(run: LabelRun, place: Place, shard: ShardPlan, parts: list[Label
 def _label_map(run: LabelRun, label: LabelMap | None, number: int) -> "MapTasks | None":
     try:
         return run.tasks_of(number, label)
+    except InputError as error:
+        raise InputError(f"{run.describe(number)}: {error}") from error
     except Exception as error:
         raise RuntimeError(f"labelling failed on {run.describe(number)}: {error}") from error

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
+import keyword
 import os
+import sys
 from importlib import resources
 from pathlib import Path
 from string import Template
 
 from hdsp.base.errors import InputError
+from hdsp.learning.architectures import ARCHITECTURES
 
 #: Files of the package, by template.
 FILES = {
@@ -27,6 +31,9 @@ FILES = {
 }
 #: Names that would hide a package.
 _TAKEN = ("hdsp", "hdsp_pipeline", "pipeline", "torch", "numpy", "conf", "tests", "data", "models")
+
+#: Names that the planner gives to its own heuristics.
+_HEURISTICS = ("geometric", "grid", "manual", "learned", "oracle")
 
 
 def add_lab(commands) -> None:
@@ -53,8 +60,13 @@ def write_lab(name: str, folder: Path) -> Path:
     Raises:
         InputError: a wrong name, a folder with files in it, or one that cannot be written.
     """
-    if not name.isidentifier() or name != name.lower() or name in _TAKEN:
+    if not name.isidentifier() or name != name.lower() or keyword.iskeyword(name) or name in _TAKEN:
         raise InputError(f"name {name!r}: need a Python identifier in small letters, none of {', '.join(_TAKEN)}")
+    found = importlib.util.find_spec(name)
+    if name in sys.stdlib_module_names or (found is not None and found.origin is not None):
+        raise InputError(f"name {name!r}: there is a package of this name, which the new one would hide")
+    if name in ARCHITECTURES or name in _HEURISTICS:
+        raise InputError(f"name {name!r}: hdsp has a network or heuristic of this name, which would count instead")
     try:
         if os.path.exists(folder) and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(f"{folder}: it exists and is not empty")
