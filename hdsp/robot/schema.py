@@ -53,7 +53,8 @@ Convention: metres and radians in the robot frame, x forward, y left. Costs are 
 once, for the front left leg. `.inf` is infinity. The editor checks keys and ranges; the loader also checks the rules
 between keys:
 
-- `feet`: the offsets include 0 and span less than 0.8 m; `contact_inward` is at most `neutral_x` and `neutral_y`.
+- `feet`: the offsets include 0 and span less than 0.8 m; `contact_inward` is at most `neutral_x` and `neutral_y`;
+  `min_separation` is at most twice `neutral_x`.
 - `body.boxes`: at least one box; `x_min` is less than `x_max`.
 - `feet.clearance`: more than 0, or `physics.wheel_radius` or `drive.wheel_radius` is given.
 - `drive`: either `max_height_difference`, or `wheel_radius` and `rolled_share`.
