@@ -9,7 +9,7 @@ from hdsp.base.settings import load_settings
 from hdsp.learning.architectures import ARCHITECTURES, network_class
 from hdsp.learning.learning_settings import ModelSettings
 from hdsp.learning.networks.base import TaskNetwork, count_parameters, initialise_he
-from hdsp.robot.lattice import PATCH_CELLS
+from hdsp.robot.lattice import PATCH_CELLS, robot_frame_goals
 
 
 def build_network(config: Mapping[str, Any] | ModelSettings) -> TaskNetwork:
@@ -50,13 +50,16 @@ def _check_judgements(network: TaskNetwork) -> None:
 
     if not any(parameter.requires_grad for parameter in network.parameters()):
         raise ValueError("the network has no parameters to train")
-    heights, goals = torch.zeros(2, 1, PATCH_CELLS, PATCH_CELLS), torch.zeros(2, 3, 3)
+    heights = torch.zeros(2, 1, PATCH_CELLS, PATCH_CELLS)
+    goals = torch.from_numpy(robot_frame_goals(0).astype("float32")).expand(2, -1, -1)
     with torch.no_grad(), torch.random.fork_rng(devices=[]):
         found = network(heights, goals)
     wanted = 3 if network.predicts_planning_cost else 2
     shapes = [tuple(each.shape) for each in found]
-    if shapes != [(2, 3)] * wanted:
-        raise ValueError(f"forward returns shapes {shapes}; need {wanted} of [batch, goals], here (2, 3)")
+    if shapes != [tuple(goals.shape[:2])] * wanted:
+        raise ValueError(
+            f"forward returns shapes {shapes}; need {wanted} of [batch, goals], here {tuple(goals.shape[:2])}"
+        )
 
 
 __all__ = ["ARCHITECTURES", "ModelSettings", "TaskNetwork", "build_network", "count_parameters"]
