@@ -123,7 +123,7 @@ class Polish:
             return plan
         windows = Windows(query.world, query.limits.memory, None if query.admissible else query.estimate)
         ends = min(began + self.seconds, query.ends)
-        others, windows.expansions = self._others(query, plan, most, left, ends)
+        others, windows.expansions = self._others(query, plan, most, left, min(began + self.seconds / 2, ends))
         most = min(windows.expansions + most, left)
         better = min([plan, *others], key=lambda each: each.cost)
         course, trusted = _Course.of(query, better), False
@@ -152,7 +152,7 @@ class Polish:
         Args:
             query, plan: as in ``of``.
             most, left: expansions of one search and of all, at most.
-            ends: moment on the clock ``now`` at which the searches end.
+            ends: moment on the clock ``now`` at which the searches end; the windows need time, too.
         """
         found: list[Plan] = []
         spent, hard = 0, plan.stats.expansions >= HARD
