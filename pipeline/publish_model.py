@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hdsp.base.errors import InputError
-from hdsp.base.messages import shown
+from hdsp.base.settings import FileName, checked, load_settings
 from hdsp.robot.robot import Robot
 
 from .command_line import PACKAGE
@@ -47,6 +47,13 @@ LARGEST = 3_000_000
 CHECKPOINT = "checkpoints/best.ckpt"
 #: Cost error levels on the card.
 ERROR_LEVELS = (0.5, 0.9, 0.99, 1.0)
+
+
+@checked
+class _NotedSplits:
+    """Validation splits in the notes of a saved abstraction, which may come from elsewhere: names, no paths."""
+
+    val_splits: tuple[FileName, ...]
 
 
 def publish_model(config: Config, folders: Folders, source: str) -> None:
@@ -167,10 +174,10 @@ def _validation(trainer: Mapping[str, Any], config: Config, folders: Folders) ->
     from hdsp.labels.tasks import TaskSet
 
     sets = []
-    names = trainer.get("val_splits") or ["val"]
-    if not isinstance(names, list | tuple) or not all(isinstance(name, str) and name.isidentifier() for name in names):
-        raise InputError(f"provenance.notes.trainer.val_splits is {shown(names)}; need names of splits")
-    for name in names:
+    noted = load_settings(
+        _NotedSplits, {"val_splits": trainer.get("val_splits") or ["val"]}, "provenance.notes.trainer"
+    )
+    for name in noted.val_splits:
         tasks, reason = read_set(shards_place(config, folders.inputs, name))
         if tasks is None:
             raise InputError(f"cannot calibrate: {reason}")

@@ -51,7 +51,8 @@ class Sweep(NamedTuple):
 
 #: Budget of a query that names none, s.
 DEFAULT = 0.3
-#: Expansions in windows for each second of a budget. Searches are about twice as fast: the clock seldom decides.
+#: Expansions in windows for each second of a budget. Searches are about twice as fast: the clock decides on a
+#: slow machine, and in hard queries.
 PER_SECOND = 450_000
 #: The sweeps; docs/heuristics.md has the reasons.
 SWEEPS = (

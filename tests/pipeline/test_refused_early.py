@@ -15,6 +15,8 @@ from hdsp.planning.commands.lab_command import write_lab
 from hdsp.robot.lattice import PATCH_CELLS
 from hdsp.robot.robot import Robot
 from pipeline.config import configure, write_params
+from pipeline.folders import Folders
+from pipeline.publish_model import _validation
 from pipeline.sweeps import checked_choices
 
 
@@ -35,6 +37,15 @@ def test_a_value_that_does_not_fit_its_tag_is_named_with_its_line(value):
 def test_values_that_cannot_work_are_refused_by_name(override):
     with pytest.raises(InputError, match=override.partition("=")[0].rpartition(".")[2]):
         configure([override])
+
+
+def test_noted_validation_splits_are_names_and_no_paths(tmp_path):
+    config, folders = configure([]), Folders(tmp_path, tmp_path)
+    for names in (["../../.."], ["a/b"], 1.5, [3]):
+        with pytest.raises(InputError, match=r"provenance\.notes\.trainer"):
+            _validation({"val_splits": names}, config, folders)
+    with pytest.raises(InputError, match="unknown split 'val-2'"):
+        _validation({"val_splits": ["val-2"]}, config, folders)
 
 
 def test_losses_without_weights_are_refused_and_registered_names_accepted():
